@@ -1,0 +1,58 @@
+# run · test · check · bench · soak · sbom · reproduce — each makes .venv first; nothing else has to be installed.
+PYTHON ?= python3
+BIN := .venv/bin
+MAKEFLAGS += --no-print-directory
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: run test check bench soak sbom reproduce clean
+.DEFAULT_GOAL := run
+
+.venv/run: pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { rm -rf .venv; echo "make: $(PYTHON) cannot make a virtual environment; on Debian: apt-get install python3-venv"; exit 1; }
+	@echo "installing residuum into .venv (once; about a minute)"
+	@$(BIN)/python -m pip install -qq -e .
+	@touch $@
+
+.venv/dev: pyproject.toml .venv/run
+	@echo "installing what the tests need into .venv (once)"
+	@$(BIN)/python -m pip install -qq -e '.[dev,formats,postgres,mqtt,oidc,fleet]'
+	@touch $@
+
+run: .venv/run
+	@$(BIN)/residuum serve --demo
+
+test: .venv/dev
+	@sh tests/system_packages.sh
+	@$(BIN)/python -m pytest
+
+check: .venv/dev
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench: .venv/dev
+	@$(BIN)/python -m benchmarks
+
+soak: .venv/dev
+	@$(BIN)/python -m benchmarks.durability --kills 1000 --windows 55 --keep soak-durability.jsonl
+	@$(BIN)/python -m benchmarks.modbus --faults 10000 --devices 10
+	@$(BIN)/python -m benchmarks.can --faults 10000
+	@$(BIN)/python -m benchmarks.http_cases --cases 20000
+	@$(BIN)/python -m benchmarks.overload --seconds 60
+	@$(BIN)/python -m benchmarks.fleet --jobs 10000 --samples 1024
+	@$(BIN)/python -W ignore -m benchmarks.files --mutants 2000
+	@$(BIN)/python -m benchmarks.soak --hours 24 --speed 20
+
+# What an installation holds, and nothing of what only its development needs: CycloneDX 1.6 in residuum.cdx.json.
+sbom: .venv/dev
+	@rm -rf build/sbom && $(PYTHON) -m venv build/sbom
+	@build/sbom/bin/python -m pip install -qq '.[formats,postgres,mqtt,oidc,fleet]'
+	@build/sbom/bin/python -m pip uninstall -qq -y pip setuptools
+	@$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --validate -o residuum.cdx.json build/sbom/bin/python
+	@rm -rf build/sbom && echo "written: residuum.cdx.json"
+
+reproduce: .venv/dev
+	@$(BIN)/python -m reproduction
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache

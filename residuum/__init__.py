@@ -1,0 +1,1 @@
+"""Residuum: condition monitoring for machines that have a model."""
