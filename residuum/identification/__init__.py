@@ -1,0 +1,1 @@
+"""Data → model, and how far to trust it."""

@@ -1,0 +1,79 @@
+"""The record file formats that Residuum reads and writes, by file name ending."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
+from residuum.identification.record_formats.mat import read_mat, write_mat
+from residuum.identification.record_formats.mdf import read_mdf, write_mdf
+from residuum.identification.record_formats.npz import read_npz, write_npz
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.parquet import read_parquet, write_parquet
+from residuum.identification.record_formats.tdms import read_tdms, write_tdms
+from residuum.identification.record_formats.uff import read_uff, write_uff
+from residuum.identification.record_formats.wav import read_wav, write_wav
+
+READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
+    ".csv": read_csv,
+    ".npz": read_npz,
+    ".mat": read_mat,
+    ".wav": read_wav,
+    ".parquet": read_parquet,
+    ".tdms": read_tdms,
+    ".mf4": read_mdf,
+    ".uff": read_uff,
+}
+WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
+    ".csv": write_csv,
+    ".npz": write_npz,
+    ".mat": write_mat,
+    ".wav": write_wav,
+    ".parquet": write_parquet,
+    ".tdms": write_tdms,
+    ".mf4": write_mdf,
+    ".uff": write_uff,
+}
+
+_LONGEST = 1000
+"""Characters of a refusal: some libraries repeat the file in it."""
+
+
+def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
+    """Read a record file; its ending says the format.
+
+    Raises BadRecord for an ending that is not listed, a file that is not there, and a file that the format's reader refuses
+    or breaks on: what a library raises for a damaged file is of any kind, and only sometimes one line.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in READERS:
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS)}")
+    if not path.is_file():
+        raise BadRecord(f"{path}: no such file")
+    try:
+        return READERS[ending](path, options)
+    except BadInput as error:
+        if "\n" not in str(error) and len(str(error)) <= _LONGEST:
+            raise
+        raise BadRecord(" ".join(str(error).split())[:_LONGEST]) from None
+    except MemoryError:
+        raise
+    except Exception as error:
+        says = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise BadRecord(f"{path}: is damaged or not a {ending} file ({says})") from error
+
+
+def write_record(record: Record, path: str | Path) -> None:
+    """Write a record file in the format that the ending names; a failed write leaves no file behind."""
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in WRITERS:
+        raise BadRecord(f"{path}: ending {ending!r} cannot be written; known are {', '.join(WRITERS)}")
+    if not path.parent.is_dir():
+        raise BadRecord(f"{path}: folder {str(path.parent)!r} does not exist")
+    WRITERS[ending](record, path)
+
+
+__all__ = ["READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]

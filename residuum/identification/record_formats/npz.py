@@ -1,0 +1,70 @@
+"""Records as NPZ: one array a channel, `sample_time`, and `units` as JSON."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.options import ReadOptions
+
+_RESERVED = ("sample_time", "units", "t0", "notes")
+
+
+def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
+    """Read a record from an NPZ file. Object arrays are refused (nothing is ever unpickled).
+
+    Raises BadRecord when the file is no NPZ, or `sample_time` or `units` is absent or malformed.
+    """
+    try:
+        # NumPy leaves a file open that it opened itself and cannot read.
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            stored: dict[str, Any] = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise BadRecord(f"{path}: is not an NPZ file of plain arrays: {str(error).splitlines()[0]}") from None
+    found = _scalar(stored["sample_time"], "sample_time", path) if "sample_time" in stored else None
+    channels = {name: array for name, array in stored.items() if name not in _RESERVED}
+    return Record(
+        channels,
+        {name: options.unit_of(name, unit) for name, unit in _units(stored.get("units"), channels, path).items()},
+        sample_time=options.settle_sample_time(found, str(path)),
+        t0=_scalar(stored.get("t0", np.array(0.0)), "t0", path),
+        notes=tuple(str(note) for note in np.atleast_1d(stored.get("notes", np.array([], dtype=str)))),
+        source=str(path),
+    )
+
+
+def write_npz(record: Record, path: str | Path) -> None:
+    """Write a record so that `read_npz` gives it back exactly."""
+    extra: dict[str, Any] = {
+        "sample_time": np.float64(record.sample_time),
+        "t0": np.float64(record.t0),
+        "units": np.array(json.dumps(dict(record.units))),
+        "notes": np.array(record.notes, dtype=str),
+    }
+    if clash := set(extra) & set(record.names):
+        raise BadRecord(f"{path}: a channel cannot be called {sorted(clash)[0]!r} in an NPZ record")
+    arrays: dict[str, Any] = {**record.channels, **extra}
+    np.savez_compressed(path, **arrays)
+
+
+def _scalar(array: Any, name: str, path: str | Path) -> float:
+    try:
+        return float(array)
+    except (TypeError, ValueError):
+        raise BadRecord(f"{path}: {name!r} must be one number") from None
+
+
+def _units(stored: Any, channels: dict[str, Any], path: str | Path) -> dict[str, str]:
+    if stored is None:
+        return dict.fromkeys(channels, "")
+    try:
+        units = json.loads(str(stored))
+    except json.JSONDecodeError:
+        units = None
+    if not isinstance(units, dict):
+        raise BadRecord(f"{path}: 'units' must be a JSON object of channel name to unit")
+    return {name: str(units.get(name, "")) for name in channels}

@@ -1,0 +1,44 @@
+"""What a reader must be told where a file does not say it itself."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from residuum.identification.errors import BadRecord
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Settings of a reader.
+
+    Parameters
+    ----------
+    resample : bool
+        Accept uneven time stamps by linear interpolation onto even instants.
+    sample_time : float or None
+        Seconds between samples, for files that do not carry it; a file that does carry it wins nothing: a
+        difference of more than 1 % is refused.
+    units : mapping of channel name to unit
+        For files that carry no units.
+    """
+
+    resample: bool = False
+    sample_time: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.sample_time is not None and not self.sample_time > 0:
+            raise BadRecord(f"option sample_time: {self.sample_time!r}; must be a positive number of seconds")
+
+    def settle_sample_time(self, found: float | None, source: str) -> float:
+        """The sample time [s] of file `source`: what it says, or what the caller says; both must agree."""
+        if found is None and self.sample_time is None:
+            raise BadRecord(f"{source}: does not say its sample time; give it with --sample-time")
+        if found is None or self.sample_time is None:
+            return float(found if found is not None else self.sample_time or 0.0)
+        if abs(found - self.sample_time) > 0.01 * found:
+            raise BadRecord(f"{source}: has sample time {found:.6g} s, but {self.sample_time:.6g} s was given")
+        return float(found)
+
+    def unit_of(self, name: str, found: str = "") -> str:
+        """The unit of channel `name`: what the caller says, else what the file says."""
+        return self.units.get(name, found)

@@ -1,0 +1,78 @@
+"""Physical units of channels and parameters: parsing, checking, converting.
+
+Units are written as engineers write them in column heads (`rad/s`, `N*m`, `°C`, `%`, `rpm`, `g`).
+The registry is pint's, with three changes that suit recorded signals: `g` is standard gravity
+(nobody records grams), `%` is a dimensionless hundredth, and `count` is dimensionless.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+import pint
+
+from residuum.identification.errors import BadUnit
+
+_REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+_SPELLINGS = {
+    "": "dimensionless",
+    "1": "dimensionless",
+    "-": "dimensionless",
+    "%": "percent",
+    "g": "standard_gravity",
+    "°C": "degC",
+    "degC": "degC",
+    "C": "degC",
+    "°F": "degF",
+    "°": "degree",
+    "Ω": "ohm",
+    "rpm": "revolution/minute",
+    "1/min": "revolution/minute",
+    "raw": "dimensionless",
+    "bool": "dimensionless",
+    "count": "dimensionless",
+}
+_LONGEST = 80
+
+
+@lru_cache(maxsize=1024)
+def parse_unit(text: str) -> pint.Unit:
+    """Return the unit that `text` names.
+
+    Raises BadUnit when the text names none; the message repeats the text.
+
+    >>> str(parse_unit("N·m/A").dimensionality) == str(parse_unit("V*s/rad").dimensionality)
+    True
+    """
+    spelled = text.strip()
+    if len(spelled) > _LONGEST:
+        raise BadUnit(f"unit {spelled[:20]!r}…: longer than {_LONGEST} characters")
+    spelled = _SPELLINGS.get(spelled, spelled).replace("·", "*").replace("Ω", "ohm").replace("°C", "delta_degC")
+    spelled = spelled.replace("²", "**2").replace("³", "**3").replace("^", "**")
+    try:
+        return _REGISTRY.Unit(spelled)
+    except Exception as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
+        raise BadUnit(f"unit {text!r}: not a known unit") from error
+
+
+def compatible(first: str, second: str) -> bool:
+    """Whether values in unit `first` can be converted to unit `second`."""
+    return bool(parse_unit(first).dimensionality == parse_unit(second).dimensionality)
+
+
+def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "value") -> npt.NDArray[np.float64]:
+    """Convert absolute values from unit `source` to unit `target` (°C to K shifts, rpm to rad/s scales).
+
+    Raises BadUnit when the two are incompatible; `what` names the quantity in the message.
+
+    >>> float(convert(60.0, "rpm", "rad/s"))  # doctest: +ELLIPSIS
+    6.283...
+    >>> float(convert(20.0, "°C", "K"))
+    293.15
+    """
+    array = np.asarray(values, dtype=float)
+    if source == target:
+        return array
+    if not compatible(source, target):
+        raise BadUnit(f"{what}: unit {source!r} cannot be converted to {target!r}")
+    return np.asarray(_REGISTRY.Quantity(array, parse_unit(source)).to(parse_unit(target)).magnitude, dtype=float)
