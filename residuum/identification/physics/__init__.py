@@ -1,0 +1,60 @@
+"""Models made of balances: model file → equations → compiled kernel → simulation, sensitivities, estimation.
+
+The way through::
+
+    model = load_model("gate-drive")                       # or a YAML file: PhysicalModel
+    model, experiments = match(model, records, {"speed": "w"})   # columns → inputs and outputs, in the model's units
+    result = estimate(model, experiments)                  # Estimate: values, covariance, flat directions, residuals
+    better = model.with_effect("coulomb-friction", "shaft")
+    unknown = missing_terms(result.model, experiments, result.initial)   # each balance's smoothed missing term with band
+    text = write_model(result.model)                       # YAML again, with effects and provenance
+
+`candidates(model)` lists every (effect id, target) that fits; `Simulator(model).run(experiment, slopes=[…])` gives outputs
+with their exact derivatives by parameters (full names as in `model.all_parameters`), initial states (`initial:x`) and the
+additive
+missing term of each balance (`missing@balance`). Modules: `expression`, `dimension`, `yaml_tree`, `model_file`, `consistency`
+(reading), `model` (the type), `composition`, `code_generation`, `kernel` (compiling), `integration`,
+`kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`, `kalman`,
+`likelihood_estimation` (using), `effects/` (the catalogue).
+"""
+
+from residuum.identification.physics.estimation import Estimate, Settings, estimate, windows
+from residuum.identification.physics.experiment import Experiment, block_means, match
+from residuum.identification.physics.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
+from residuum.identification.physics.least_squares import FlatDirection
+from residuum.identification.physics.likelihood_estimation import estimate_by_likelihood
+from residuum.identification.physics.model import EffectUse, PhysicalModel, candidates, find_effect
+from residuum.identification.physics.model_file import BUILT_IN, load_model, read_model, write_model
+from residuum.identification.physics.operating_conditions import balance_variables, conditions_at
+from residuum.identification.physics.simulation import Simulation, Simulator
+
+__all__ = [
+    "BUILT_IN",
+    "EffectUse",
+    "Estimate",
+    "Experiment",
+    "Filter",
+    "FlatDirection",
+    "MissingTerm",
+    "Noise",
+    "PhysicalModel",
+    "Settings",
+    "Simulation",
+    "Simulator",
+    "Smoothed",
+    "balance_variables",
+    "candidates",
+    "conditions_at",
+    "estimate",
+    "estimate_by_likelihood",
+    "find_effect",
+    "load_model",
+    "block_means",
+    "match",
+    "missing_terms",
+    "noise_floor",
+    "read_model",
+    "tune",
+    "windows",
+    "write_model",
+]

@@ -1,0 +1,56 @@
+"""Play between drive and load."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import sympy as sp
+
+from residuum.identification.physics.effects.base import Conditions, Parameter, Site, product
+from residuum.identification.physics.effects.two_bodies import TwoBodies
+
+
+class Backlash(TwoBodies):
+    """A share r of the inertia is driven through a contact with play: nothing is transmitted while |φ| < gap/2, beyond it
+    a stiff,
+    damped contact k·(φ ∓ gap/2) + d·(v − w) is.
+
+    `gap` [position unit] ≥ 0, `k`, `d`, `share` as in the elastic transmission. Only motion that reverses, or torque that
+    does, shows it.
+    """
+
+    id = "backlash"
+    title = "Backlash"
+    equation = "−contact(φ), φ' = v − w, r·J·w' = contact(φ)"
+    reference = "M. Nordin, P.-O. Gutman, Automatica 38 (2002) 1633"
+    generalises = "elastic-transmission"
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("gap", 0.0, product(site.units["velocity"], "s"), lower=0.0, meaning="play"),
+            Parameter("k", 1.0, product(site.per("velocity"), "1/s"), lower=1e-12, meaning="contact stiffness"),
+            Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="contact damping"),
+            Parameter("share", 0.5, "", lower=0.01, upper=0.99, meaning="share of the inertia beyond the play"),
+        )
+
+    def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
+        half, damping = p["gap"] / 2, p["d"] * slip
+        return sp.Piecewise(
+            (p["k"] * (twist - half) + damping, twist > half), (p["k"] * (twist + half) + damping, twist < -half), (0, True)
+        )
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        found, travelled = [], conditions.largest("velocity") * conditions.sample_time
+        for steps, share in ((2.0, 0.5), (10.0, 0.5), (50.0, 0.3)):
+            omega = 0.4 * np.pi / conditions.sample_time / 4.0
+            k = omega**2 * share * (1.0 - share) * conditions.storage
+            found.append({"gap": steps * travelled, "k": k, "d": 0.3 * k / omega, "share": share})
+        return found
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """A spring that is soft because part of its travel is play."""
+        travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))
+        found = []
+        for share in (0.3, 0.8):
+            stiffer = {"k": special["k"] / (1.0 - share), "d": special["d"], "share": special["share"]}
+            found.append({"gap": share * travel, **stiffer})
+        return found

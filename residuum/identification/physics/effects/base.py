@@ -1,0 +1,291 @@
+"""What every physical effect is: one more term in one balance, or one more stage on the path of an input or output."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import pint
+import sympy as sp
+
+from residuum.identification.units import parse_unit
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a model: value, unit, bounds, meaning; `fixed` keeps it out of the estimation."""
+
+    name: str
+    value: float
+    unit: str = ""
+    lower: float = -np.inf
+    upper: float = np.inf
+    fixed: bool = False
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect is attached, as the effect sees it.
+
+    Parameters
+    ----------
+    kind : str
+        Balance kind (`torque`, `force`, `voltage`, `heat`, `volume`, `signal`), or `input` or `output`.
+    name : str
+        Name of the balance, input or output.
+    unit : str
+        Unit of the balance's terms, or of the signal.
+    units : mapping of role to unit
+        The variables there are: `velocity`, `position`, `current`, `temperature`, `ambient`, `level`, `supply` (the
+        input that drives the balance); the effect's `needs` must be among them.
+    """
+
+    kind: str
+    name: str
+    unit: str
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def per(self, role: str, power: float = 1.0) -> str:
+        """The balance's unit divided by a power of a variable's unit.
+
+        >>> Site("torque", "shaft", "N*m", {"velocity": "rad/s"}).per("velocity")
+        'N*m*s/rad'
+        """
+        return quotient(self.unit, self.units[role], power)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The symbols an effect writes its equation with.
+
+    `p` and `x` are the effect's own parameters and states by name; `variables` has, by role, the balance's
+    variables and in addition `supply` (the input), `supply_terms` and `drive` (sums of the balance's terms that contain an
+    input, an
+    input or a current) and `storage` (what multiplies the derivative); `direction` is the sign of the velocity or
+    current, zero at standstill; `signal` is the path's signal so far, `t` the time since the record's start [s].
+    """
+
+    site: Site
+    p: Mapping[str, sp.Symbol]
+    x: Mapping[str, sp.Symbol]
+    variables: Mapping[str, sp.Expr]
+    direction: sp.Expr
+    signal: sp.Expr
+    t: sp.Symbol
+
+    def __getitem__(self, role: str) -> sp.Expr:
+        return self.variables[role]
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """What an effect adds to the equations.
+
+    Parameters
+    ----------
+    term : expression
+        Added to the balance's sum of terms.
+    rates, initial : mapping of own state to expression
+        Time derivative and initial value of the effect's own states (the initial value is not estimated).
+    storage_factor : expression
+        Multiplies the balance's storage.
+    inductance : expression
+        Storage that a balance without storage receives: the variable that it defined becomes a state.
+    signal : expression or None
+        A path's signal after this stage.
+    delay : symbol or None
+        The parameter by which a recorded input is delayed [s].
+    """
+
+    term: sp.Expr = sp.S.Zero
+    rates: Mapping[str, sp.Expr] = field(default_factory=dict)
+    initial: Mapping[str, sp.Expr] = field(default_factory=dict)
+    storage_factor: sp.Expr = sp.S.One
+    inductance: sp.Expr | None = None
+    signal: sp.Expr | None = None
+    delay: sp.Symbol | None = None
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is known of the operation when an effect is about to be tried: scales for its first values.
+
+    Parameters
+    ----------
+    sample_time, duration : float
+        Of the record [s].
+    magnitude : float
+        RMS of the balance's driving terms, or of the path's signal, in the site's unit.
+    storage : float
+        The balance's storage coefficient (inertia, mass, heat capacity, area), in the site's unit a unit of rate.
+    variables : mapping of role to array
+        The balance's variables along the simulation of the present model.
+    missing : array or None
+        What is left of an output, or the balance's smoothed missing term, along the same samples, when it is known.
+    """
+
+    sample_time: float
+    duration: float
+    magnitude: float
+    storage: float = 1.0
+    variables: Mapping[str, Array] = field(default_factory=dict)
+    missing: Array | None = None
+
+    def largest(self, role: str) -> float:
+        """Largest magnitude of a variable (1 when it never moves)."""
+        return float(np.max(np.abs(self.variables[role]))) or 1.0
+
+    def span(self, role: str) -> float:
+        """Largest minus smallest value of a variable (1 when it never moves)."""
+        return float(np.ptp(self.variables[role])) or 1.0
+
+    def quantile(self, role: str, fraction: float) -> float:
+        """The value below which a variable spends `fraction` of the time."""
+        return float(np.quantile(self.variables[role], fraction))
+
+
+@dataclass(frozen=True)
+class Example:
+    """A model file's text with the effect in it, for the conformance test: the input moves as `profile` says.
+
+    `profile` is `sweep` (both directions, standstill between) or `steps` (between zero and `amplitude`).
+    """
+
+    model: str
+    amplitude: float
+    profile: str = "sweep"
+    sample_time: float = 0.01
+    duration: float = 10.0
+
+
+class Effect(ABC):
+    """A physical effect of the catalogue.
+
+    Class attributes
+    ----------------
+    id : str
+        Its name in model files.
+    title, equation, reference : str
+        What is shown to the user.
+    acts_on : tuple of str
+        Balance kinds, or `input` / `output`.
+    needs : tuple of str
+        Roles of the variables its equation uses.
+    sizes : tuple of str
+        Parameters that all vanish when there is no effect. Empty: the effect has no zero (a delay of one sample, a limit) and
+        is screened by trying its `starts`.
+    rest : float
+        Fraction of the starting size at which derivatives "at zero" are taken. Zero where the equation is smooth in the
+        size; a small number for friction, whose standstill (an exactly zero velocity) exists only once there is some.
+    follows_missing : bool
+        Whether its `starts` look at the conditions' `missing`.
+    natural_bounds : tuple of str
+        Parameters that may well lie on a bound; any other estimate on a bound is another effect, or none, in disguise.
+    generalises : str
+        Effect that this one contains as a special case; where that one fits, this one is tried from there as well (`grown`).
+    """
+
+    id: ClassVar[str]
+    title: ClassVar[str]
+    equation: ClassVar[str]
+    reference: ClassVar[str]
+    acts_on: ClassVar[tuple[str, ...]]
+    needs: ClassVar[tuple[str, ...]] = ()
+    sizes: ClassVar[tuple[str, ...]] = ()
+    rest: ClassVar[float] = 0.0
+    follows_missing: ClassVar[bool] = False
+    natural_bounds: ClassVar[tuple[str, ...]] = ()
+    generalises: ClassVar[str] = ""
+
+    @property
+    def vanishes(self) -> bool:
+        """Whether a zero of all `sizes` removes the effect, so that derivatives at zero screen it."""
+        return bool(self.sizes)
+
+    @property
+    def place(self) -> str:
+        """Where it stands: `balance`, `input` or `output`."""
+        return self.acts_on[0] if self.acts_on[0] in ("input", "output") else "balance"
+
+    def fits(self, site: Site) -> bool:
+        """Whether the effect can stand at this site."""
+        return site.kind in self.acts_on and all(role in site.units for role in self.needs)
+
+    @abstractmethod
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        """Its parameters with default value, unit, bounds and meaning."""
+
+    def states(self, site: Site) -> Mapping[str, str]:
+        """Its own states: name → unit."""
+        return {}
+
+    @abstractmethod
+    def contribution(self, scene: Scene) -> Contribution:
+        """Its equation."""
+
+    @abstractmethod
+    def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
+        """Values to try first: one mapping (of every parameter) for each shape worth trying."""
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> Sequence[Mapping[str, float]]:
+        """Values to try near an estimate of the effect that it `generalises`, in the conditions of that estimate."""
+        return []
+
+    def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
+        """A start with its sizes shrunk to where screening takes derivatives."""
+        return {name: value * self.rest if name in self.sizes else value for name, value in start.items()}
+
+    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
+        """The physical assertion on its term along a simulation (friction never drives, heat flows downhill)."""
+        return bool(np.all(np.isfinite(term)))
+
+    @abstractmethod
+    def examples(self) -> Sequence[Example]:
+        """Cases for the conformance test."""
+
+
+def quotient(numerator: str, denominator: str, power: float = 1.0) -> str:
+    """Unit `numerator / denominator**power` in short symbols; temperatures count as differences (K).
+
+    >>> quotient("W", "°C", 4)
+    'W/K**4'
+    """
+    below = parse_unit(_DIFFERENCE.get(denominator, denominator))
+    return _short(parse_unit(_DIFFERENCE.get(numerator, numerator)) / below**power)
+
+
+def product(first: str, second: str) -> str:
+    """Unit `first * second` in short symbols.
+
+    >>> product("W", "s")
+    'W*s'
+    """
+    return _short(parse_unit(_DIFFERENCE.get(first, first)) * parse_unit(_DIFFERENCE.get(second, second)))
+
+
+def _short(unit: pint.Unit) -> str:
+    """Short symbols, force and voltage before lengths and times: N*m*s/rad."""
+    symbols = [(_symbol(name), exponent) for name, exponent in (1 * unit).unit_items()]
+    symbols.sort(key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0]))
+    above = [_raised(name, exponent) for name, exponent in symbols if exponent > 0]
+    below = [_raised(name, -exponent) for name, exponent in symbols if exponent < 0]
+    return "/".join(["*".join(above) or "1", *below]) if symbols else ""
+
+
+def _symbol(name: str) -> str:
+    return f"{parse_unit(name):~C}".replace("Ω", "ohm")
+
+
+def _raised(name: str, exponent: float) -> str:
+    return name if exponent == 1 else f"{name}**{exponent:g}"
+
+
+_ORDER = ("kN", "N", "mN", "V", "W", "kW", "J", "A", "ohm", "kg", "K", "m", "cm", "mm", "l", "s", "min", "h", "rad")
+_DIFFERENCE = {"°C": "K", "degC": "K", "C": "K"}

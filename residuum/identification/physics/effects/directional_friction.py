@@ -1,0 +1,33 @@
+"""Dry friction that differs between the two directions."""
+
+from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
+from residuum.identification.physics.effects.friction import Friction
+
+
+class DirectionalFriction(Friction):
+    """Forward −τ₊, backward +τ₋: seals, wipers, worm gears under load.
+
+    `tau_plus`, `tau_minus` [balance unit] ≥ 0.
+    """
+
+    id = "directional-friction"
+    title = "Directional friction"
+    equation = "−τ₊ for v > 0, +τ₋ for v < 0"
+    reference = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
+    sizes = ("tau_plus", "tau_minus")
+    rest = 0.001
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("tau_plus", 0.0, site.unit, lower=0.0, meaning="friction forwards"),
+            Parameter("tau_minus", 0.0, site.unit, lower=0.0, meaning="friction backwards"),
+        )
+
+    def contribution(self, scene: Scene) -> Contribution:
+        s = scene.direction
+        forwards, backwards = s * (s + 1) / 2, s * (s - 1) / 2
+        return Contribution(term=-scene.p["tau_plus"] * forwards + scene.p["tau_minus"] * backwards)
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        size = 0.1 * conditions.magnitude
+        return [{"tau_plus": size, "tau_minus": 0.5 * size}]

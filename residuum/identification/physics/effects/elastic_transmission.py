@@ -1,0 +1,42 @@
+"""Part of the inertia hangs on a spring."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import sympy as sp
+
+from residuum.identification.physics.effects.base import Conditions, Parameter, Site, product
+from residuum.identification.physics.effects.two_bodies import TwoBodies
+
+
+class ElasticTransmission(TwoBodies):
+    """A share r of the inertia J is driven through a stiffness with damping; with twist φ and its own velocity w:
+    φ' = v − w, r·J·w' = k·φ + d·(v − w), and the drive side keeps (1 − r)·J and feels −k·φ − d·(v − w).
+
+    `k` [balance unit / position unit] > 0, `d` [balance unit / velocity unit] ≥ 0, `share` r [1] in 0.01 … 0.99. The
+    resonance is at
+    ω² = k/(r(1−r)J); above half the sampling rate nothing of it can be seen.
+    """
+
+    id = "elastic-transmission"
+    title = "Elastic transmission"
+    equation = "−k·φ − d·(v − w), φ' = v − w, r·J·w' = k·φ + d·(v − w)"
+    reference = "D. Schröder, Elektrische Antriebe – Regelung von Antriebssystemen, ch. 19"
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("k", 1.0, product(site.per("velocity"), "1/s"), lower=1e-12, meaning="stiffness"),
+            Parameter("d", 0.0, site.per("velocity"), lower=0.0, meaning="damping"),
+            Parameter("share", 0.5, "", lower=0.01, upper=0.99, meaning="share of the inertia beyond the spring"),
+        )
+
+    def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
+        return p["k"] * twist + p["d"] * slip
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        found = []
+        for frequency, share in ((0.02, 0.5), (0.04, 0.5), (0.08, 0.5), (0.2, 0.3)):
+            omega = 2.0 * np.pi * frequency / conditions.sample_time
+            k = omega**2 * share * (1.0 - share) * conditions.storage
+            found.append({"k": k, "d": 0.1 * k / omega, "share": share})
+        return found

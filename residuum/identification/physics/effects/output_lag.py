@@ -1,0 +1,35 @@
+"""The sensor follows slowly."""
+
+from collections.abc import Mapping
+
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
+
+
+class OutputLag(Effect):
+    """First-order lag: τ·y_f' = y − y_f, begun at y.
+
+    `tau` [s] > 0.
+    """
+
+    id = "output-lag"
+    title = "Output lag"
+    equation = "τ·y_f' = y − y_f"
+    reference = "J. Fraden, Handbook of Modern Sensors, ch. 3"
+    acts_on = ("output",)
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (Parameter("tau", 1e-3, "s", lower=1e-9, meaning="time constant of the sensor"),)
+
+    def states(self, site: Site) -> Mapping[str, str]:
+        return {"y_f": site.unit}
+
+    def contribution(self, scene: Scene) -> Contribution:
+        y, lagged = scene.signal, scene.x["y_f"]
+        return Contribution(signal=lagged, rates={"y_f": (y - lagged) / scene.p["tau"]}, initial={"y_f": y})
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example(), oven_example(), tank_example()]

@@ -1,0 +1,46 @@
+"""The sensor counts in steps."""
+
+import numpy as np
+import sympy as sp
+
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
+
+
+class SteppedRound(sp.Function):
+    """Rounding to the nearest integer, with the derivative of the line through the stairs: 1."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The line's slope."""
+        return sp.S.One
+
+
+class OutputQuantisation(Effect):
+    """q·round(y/q). Derivatives lean on the line through the stairs.
+
+    `q` [output unit] > 0. It only improves a model whose error is below a step.
+    """
+
+    id = "output-quantisation"
+    title = "Output quantisation"
+    equation = "q·round(y/q)"
+    reference = "B. Widrow, I. Kollár, Quantization Noise, Cambridge 2008"
+    acts_on = ("output",)
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (Parameter("q", 1e-9, site.unit, lower=1e-12, meaning="step"),)
+
+    def contribution(self, scene: Scene) -> Contribution:
+        q = scene.p["q"]
+        return Contribution(signal=q * SteppedRound(scene.signal / q))
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        measured = conditions.variables.get("measured")
+        steps = np.abs(np.diff(measured)) if measured is not None else np.zeros(0)
+        steps = steps[np.isfinite(steps) & (steps > 1e-9 * conditions.largest("signal"))]
+        return [{"q": float(np.min(steps)) if steps.size else 0.01 * conditions.magnitude}]
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example(), oven_example(), tank_example()]

@@ -1,0 +1,38 @@
+"""What play and an elastic transmission share: part of the inertia is driven through a contact."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+
+import sympy as sp
+
+from residuum.identification.physics.effects.base import Contribution, Effect, Example, Scene, Site, product
+from residuum.identification.physics.effects.example_models import axis_example, drive_example
+
+
+class TwoBodies(Effect):
+    """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ transmits:
+    φ' = v − w, r·J·w' = transmitted; the drive side keeps (1 − r)·J and feels −transmitted.
+    """
+
+    acts_on = ("torque", "force")
+    needs = ("velocity",)
+
+    def states(self, site: Site) -> Mapping[str, str]:
+        return {"twist": product(site.units["velocity"], "s"), "far_velocity": site.units["velocity"]}
+
+    @abstractmethod
+    def transmitted(self, p: Mapping[str, sp.Expr], twist: sp.Expr, slip: sp.Expr) -> sp.Expr:
+        """What the contact transmits at this twist and velocity difference."""
+
+    def contribution(self, scene: Scene) -> Contribution:
+        p, v, twist, w = scene.p, scene["velocity"], scene.x["twist"], scene.x["far_velocity"]
+        transmitted = self.transmitted(p, twist, v - w)
+        return Contribution(
+            term=-transmitted,
+            rates={"twist": v - w, "far_velocity": transmitted / (p["share"] * scene["storage"])},
+            initial={"twist": sp.S.Zero, "far_velocity": v},
+            storage_factor=1 - p["share"],
+        )
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example()]

@@ -1,0 +1,370 @@
+"""Estimation of a model's parameters from records, each with its own initial states.
+
+Minimises Σ over experiments, outputs and samples of (w·F(q)(y − ŷ(θ, x₀)))² by Levenberg–Marquardt with exact
+sensitivities: θ are the free parameters, x₀ the initial states of each experiment, w = 1/σ the weight of an output,
+F an optional noise filter (an AR polynomial: the whitened residual of coloured noise). The initial states of one
+experiment touch no other, so they are eliminated blockwise (Schur complement) and thousands of experiments cost no
+more than their simulations. Cutting a record into windows of k samples (`windows`) gives the k-step prediction
+error with free states, which suits plants that integrate and data from a closed loop.
+
+Bounds are kept by projection: a parameter at its bound with the gradient pointing out is held for that step.
+Parameter covariance is σ²·H⁻¹ with H the Gauss–Newton matrix after elimination (Ljung, *System Identification*, 9.4);
+an eigenvector of the scaled H with a vanishing eigenvalue is a *flat direction*: the data cannot tell its members apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics.experiment import Experiment
+from residuum.identification.physics.least_squares import FlatDirection, covariance_of, damped, solve_scaled
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulation import Simulator
+
+Array = npt.NDArray[np.float64]
+
+REWEIGHTINGS = 2
+"""How often the outputs' weights are taken from the residuals anew."""
+
+
+DIVERGED = 1e60
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The result of an estimation.
+
+    Attributes
+    ----------
+    model : PhysicalModel
+        With the estimated values.
+    parameters : tuple of str
+        Full names of the estimated parameters.
+    theta, covariance : array
+        Their values and covariance, shapes (q,) and (q, q); infinite variance along flat directions.
+    initial : list of array
+        Initial states of each experiment, in the kernel's order.
+    predicted : list of array
+        Simulated outputs, shape (n, outputs), one an experiment.
+    residuals : list of array
+        y − ŷ in the outputs' units (NaN where missing).
+    cost : float
+        Weighted (and filtered) sum of squares.
+    samples : int
+        Number of measured values used.
+    flat : tuple of FlatDirection
+    at_bound : tuple of str
+    converged : bool
+    substeps : tuple of int
+        Integration steps a sample that were used.
+    """
+
+    model: PhysicalModel
+    parameters: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    initial: list[Array]
+    predicted: list[Array]
+    residuals: list[Array]
+    weights: Array
+    cost: float
+    samples: int
+    flat: tuple[FlatDirection, ...]
+    at_bound: tuple[str, ...]
+    converged: bool
+    iterations: int
+    substeps: tuple[int, ...]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (q,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square residual of each output (NaN where it was never measured), shape (outputs,)."""
+        stacked = np.concatenate(self.residuals)
+        count = np.sum(np.isfinite(stacked), axis=0)
+        return np.sqrt(np.nansum(stacked**2, axis=0) / np.where(count, count, np.nan))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to estimate.
+
+    `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1, a₁, …) of each output's
+    noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop.
+    """
+
+    weights: Array | None = None
+    filters: Sequence[Array] | None = None
+    iterations: int = 40
+    tolerance: float = 1e-8
+
+
+def _bounded(values: Array) -> bool:
+    """Finite, and so far from overflow that sums of squares are finite too; a model that is not has diverged."""
+    return bool(np.all(np.abs(values) < DIVERGED))
+
+
+def windows(experiment: Experiment, samples: int) -> list[Experiment]:
+    """The experiment in windows of `samples`, each to be given its own initial states (a rest under half is dropped)."""
+    starts = range(0, experiment.n, samples)
+    cut = [experiment.window(start, min(start + samples, experiment.n)) for start in starts]
+    return [part for part in cut if part.n >= max(2, samples // 2)]
+
+
+def estimate(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    *,
+    free: Sequence[str] | None = None,
+    initial: Sequence[Array] | None = None,
+    settings: Settings = Settings(),
+) -> Estimate:
+    """Estimate free parameters and initial states by (filtered) simulation error.
+
+    Parameters
+    ----------
+    free : sequence of str
+        Full names; default: the model's free parameters.
+    initial : sequence of array
+        First values of the states, one vector an experiment in kernel order; default: `first_states`.
+
+    Raises
+    ------
+    NotIdentifiable
+        No measured output, or the model diverges at its starting values already.
+    """
+    if not experiments or not any(e.measured.any() for e in experiments):
+        raise NotIdentifiable(f"model {model.name!r}: no output of it was measured; there is nothing to estimate from")
+    names = tuple(model.free if free is None else free)
+    problem = _Problem(Simulator(model), list(experiments), names, settings)
+    start = [np.array(x) for x in initial] if initial is not None else problem.first_states()
+    return problem.solve(start)
+
+
+@dataclass
+class _Point:
+    theta: Array
+    initial: list[Array]
+    predicted: list[Array]
+    gradient: Array
+    hessian: Array
+    cross: list[Array]
+    own: list[Array]
+    own_gradient: list[Array]
+    cost: float
+
+
+class _Problem:
+    """One least-squares problem: evaluates cost and Gauss–Newton blocks, and walks down."""
+
+    def __init__(self, simulator: Simulator, experiments: list[Experiment], names: tuple[str, ...], settings: Settings) -> None:
+        self.simulator, self.experiments, self.names, self.settings = simulator, experiments, names, settings
+        parameters = simulator.model.all_parameters
+        self.lower = np.array([parameters[name].lower for name in names])
+        self.upper = np.array([parameters[name].upper for name in names])
+        self.theta0 = np.array([parameters[name].value for name in names])
+        self.index = simulator.columns(names)
+        model = simulator.model
+        self.states = [name for name in model.states if name not in model.initial]
+        self.state_index = [simulator.states.index(name) for name in self.states]
+        self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
+        self.measured = np.any([e.measured for e in experiments], axis=0)
+        self.substeps = [0] * len(experiments)
+        self.weights = np.where(self.measured, 1.0, 0.0)
+
+    def first_states(self) -> list[Array]:
+        """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
+        starts = [self._measured_start(experiment) for experiment in self.experiments]
+        p = self.p(self.theta0)
+        for number, experiment in enumerate(self.experiments):
+            self.substeps[number] = self.simulator.substeps(experiment, starts[number], p)
+        self.weights = self._scales()
+        for _ in range(3):
+            for number, x0 in enumerate(starts):
+                starts[number] = self._fit_states(number, x0, p)
+        return starts
+
+    def _measured_start(self, experiment: Experiment) -> Array:
+        """Zero, but for states that are themselves outputs: their first measured value."""
+        x0 = self.simulator.x0()
+        for o, output in enumerate(self.simulator.model.outputs.values()):
+            seen = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            if output.value.text in self.states and seen.size:
+                x0[self.simulator.states.index(output.value.text)] = seen[0]
+        return x0
+
+    def _fit_states(self, number: int, x0: Array, p: Array) -> Array:
+        """One Gauss–Newton step of the initial states alone, over the whole record, kept when it helps."""
+        experiment = self.experiments[number]
+        if not self.states:
+            return x0
+        slopes = self.slopes[len(self.names) :]
+        here = self.simulator.run_vectors(experiment, x0, p, slopes=slopes, substeps=self.substeps[number])
+        if here.dY is None or not here.finite:
+            return x0
+        r, J = self._weighted(experiment, here.Y, here.dY)
+        if J is None:
+            return x0
+        step = solve_scaled(J.T @ J, (J.T @ r)[:, None])[:, 0]
+        trial = x0.copy()
+        trial[self.state_index] += step
+        there = self.simulator.run_vectors(experiment, trial, p, substeps=self.substeps[number])
+        r_there, _ = self._weighted(experiment, there.Y, None)
+        return trial if there.finite and r_there @ r_there < r @ r else x0
+
+    def _scales(self) -> Array:
+        spread = np.nanstd(np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0)
+        weights = np.zeros(self.measured.size)
+        weights[self.measured] = 1.0 / np.where(spread > 0, spread, 1.0)
+        return weights
+
+    def p(self, theta: Array) -> Array:
+        p = self.simulator.p()
+        p[self.index] = theta
+        return p
+
+    def solve(self, initial: list[Array]) -> Estimate:
+        p = self.p(self.theta0)
+        for number, experiment in enumerate(self.experiments):
+            self.substeps[number] = self.simulator.substeps(experiment, initial[number], p)
+        given = self.settings.weights
+        self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
+        point = self._evaluate(self.theta0, initial)
+        if not np.isfinite(point.cost):
+            raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values")
+        point, iterations, converged = self._descend(point)
+        for _ in range(REWEIGHTINGS if given is None and np.sum(self.measured) > 1 else 0):
+            self.weights = self._from_residuals(point)
+            point, used, converged = self._descend(self._evaluate(point.theta, point.initial))
+            iterations += used
+        if given is None:
+            self.weights = self._from_residuals(point)
+            point = self._evaluate(point.theta, point.initial)
+        return self._result(point, iterations, converged)
+
+    def _from_residuals(self, point: _Point) -> Array:
+        stacked = np.concatenate([e.Y - y for e, y in zip(self.experiments, point.predicted, strict=True)])[:, self.measured]
+        floor = 1e-9 / self._scales()[self.measured]
+        weights = np.zeros(self.measured.size)
+        weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
+        return weights
+
+    def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
+        damping = 1e-3
+        for iteration in range(self.settings.iterations):
+            for _ in range(12):
+                trial = self._evaluate(*self._step(point, damping))
+                if trial.cost < point.cost:
+                    break
+                damping *= 6.0
+            else:
+                return point, iteration, True
+            fall = (point.cost - trial.cost) / point.cost
+            damping = max(damping / 10.0, 1e-12)
+            point = trial
+            if fall < self.settings.tolerance:
+                return point, iteration + 1, True
+        return point, self.settings.iterations, False
+
+    def _step(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
+        """The damped Gauss–Newton step, initial states eliminated, parameters kept within bounds."""
+        eliminated = [
+            solve_scaled(damped(H, damping), np.column_stack([X.T, g]))
+            for H, X, g in zip(point.own, point.cross, point.own_gradient, strict=True)
+        ]
+        H, g = damped(point.hessian, damping), point.gradient.copy()
+        for X, solved in zip(point.cross, eliminated, strict=True):
+            H = H - X @ solved[:, :-1]
+            g = g - X @ solved[:, -1]
+        held = np.zeros(len(g), dtype=bool)
+        step = np.zeros(len(g))
+        for _ in range(len(g) + 1):
+            step = np.zeros(len(g))
+            step[~held] = solve_scaled(H[np.ix_(~held, ~held)], g[~held, None])[:, 0]
+            out = ~held & ((point.theta <= self.lower) & (step < 0) | (point.theta >= self.upper) & (step > 0))
+            if not out.any():
+                break
+            held |= out
+        theta = np.clip(point.theta + step, self.lower, self.upper)
+        moved = theta - point.theta
+        initial = []
+        for x0, solved in zip(point.initial, eliminated, strict=True):
+            x = x0.copy()
+            x[self.state_index] += solved[:, -1] - solved[:, :-1] @ moved
+            initial.append(x)
+        return theta, initial
+
+    def _evaluate(self, theta: Array, initial: list[Array]) -> _Point:
+        q, p = len(self.names), self.p(theta)
+        point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
+        for number, experiment in enumerate(self.experiments):
+            run = self.simulator.run_vectors(experiment, initial[number], p, slopes=self.slopes, substeps=self.substeps[number])
+            if not _bounded(run.Y) or (run.dY is not None and not _bounded(run.dY)):
+                point.cost = np.inf
+                return point
+            point.predicted.append(run.Y)
+            r, J = self._weighted(experiment, run.Y, run.dY)
+            point.cost += float(r @ r)
+            if J is not None:
+                H, g = J.T @ J, J.T @ r
+                point.hessian += H[:q, :q]
+                point.gradient += g[:q]
+                point.cross.append(H[:q, q:])
+                point.own.append(H[q:, q:])
+                point.own_gradient.append(g[q:])
+        return point
+
+    def _weighted(self, experiment: Experiment, Y: Array, dY: Array | None) -> tuple[Array, Array | None]:
+        """Weighted, filtered residuals stacked over the measured outputs, and their Jacobian."""
+        residuals, rows = [], []
+        for o in map(int, np.flatnonzero(self.measured)):
+            r = experiment.Y[:, o] - Y[:, o]
+            there = np.isfinite(r)
+            r = np.where(there, r, 0.0) * self.weights[o]
+            residuals.append(self._filtered(r, o)[there])
+            if dY is not None:
+                J = np.where(there[:, None], dY[:, o], 0.0) * self.weights[o]
+                rows.append(self._filtered(J, o)[there])
+        return np.concatenate(residuals), np.concatenate(rows) if rows else None
+
+    def _filtered(self, signal: Array, o: int) -> Array:
+        if self.settings.filters is None:
+            return signal
+        return np.asarray(lfilter(self.settings.filters[o], [1.0], signal, axis=0))
+
+    def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
+        reduced = point.hessian.copy()
+        for X, H in zip(point.cross, point.own, strict=True):
+            reduced -= X @ solve_scaled(H, X.T)
+        samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
+        unknowns = len(self.names) + len(self.experiments) * len(self.states)
+        variance = point.cost / max(samples - unknowns, 1)
+        covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
+        model = self.simulator.model.with_values(dict(zip(self.names, point.theta.tolist(), strict=True)))
+        bound = (point.theta <= self.lower) | (point.theta >= self.upper)
+        return Estimate(
+            model=model,
+            parameters=self.names,
+            theta=point.theta,
+            covariance=covariance,
+            initial=point.initial,
+            predicted=point.predicted,
+            residuals=[e.Y - y for e, y in zip(self.experiments, point.predicted, strict=True)],
+            weights=self.weights,
+            cost=point.cost,
+            samples=samples,
+            flat=flat,
+            at_bound=tuple(name for name, there in zip(self.names, bound, strict=True) if there),
+            converged=converged,
+            iterations=iterations,
+            substeps=tuple(self.substeps),
+        )

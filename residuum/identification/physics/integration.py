@@ -1,0 +1,343 @@
+"""Integration of generated equations: RK4 with exact sensitivities and exact standstill, Kalman filter and smoother.
+
+Everything here is compiled once for all models. A model's own equations arrive as a `System`: compiled functions called
+by address, so a new structure compiles only its equations (a fraction of a second), never the integrator.
+
+Sensitivities S = ∂x/∂θ obey dS/dt = A·S + B and are stepped by the same Runge–Kutta scheme, so they are the exact
+derivatives of the *computed* trajectory. Columns are chosen by `columns`: j < NP is parameter j, NP + i the initial
+value of state i.
+
+Arrays: U (n, inputs), p (NP,), x (NX,), S (NX, columns), A (NX, NX), B (NX, NP + NX; the last NX columns stay zero), C (NY, NX),
+D (NY, NP + NX). `u` has one element more than there are inputs: the time since the record's start.
+"""
+
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+
+
+class System(NamedTuple):
+    """A model's compiled equations, each `function(x, u, ur, p, s, m, …)` writing through the pointers that follow.
+
+    `rates`(dx) · `slopes`(dx, A, B) · `initial`(x, A, B): own states of effects · `outputs`(y) · `output_slopes`(C, D) ·
+    `signals`(z); `advance`, `advance_slopes` and `observe` are those of `stepping_code`. `sizes` = (NX, NU, NP, NY, NZ);
+    `surfaces`: states that can stand still; `delays`: for each input the parameter that delays it, or −1; `own`: states of
+    effects, whose initial values follow from the others.
+    """
+
+    rates: Any
+    slopes: Any
+    initial: Any
+    outputs: Any
+    output_slopes: Any
+    signals: Any
+    advance: Any
+    advance_slopes: Any
+    observe: Any
+    sizes: npt.NDArray[np.int64]
+    surfaces: npt.NDArray[np.int64]
+    delays: npt.NDArray[np.int64]
+    own: npt.NDArray[np.int64]
+
+
+class Memory(NamedTuple):
+    """Working arrays of one run, so that no step allocates.
+
+    x : state; u, ur : inputs (time last) and their slopes; s, m : direction of each surface, and 0 where it sticks.
+    k, A, B, C, D : rates and Jacobians at one point; S : sensitivities of the state, (NX, columns).
+    inputs : u and ur at the beginning, the middle and the end of a step; step : its length.
+    work, seen : of the generated `advance` and `observe`.
+    """
+
+    x: Array
+    u: Array
+    ur: Array
+    s: Array
+    m: Array
+    k: Array
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    S: Array
+    inputs: Array
+    step: Array
+    work: Array
+    seen: Array
+
+
+@njit(cache=True, nogil=True)
+def new_memory(q, count):
+    """Working arrays for `count` sensitivity columns."""
+    nx, nu, n_p, ny, ns = q.sizes[0], q.sizes[1], q.sizes[2], q.sizes[3], q.surfaces.shape[0]
+    width = n_p + 2 * nx
+    return Memory(
+        np.zeros(nx),
+        np.zeros(nu + 1),
+        np.zeros(nu + 1),
+        np.zeros(ns + 1),
+        np.zeros(ns + 1),
+        np.zeros(nx),
+        np.zeros((nx, nx)),
+        np.zeros((nx, n_p + nx)),
+        np.zeros((ny, nx)),
+        np.zeros((ny, n_p + nx)),
+        np.zeros((nx, count)),
+        np.zeros((3, 2 * (nu + 1))),
+        np.zeros(1),
+        np.zeros(5 * nx + 4 * nx * width),
+        np.zeros(ny * width),
+    )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
+    """Inputs at time (k + c) samples: held (`hold` 0) or linear between samples (1); delayed ones interpolated.
+
+    A held signal delayed by a fraction of a sample takes, over the sample, its mean: the same interpolation. Before the record
+    began, its first sample is taken to have lasted.
+    """
+    last = U.shape[0] - 1
+    for j in range(U.shape[1]):
+        position = k + c * hold[j]
+        delayed = delays[j] >= 0
+        if delayed:
+            position = position - p[delays[j]] / sample_time
+        before = position <= 0.0
+        position = min(max(position, 0.0), float(last))
+        i = min(int(position), max(last - 1, 0))
+        if delayed and position == i and i > 0:
+            i = i - 1
+        step = U[min(i + 1, last), j] - U[i, j]
+        u[j] = U[i, j] + (position - i) * step
+        ur[j] = 0.0 if before else step / sample_time
+    u[U.shape[1]] = (k + c) * sample_time
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def inputs_move(delays, hold):
+    """Whether some input changes within a sample."""
+    found = False
+    for j in range(hold.shape[0]):
+        found = found or hold[j] != 0.0 or delays[j] >= 0
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def resolve_standstill(q, w, p, j):
+    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state is zero (f⁺ = f⁻: no friction, no sticking)."""
+    x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
+    i = q.surfaces[j]
+    m[j] = 1.0
+    s[j] = 1.0
+    q.rates(x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes)
+    forward = k[i]
+    s[j] = -1.0
+    q.rates(x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes)
+    backward = k[i]
+    if forward > 0.0 and forward + backward >= 0.0:
+        s[j] = 1.0
+    elif backward < 0.0:
+        s[j] = -1.0
+    else:
+        s[j] = 0.0
+        m[j] = 1.0 if forward == backward else 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def set_directions(x, surfaces, s, m):
+    """Direction of every surface: the sign of its state. True when one of them stands still."""
+    standing = False
+    for j in range(surfaces.shape[0]):
+        v = x[surfaces[j]]
+        s[j] = 1.0 if v > 0.0 else (-1.0 if v < 0.0 else 0.0)
+        m[j] = 1.0
+        standing = standing or v == 0.0
+    return standing
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def crossed(x, surfaces, s, m):
+    """Whether a step has left the side of a surface that it was computed for."""
+    found = False
+    for j in range(surfaces.shape[0]):
+        found = found or (m[j] > 0.0 and s[j] * x[surfaces[j]] < 0.0)
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def stand(q, w, U, k, c, sample_time, hold, p):
+    """Directions of the surfaces that stand still, by the forces at time (k + c) samples (the middle of the step)."""
+    set_inputs(q.delays, w.u, w.ur, U, k, c, sample_time, hold, p)
+    for j in range(q.surfaces.shape[0]):
+        if w.s[j] == 0.0:
+            resolve_standstill(q, w, p, j)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def land(q, w, p):
+    """After a step: bring every surface that was crossed, and where the machine sticks, to zero."""
+    for j in range(q.surfaces.shape[0]):
+        i = q.surfaces[j]
+        reached = w.x[i]
+        if w.m[j] == 0.0 or w.s[j] * reached >= 0.0:
+            continue
+        w.x[i] = 0.0
+        resolve_standstill(q, w, p, j)
+        if w.m[j] == 0.0:
+            w.S[i, :] = 0.0
+        else:
+            w.x[i] = reached
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def integrate(  # noqa: PLR0912
+    q, w, U, first, last, sample_time, substeps, hold, p, columns, X, Y, dY
+):
+    """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the columns, w.S are overwritten.
+
+    States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY (of no rows:
+    nothing is kept). Stops where a state ceases to be finite. Arrays are bound once: called for each step, binding them would
+    cost more than the step.
+    """
+    x, u, ur, s, m, S, inputs, width = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, w.u.shape[0]
+    delays, surfaces, count = q.delays, q.surfaces, columns.shape[0]
+    at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
+    at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
+    at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
+    kept, ch = X.shape[0] > 0, 1.0 / substeps
+    w.step[0] = sample_time / substeps
+    moving = inputs_move(delays, hold)
+    for k in range(first, last + 1):
+        if kept:
+            if not keep(x, X[k]):
+                return
+            set_inputs(delays, u, ur, U, k, 0.0, sample_time, hold, p)
+            at_y, at_dy = Y[k].ctypes, dY[k].ctypes
+            q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count)
+        if k == last:
+            return
+        for step in range(substeps):
+            c = step * ch
+            if set_directions(x, surfaces, s, m):
+                stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
+            for i in range(3):
+                if moving or (step == 0 and i == 0):
+                    set_inputs(delays, u, ur, U, k, c + 0.5 * i * ch, sample_time, hold, p)
+                if moving or step == 0:
+                    for j in range(width):
+                        inputs[i, j] = u[j]
+                        inputs[i, width + j] = ur[j]
+                inputs[i, width - 1] = (k + c + 0.5 * i * ch) * sample_time
+            if count > 0:
+                q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, count)
+            else:
+                q.advance(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step)
+            if crossed(x, surfaces, s, m):
+                land(q, w, p)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def keep(x, row):
+    """Copy the state into its row; whether it is finite."""
+    finite = True
+    for i in range(x.shape[0]):
+        row[i] = x[i]
+        finite = finite and np.isfinite(x[i])
+    return finite
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def start(q, w, U, sample_time, hold, p, x0):
+    """w.x = x0 with the effects' own states set from it; w.A and w.B then hold their derivatives."""
+    w.x[:] = x0
+    w.A[:] = 0.0
+    w.B[:] = 0.0
+    set_inputs(q.delays, w.u, w.ur, U, 0, 0.0, sample_time, hold, p)
+    q.initial(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.x.ctypes, w.A.ctypes, w.B.ctypes)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def start_slopes(q, w, columns):
+    """Sensitivities of the initial states: identity for the model's states, chain rule for the effects' own."""
+    parameters = w.B.shape[1] - w.x.shape[0]
+    for c in range(columns.shape[0]):
+        for i in range(w.x.shape[0]):
+            w.S[i, c] = 1.0 if columns[c] == parameters + i else 0.0
+    for i in q.own:
+        for c in range(columns.shape[0]):
+            w.S[i, c] = w.B[i, columns[c]]
+            for j in range(w.x.shape[0]):
+                w.S[i, c] += w.A[i, j] * w.S[j, c]
+    w.A[:] = 0.0
+    w.B[:] = 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def observe(q, w, U, k, sample_time, hold, p, y):
+    """Outputs of w.x at sample k."""
+    set_inputs(q.delays, w.u, w.ur, U, k, 0.0, sample_time, hold, p)
+    q.outputs(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, y.ctypes, w.A.ctypes, w.B.ctypes)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def observe_slopes(q, w, p):
+    """C and D of the outputs of w.x (the inputs are those that `observe` set)."""
+    q.output_slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.C.ctypes, w.D.ctypes, w.B.ctypes)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def simulate(q, U, p, x0, sample_time, substeps, hold, columns):
+    """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples; NaN after a state ceases to be
+    finite."""
+    n, w = U.shape[0], new_memory(q, columns.shape[0])
+    X, Y = np.full((n, q.sizes[0]), np.nan), np.full((n, q.sizes[3]), np.nan)
+    dY = np.full((n, q.sizes[3], columns.shape[0]), np.nan)
+    start(q, w, U, sample_time, hold, p, x0)
+    start_slopes(q, w, columns)
+    integrate(q, w, U, 0, n - 1, sample_time, substeps, hold, p, columns, X, Y, dY)
+    return X, Y, dY
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def evaluate_signals(q, U, X, p, sample_time, hold):
+    """Signals Z (n, NZ) along given states."""
+    Z, w = np.zeros((U.shape[0], q.sizes[4])), new_memory(q, 0)
+    for k in range(U.shape[0]):
+        w.x[:] = X[k]
+        set_inputs(q.delays, w.u, w.ur, U, k, 0.0, sample_time, hold, p)
+        q.signals(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, Z[k].ctypes, w.A.ctypes, w.B.ctypes)
+    return Z
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def evaluate_outputs(q, U, X, p, sample_time, hold):
+    """Outputs Y (n, NY) along given states."""
+    Y, w = np.zeros((U.shape[0], q.sizes[3])), new_memory(q, 0)
+    for k in range(U.shape[0]):
+        w.x[:] = X[k]
+        observe(q, w, U, k, sample_time, hold, p, Y[k])
+    return Y
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rate_slopes(q, U, X, p, sample_time, hold, samples):
+    """A = ∂f/∂x at the given samples, shape (samples, NX, NX), for the choice of sub-steps."""
+    w = new_memory(q, 0)
+    out = np.zeros((samples.shape[0], q.sizes[0], q.sizes[0]))
+    for i in range(samples.shape[0]):
+        w.x[:] = X[samples[i]]
+        if set_directions(w.x, q.surfaces, w.s, w.m):
+            stand(q, w, U, samples[i], 0.0, sample_time, hold, p)
+        set_inputs(q.delays, w.u, w.ur, U, samples[i], 0.0, sample_time, hold, p)
+        q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+        out[i] = w.A
+    return out

@@ -1,0 +1,62 @@
+"""The linear algebra of Gauss–Newton steps: scaled solves, covariance, and directions that the data leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+FLAT = 1e-9
+"""Eigenvalues of the scaled Gauss–Newton matrix below this fraction of the largest are flat."""
+
+
+@dataclass(frozen=True)
+class FlatDirection:
+    """Parameters that trade off: moving them together by `weights` (relative to their size) leaves the outputs as they are."""
+
+    parameters: tuple[str, ...]
+    weights: tuple[float, ...]
+
+
+def damped(H: Array, damping: float) -> Array:
+    """H with its diagonal raised by the fraction `damping` (Marquardt)."""
+    return H + damping * np.diag(np.diag(H))
+
+
+def solve_scaled(H: Array, right: Array) -> Array:
+    """H⁻¹ right for a symmetric H scaled to unit diagonal; components without curvature stay where they are."""
+    if H.shape[0] == 0:
+        return np.zeros((0, right.shape[1]))
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    kept = values > 1e-13 * max(float(values[-1]), 1e-300)
+    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+    return ((vectors * inverse) @ vectors.T @ (right / scale[:, None])) / scale[:, None]
+
+
+def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Array) -> tuple[Array, tuple[FlatDirection, ...]]:
+    """Covariance σ²·H⁻¹ of parameters, infinite along flat directions, and those directions."""
+    if not names:
+        return np.zeros((0, 0)), ()
+    size = np.where(theta != 0, np.abs(theta), 1.0)
+    diagonal = np.sqrt(np.maximum(np.diag(H), 0.0))
+    scale = np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), size)
+    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    flat = values < FLAT * max(float(values[-1]), 1e-300)
+    variances = np.where(flat, np.inf, variance / np.where(flat, 1.0, values))
+    parts = vectors * scale[:, None]
+    with np.errstate(invalid="ignore"):
+        covariance = np.einsum("ik,k,jk->ij", parts, np.where(flat, 0.0, variances), parts)
+    directions = []
+    for k in np.flatnonzero(flat):
+        relative = parts[:, k] / size
+        relative = relative / np.max(np.abs(relative))
+        members = np.flatnonzero(np.abs(relative) > 0.05)
+        touched = np.abs(vectors[:, k]) > 1e-3
+        covariance[touched, touched] = np.inf
+        directions.append(FlatDirection(tuple(names[i] for i in members), tuple(float(relative[i]) for i in members)))
+    return covariance, tuple(directions)

@@ -1,0 +1,71 @@
+"""Assembly → machine code of this processor, and machine code → functions that compiled code calls by address."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba.experimental.function_type  # noqa: F401  teaches Numba the protocol that Function follows
+from numba import types
+
+_DOUBLES, _INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)  # type: ignore[no-untyped-call]
+_PLAIN: Any = types.void(*[_DOUBLES] * 9)
+SIGNATURES: Mapping[str, Any] = {
+    "advance_slopes": types.void(*[_DOUBLES] * 10, _INTEGERS, types.int64),
+    "observe": types.void(*[_DOUBLES] * 10, _INTEGERS, types.int64),
+}
+"""Of the functions that take more than nine pointers to doubles."""
+
+
+class Function(types.WrapperAddressProtocol):
+    """A loaded function; it keeps its code in memory as long as it lives."""
+
+    def __init__(self, engine: Any, name: str) -> None:
+        self._engine = engine
+        self._address = int(engine.get_function_address(name))
+        self._signature = SIGNATURES.get(name, _PLAIN)
+
+    def __wrapper_address__(self) -> int:
+        """Where the function begins."""
+        return self._address
+
+    def signature(self) -> Any:
+        """Of the compiled function."""
+        return self._signature
+
+
+def target() -> str:
+    """The processor that code is made for; code made for another must not be loaded."""
+    features = llvm.get_host_cpu_features().flatten()
+    return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features} {llvm.llvm_version_info}"
+
+
+def compiled(assembly: str) -> bytes:
+    """Object code of a module given as text, optimised for this processor."""
+    machine = _machine()
+    module = llvm.parse_assembly(assembly)
+    module.triple = llvm.get_process_triple()
+    module.data_layout = str(machine.target_data)
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    builder.getModulePassManager().run(module, builder)
+    return bytes(machine.emit_object(module))
+
+
+def loaded(code: bytes, names: Sequence[str]) -> tuple[Function, ...]:
+    """The functions `names` of object code.
+
+    An engine owns its target machine and takes it along when it goes: each has one of its own.
+    """
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return tuple(Function(engine, name) for name in names)
+
+
+def _machine() -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, reloc="pic", jit=True
+    )

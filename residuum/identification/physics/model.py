@@ -1,0 +1,274 @@
+"""PhysicalModel: a model made of balances, each `storage = sum of terms`, with the physical effects added to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects.base import Effect, Parameter, Site
+from residuum.identification.physics.expression import Expression
+
+BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "torque": ("N*m", ("position", "velocity")),
+        "force": ("N", ("position", "velocity")),
+        "voltage": ("V", ("current",)),
+        "heat": ("W", ("temperature", "ambient")),
+        "volume": ("m**3/s", ("level",)),
+        "signal": ("", ()),
+    }
+)
+"""Balance kind → (unit of its terms, roles of the variables it may name)."""
+
+CHANNELS = ("conveyor", "door")
+"""Inputs of these names are offered to effects that know what to do with them."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """A recorded input. `default` (a number or a parameter) stands in when records lack it (`absent`); None: required."""
+
+    name: str
+    unit: str
+    default: str | None = None
+    absent: bool = False
+
+
+@dataclass(frozen=True)
+class State:
+    """A state; `rate` names the state that is its derivative (None: a balance gives the derivative)."""
+
+    name: str
+    unit: str
+    rate: str | None = None
+
+
+@dataclass(frozen=True)
+class Output:
+    """A recorded output: an expression of states, inputs and variables."""
+
+    name: str
+    value: Expression
+    unit: str
+
+
+@dataclass(frozen=True)
+class Balance:
+    """`storage = sum of terms`; `variables` maps roles (velocity, current, …) to names; `unit` is that of its terms."""
+
+    name: str
+    kind: str
+    storage: Expression
+    terms: Mapping[str, Expression]
+    variables: Mapping[str, str] = field(default_factory=dict)
+    unit: str = ""
+
+    @property
+    def defines(self) -> str | None:
+        """The name of the variable that a balance without storage defines."""
+        return next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
+
+
+@dataclass(frozen=True)
+class EffectUse:
+    """An effect of the catalogue at its place in a model.
+
+    `target` names the balance, input or output; `instance` tells several of one id at one place apart;
+    `provenance` is what was known when it was added (file, date, error before and after).
+    """
+
+    id: str
+    target: str
+    parameters: Mapping[str, Parameter]
+    instance: int = 1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def effect(self) -> Effect:
+        """The catalogue's entry."""
+        return EFFECTS[self.id]
+
+    @property
+    def label(self) -> str:
+        """`coulomb-friction@shaft`, with `#2` for a second instance; parameter names are `label.name`."""
+        return f"{self.id}@{self.target}" + (f"#{self.instance}" if self.instance > 1 else "")
+
+
+@dataclass(frozen=True)
+class PhysicalModel:
+    """A model made of balances. Immutable; `with_…` return changed copies.
+
+    Build one with `load_model` (built-in name or file) or `read_model` (text). Everything that can be wrong with a model
+    is refused there, with line and column.
+
+    Attributes
+    ----------
+    inputs, states, parameters, balances, outputs : mapping of name to declaration
+    effects : tuple of EffectUse
+    initial : mapping of state to value
+        States whose initial value is known; all others are estimated for each record.
+    """
+
+    name: str
+    inputs: Mapping[str, Input]
+    states: Mapping[str, State]
+    parameters: Mapping[str, Parameter]
+    balances: Mapping[str, Balance]
+    outputs: Mapping[str, Output]
+    effects: tuple[EffectUse, ...] = ()
+    initial: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def all_parameters(self) -> dict[str, Parameter]:
+        """Every parameter by its full name: the model's own, then `effect@target.name` of each effect."""
+        own = dict(self.parameters)
+        for use in self.effects:
+            own.update({f"{use.label}.{name}": parameter for name, parameter in use.parameters.items()})
+        return own
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of every parameter, by full name."""
+        return {name: parameter.value for name, parameter in self.all_parameters.items()}
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Full names of the parameters that estimation may change."""
+        return tuple(name for name, parameter in self.all_parameters.items() if not parameter.fixed)
+
+    def site(self, target: str, effect: Effect) -> Site:
+        """The balance, input or output of this name as an effect sees it; BadModel when there is none.
+
+        A balance, an input and an output may share a name: the one that the effect acts on is meant.
+        """
+        sites = []
+        if balance := self.balances.get(target):
+            sites.append(Site(balance.kind, target, balance.unit, self._roles(balance)))
+        for kind, signals in (("input", self.inputs), ("output", self.outputs)):
+            if target in signals:
+                sites.append(Site(kind, target, signals[target].unit))
+        if sites:
+            return next((site for site in sites if site.kind in effect.acts_on), sites[0])
+        known = ", ".join([*self.balances, *self.inputs, *self.outputs])
+        raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; there are {known}")
+
+    def supply_input(self, balance: Balance) -> str | None:
+        """The first input that a term of the balance contains."""
+        for term in balance.terms.values():
+            for name in self.inputs:
+                if name in term.names and name not in balance.variables.values():
+                    return name
+        return None
+
+    def unit_of(self, name: str) -> str:
+        """Unit of a state, input or parameter, or of the variable that a balance without storage defines."""
+        for family in (self.states, self.inputs, self.parameters):
+            if name in family:
+                return str(family[name].unit)
+        return {"voltage": "A", "heat": "K", "volume": "m", "torque": "rad/s", "force": "m/s"}.get(self._definer(name), "")
+
+    def with_effect(
+        self,
+        id: str,
+        target: str,
+        values: Mapping[str, float] | None = None,
+        *,
+        fixed: Iterable[str] = (),
+        provenance: Mapping[str, Any] | None = None,
+    ) -> PhysicalModel:
+        """The model with one more effect at `target`; `values` by the effect's own parameter names.
+
+        Raises
+        ------
+        BadModel
+            Unknown effect or target, effect that does not fit there, unknown parameter name, value outside its bounds.
+        """
+        effect = find_effect(id)
+        site = self.site(target, effect)
+        if not effect.fits(site):
+            needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
+            raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: it acts on {' or '.join(effect.acts_on)}{needs}")
+        declared = {parameter.name: parameter for parameter in effect.parameters(site)}
+        given = dict(values or {})
+        if unknown := [name for name in [*given, *fixed] if name not in declared]:
+            raise BadModel(f"effect {id!r}: no parameter {unknown[0]!r}; there are {', '.join(declared)}")
+        for name, value in given.items():
+            declared[name] = replace(declared[name], value=checked_value(f"effect {id!r}", declared[name], value))
+        for name in fixed:
+            declared[name] = replace(declared[name], fixed=True)
+        instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
+        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}))
+        return replace(self, effects=(*self.effects, use))
+
+    def without_effect(self, label: str) -> PhysicalModel:
+        """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""
+        found = [use for use in self.effects if label in (use.label, use.id)]
+        if len(found) != 1:
+            there = ", ".join(use.label for use in self.effects) or "none"
+            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(found)} times; there are {there}")
+        return replace(self, effects=tuple(use for use in self.effects if use is not found[0]))
+
+    def with_values(self, values: Mapping[str, float]) -> PhysicalModel:
+        """The model with these parameter values, by full name (values are taken as they are, bounds are not checked)."""
+        if unknown := [name for name in values if name not in self.all_parameters]:
+            raise BadModel(f"model {self.name!r}: no parameter {unknown[0]!r}; there are {', '.join(self.all_parameters)}")
+        own = {name: replace(p, value=float(values.get(name, p.value))) for name, p in self.parameters.items()}
+        effects = tuple(replace(use, parameters=_revalued(use, values)) for use in self.effects)
+        return replace(self, parameters=own, effects=effects)
+
+    def with_provenance(self, label: str, provenance: Mapping[str, Any]) -> PhysicalModel:
+        """The model with a note on where the effect `label` came from."""
+        effects = tuple(replace(u, provenance=dict(provenance)) if u.label == label else u for u in self.effects)
+        return replace(self, effects=effects)
+
+    def _roles(self, balance: Balance) -> dict[str, str]:
+        roles = {role: self.unit_of(name) for role, name in balance.variables.items()}
+        if supply := self.supply_input(balance):
+            roles["supply"] = self.inputs[supply].unit
+        if balance.defines:
+            roles["defined"] = self.unit_of(balance.defines)
+        return roles | {name: self.inputs[name].unit for name in CHANNELS if name in self.inputs}
+
+    def _definer(self, name: str) -> str:
+        return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
+
+
+def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[tuple[str, str]]:
+    """All (effect id, target) pairs that fit the model and are not in it yet; `ids` restricts the effects.
+
+    Targets are balances, outputs, and inputs that drive: without a default, and no condition of a balance (its surroundings).
+    """
+    conditions = {name for balance in model.balances.values() for name in balance.variables.values()}
+    inputs = (name for name, signal in model.inputs.items() if signal.default is None and name not in conditions)
+    targets = {"balance": list(model.balances), "input": list(inputs), "output": list(model.outputs)}
+    present = {(use.id, use.target) for use in model.effects}
+    chosen = [find_effect(id) for id in ids] if ids is not None else list(EFFECTS.values())
+    pairs = [(e.id, target) for e in chosen for target in targets[e.place] if e.fits(model.site(target, e))]
+    return [pair for pair in pairs if pair not in present]
+
+
+def find_effect(id: str) -> Effect:
+    """The effect of this id; BadModel names those there are."""
+    if id not in EFFECTS:
+        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join(EFFECTS)}")
+    return EFFECTS[id]
+
+
+def checked_value(where: str, parameter: Parameter, value: float) -> float:
+    """`value` as a float inside the parameter's bounds; BadModel otherwise."""
+    number = float(value)
+    if not math.isfinite(number) or not parameter.lower <= number <= parameter.upper:
+        bounds = f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}"
+        raise BadModel(f"{where}: parameter {parameter.name!r} is {value:g}; it must be within {bounds}")
+    return number
+
+
+def _revalued(use: EffectUse, values: Mapping[str, float]) -> Mapping[str, Parameter]:
+    return MappingProxyType(
+        {name: replace(p, value=float(values.get(f"{use.label}.{name}", p.value))) for name, p in use.parameters.items()}
+    )

@@ -1,0 +1,154 @@
+"""A Runge–Kutta step of a structure, and of its sensitivities, as LLVM assembly: unrolled over the states.
+
+    advance(x, u₀, u₁, u₂, p, s, m, work, step)
+    advance_slopes(x, u₀, u₁, u₂, p, s, m, work, step, S, columns, count)
+    observe(x, u, ur, p, s, m, work, y, dy, S, columns, count)
+
+`u₀ u₁ u₂` are the inputs at the beginning, middle and end of the step, each followed by its slopes; `step` holds its length h.
+With k₁ … k₄ the rates of the four stages, x ← x + h/6·(k₁ + 2k₂ + 2k₃ + k₄); a column of S obeys d = A·S + B, A and B taken
+at the same four stages, so S stays the exact derivative of the computed x. `work`, of 5·NX + 4·NX·(NP + 2·NX) doubles (NY·(NP
++ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from residuum.identification.physics.composition import Equations
+
+FREE = "nsz arcp contract"
+"""What the compiler may do beyond IEEE 754: share a reciprocal, fuse a product with a sum."""
+_STAGES = ("0", "1", "1", "2")
+"""Which of the three inputs each stage takes."""
+
+
+def stepping(equations: Equations) -> str:
+    """The assembly of the three functions; it calls the structure's `rates`, `slopes`, `outputs` and `output_slopes`."""
+    sizes = len(equations.x), len(equations.u), len(equations.p), len(equations.outputs)
+    return "\n\n".join([_advance(*sizes[:3], slopes=False), _advance(*sizes[:3], slopes=True), _observe(*sizes)])
+
+
+class _Lines:
+    """Assembly text while it is written; every value has a name of its own."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def new(self, operation: str) -> str:
+        name = f"%t{len(self.lines)}"
+        self.lines.append(f"  {name} = {operation}")
+        return name
+
+    def place(self, array: str, index: int | str) -> str:
+        return self.new(f"getelementptr double, ptr {array}, i64 {index}")
+
+    def load(self, array: str, index: int | str) -> str:
+        return self.new(f"load double, ptr {self.place(array, index)}")
+
+    def store(self, value: str, array: str, index: int | str) -> None:
+        self.lines.append(f"  store double {value}, ptr {self.place(array, index)}")
+
+    def add(self, a: str, b: str) -> str:
+        return self.new(f"fadd {FREE} double {a}, {b}")
+
+    def times(self, a: str, b: str) -> str:
+        return self.new(f"fmul {FREE} double {a}, {b}")
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def _advance(nx: int, nu: int, n_p: int, *, slopes: bool) -> str:
+    t, width = _Lines(), n_p + nx
+    name = "advance_slopes" if slopes else "advance"
+    beyond = ", ptr %S, ptr %columns, i64 %count" if slopes else ""
+    t.say(f"define void @{name}(ptr %x, ptr %u0, ptr %u1, ptr %u2, ptr %p, ptr %s, ptr %m, ptr %work, ptr %step{beyond}) {{")
+    t.say("entry:")
+    h = t.load("%step", 0)
+    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
+    third = t.add(sixth, sixth)
+    x0 = [t.load("%x", i) for i in range(nx)]
+    xs = t.place("%work", 4 * nx)
+    A = [t.place("%work", 5 * nx + r * nx * nx) for r in range(4)]
+    B = [t.place("%work", 5 * nx + 4 * nx * nx + r * nx * width) for r in range(4)]
+    slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
+    rates: list[list[str]] = []
+    for r, j in enumerate(_STAGES):
+        k = t.place("%work", r * nx)
+        inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
+        function, results = ("slopes", (k, A[r], B[r])) if slopes else ("rates", (k, k, k))
+        at = "%x" if r == 0 else xs
+        t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in results)})")
+        rates.append([t.load(k, i) for i in range(nx)])
+        if r < 3:
+            reach = h if r == 2 else half
+            for i in range(nx):
+                t.store(t.add(x0[i], t.times(reach, rates[r][i])), xs, i)
+    for i in range(nx):
+        t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
+    if slopes:
+        _columns_loop(t, lambda column, c: _column_step(t, nx, width, A, B, column, c, (h, half, sixth, third)))
+    t.say("  ret void")
+    t.say("}")
+    return "\n".join(t.lines)
+
+
+def _column_step(
+    t: _Lines, nx: int, width: int, A: Sequence[str], B: Sequence[str], column: str, c: str, lengths: tuple[str, str, str, str]
+) -> None:
+    h, half, sixth, third = lengths
+    rows = [t.new(f"add i64 {t.new(f'mul i64 {i}, %count')}, {c}") for i in range(nx)]
+    S0 = [t.load("%S", row) for row in rows]
+    S, found = S0, []
+    for r in range(4):
+        d = []
+        for i in range(nx):
+            total = t.load(B[r], t.new(f"add i64 {i * width}, {column}"))
+            for j in range(nx):
+                total = t.add(total, t.times(t.load(A[r], i * nx + j), S[j]))
+            d.append(total)
+        found.append(d)
+        S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
+    for i in range(nx):
+        t.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", rows[i])
+
+
+def _columns_loop(t: _Lines, body: Callable[[str, str], None], begun: str = "entry") -> None:
+    """Do `body(column, c)` for every sensitivity column c."""
+    t.say("  br label %head\nhead:")
+    t.say(f"  %c = phi i64 [ 0, %{begun} ], [ %next, %body ]")
+    t.say("  %more = icmp slt i64 %c, %count\n  br i1 %more, label %body, label %done\nbody:")
+    column = t.new(f"load i64, ptr {t.new('getelementptr i64, ptr %columns, i64 %c')}")
+    body(column, "%c")
+    t.say("  %next = add i64 %c, 1\n  br label %head\ndone:")
+
+
+def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -> str:
+    outer = t.times(sixth, t.add(k[0], k[3]))
+    return t.add(start, t.add(outer, t.times(third, t.add(k[1], k[2]))))
+
+
+def _observe(nx: int, nu: int, n_p: int, ny: int) -> str:
+    t, width = _Lines(), n_p + nx
+    arrays = ("x", "u", "ur", "p", "s", "m", "work", "y", "dy", "S", "columns")
+    t.say(f"define void @observe({', '.join(f'ptr %{a}' for a in arrays)}, i64 %count) {{")
+    t.say("entry:")
+    given = ", ".join(f"ptr %{a}" for a in arrays[:6])
+    t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
+    t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %observed\nend:\n  ret void\nobserved:")
+    D = t.place("%work", ny * nx)
+    t.say(f"  call void @output_slopes({given}, ptr %work, ptr {D}, ptr %work)")
+    C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
+
+    def column_of(column: str, c: str) -> None:
+        S = [t.load("%S", t.new(f"add i64 {t.new(f'mul i64 {i}, %count')}, {c}")) for i in range(nx)]
+        for o in range(ny):
+            total = t.load(D, t.new(f"add i64 {o * width}, {column}"))
+            for i in range(nx):
+                total = t.add(total, t.times(C[o][i], S[i]))
+            t.store(total, "%dy", t.new(f"add i64 {t.new(f'mul i64 {o}, %count')}, {c}"))
+
+    _columns_loop(t, column_of, "observed")
+    t.say("  ret void")
+    t.say("}")
+    return "\n".join(t.lines)
