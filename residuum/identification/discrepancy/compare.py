@@ -1,0 +1,284 @@
+"""Compare a model with records: how large is its error, is it structured, and where does it lie?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.axes import signal_axes
+from residuum.identification.discrepancy.features import features
+from residuum.identification.discrepancy.locate import Axis, Region
+from residuum.identification.discrepancy.noise_floor import noise_floor
+from residuum.identification.discrepancy.regions import regions
+from residuum.identification.discrepancy.structured_error import StructuredError, test_structured_error
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, block_means, estimate, match
+from residuum.identification.physics.expression import Name, Node, walk
+from residuum.identification.physics.kalman import Filter, Smoothed, tune
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+TEST_SAMPLES = 2000
+_MENDED = 0.7
+"""Ratio of the RMS errors after and before re-estimation below which the parameters' values err."""
+_PREDICTED_SAMPLES = 2000
+HORIZONS = (1, 10, 100)
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """How one output is met: `rmse`, `bias`, `noise_floor` and the k-step errors in `unit`, `fit_percent` of the simulation.
+
+    `k_step` maps a horizon in samples to the RMS error of predictions so far ahead.
+    """
+
+    unit: str
+    rmse: float
+    fit_percent: float
+    bias: float
+    noise_floor: float
+    k_step: Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class BalanceError:
+    """What one balance lacks: RMS of its smoothed missing term, in `unit` and relative to its driven terms."""
+
+    unit: str
+    missing_rms: float
+    relative_percent: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model held against records.
+
+    `simulation` is the model with its parameters as they are and estimated initial states; `smoothed` has each balance's
+    missing term with its band, one a record; `axes` are the signals along which errors were located, one list a record;
+    `structured` is the structured-error test of each measured output.
+    """
+
+    model: PhysicalModel
+    records: tuple[str, ...]
+    experiments: list[Experiment]
+    simulation: Estimate
+    outputs: Mapping[str, OutputError]
+    balances: Mapping[str, BalanceError]
+    structured: Mapping[str, StructuredError]
+    smoothed: list[Smoothed]
+    axes: list[list[Axis]]
+    where: tuple[Region, ...]
+
+    @property
+    def p_value(self) -> float:
+        """Of "every output's error is noise of some colour" (Bonferroni over the outputs)."""
+        return min(1.0, len(self.structured) * min((test.p_value for test in self.structured.values()), default=1.0))
+
+    @property
+    def share(self) -> float:
+        """Part of the residual's power that is structured, outputs weighted by their error in units of noise."""
+        power = {name: (self.outputs[name].rmse / max(self.outputs[name].noise_floor, 1e-300)) ** 2 for name in self.structured}
+        total = sum(power.values())
+        return sum(power[name] * test.share for name, test in self.structured.items()) / total if total > 0 else 0.0
+
+
+def compare(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    *,
+    level: float = 0.01,
+    seed: int = 0,
+) -> Comparison:
+    """Hold a model, its parameters as they are, against records.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+    records : sequence of Record
+        Each is an experiment with its own initial states.
+    mapping : mapping of model name to column
+    level : float
+        False-alarm probability of the structured-error verdict.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    model, experiments = match(model, records, mapping)
+    experiments, simulation = _at_the_likelier_timing(model, experiments)
+    kalman = Filter(model, tune(model, experiments, simulation.initial))
+    smoothed = [kalman.run(e, x0) for e, x0 in zip(experiments, simulation.initial, strict=True)]
+    axes = [
+        signal_axes(model, experiment, _simulated_states(model, experiment, x0), record)
+        for experiment, x0, record in zip(experiments, simulation.initial, records, strict=True)
+    ]
+    refitted = _refitted(model, experiments, simulation)
+    structured = structured_errors(experiments, simulation.residuals, axes, model, refitted, level=level, seed=seed)
+    ahead = _prediction_errors(kalman, experiments, smoothed)
+    outputs = _output_errors(model, experiments, simulation, ahead, structured)
+    seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
+    floors = {name: output.noise_floor for name, output in outputs.items()}
+    return Comparison(
+        model=model,
+        records=tuple(record.source for record in records),
+        experiments=experiments,
+        simulation=simulation,
+        outputs=outputs,
+        balances=_balance_errors(model, experiments, smoothed),
+        structured=structured,
+        smoothed=smoothed,
+        axes=seen,
+        where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
+    )
+
+
+def _at_the_likelier_timing(model: PhysicalModel, experiments: list[Experiment]) -> tuple[list[Experiment], Estimate]:
+    """The simulation with inputs held over their samples or moving evenly between them, whichever leaves the smaller error.
+
+    The two conventions differ by half a sample, which a good record shows as a structured error of its own.
+    """
+    tried = []
+    for turned in (experiments, [replace(e, hold=1.0 - e.hold) for e in experiments]):
+        simulation = estimate(model, turned, free=())
+        tried.append((float(np.nansum((simulation.rmse / _spread(experiments)) ** 2)), turned, simulation))
+    _, turned, simulation = min(tried, key=lambda one: one[0])
+    return turned, simulation
+
+
+def _spread(experiments: Sequence[Experiment]) -> FloatArray:
+    spread = np.array([np.nanstd(y) if np.isfinite(y).any() else np.nan for y in np.concatenate([e.Y for e in experiments]).T])
+    return np.where(spread > 0, spread, 1.0)
+
+
+def _refitted(model: PhysicalModel, experiments: list[Experiment], simulation: Estimate) -> list[FloatArray]:
+    """What other values of the free parameters change in the outputs, (n, outputs) an experiment; 0 where that mends little.
+
+    Noise is not mended by a few parameters; where they take away half of an error's power the model's values err, and this
+    difference shows it even where (a resonance beside its place) no function of the simulated signals does.
+    """
+    nothing = [np.zeros_like(residual) for residual in simulation.residuals]
+    try:
+        other = estimate(model, experiments, initial=simulation.initial, settings=Settings(iterations=15, tolerance=1e-4))
+    except NotIdentifiable:
+        return nothing
+    with np.errstate(invalid="ignore"):
+        mended = np.nan_to_num(other.rmse / simulation.rmse, nan=1.0) < _MENDED
+    pairs = zip(simulation.residuals, other.residuals, strict=True)
+    return [np.where(mended & np.isfinite(before), before - after, 0.0) for before, after in pairs]
+
+
+def structured_errors(
+    experiments: Sequence[Experiment],
+    residuals: Sequence[FloatArray],
+    axes: Sequence[Sequence[Axis]],
+    model: PhysicalModel,
+    refitted: Sequence[FloatArray] | None = None,
+    *,
+    level: float = 0.01,
+    seed: int = 0,
+    drifting: bool = True,
+) -> dict[str, StructuredError]:
+    """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
+
+    `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict the error.
+    """
+    total = sum(e.n for e in experiments)
+    block = max(1, total // TEST_SAMPLES)
+    designs = [block_means(features(record_axes), block) for record_axes in axes]
+    found = {}
+    for k, name in enumerate(model.outputs):
+        errors = [block_means(residual[:, k], block) for residual in residuals]
+        changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
+        own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
+        try:
+            found[name] = test_structured_error(errors, own, level=level, seed=seed, drifting=drifting)
+        except BadInput:  # not measured, or too short a record for the test: no claim is made
+            continue
+    return found
+
+
+def _simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray) -> FloatArray:
+    simulator = Simulator(model)
+    return simulator.run_vectors(experiment, x0, simulator.p()).X
+
+
+def _output_errors(
+    model: PhysicalModel,
+    experiments: list[Experiment],
+    simulation: Estimate,
+    ahead: Mapping[int, FloatArray],
+    structured: Mapping[str, StructuredError],
+) -> dict[str, OutputError]:
+    found = {}
+    for k, output in enumerate(model.outputs.values()):
+        errors = [residual[:, k] for residual in simulation.residuals]
+        error = np.concatenate(errors)
+        known = np.isfinite(error)
+        if not known.any():
+            continue
+        y = np.concatenate([e.Y[:, k] for e in experiments])[known]
+        rmse = float(np.sqrt(np.mean(error[known] ** 2)))
+        spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
+        floor = noise_floor(errors)
+        if output.name in structured:
+            floor = min(floor, structured[output.name].noise_rms) if structured[output.name].present else rmse
+        found[output.name] = OutputError(
+            unit=output.unit,
+            rmse=rmse,
+            fit_percent=100.0 * (1.0 - rmse / spread) if spread > 0 else float("nan"),
+            bias=float(np.mean(error[known])),
+            noise_floor=floor,
+            k_step={steps: float(errors_ahead[k]) for steps, errors_ahead in ahead.items()},
+        )
+    return found
+
+
+def _prediction_errors(kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[int, FloatArray]:
+    """RMS error of each output predicted 1, 10 and 100 samples ahead, missing terms held at their last estimate."""
+    found = {}
+    for steps in HORIZONS:
+        long_enough = [(e, s) for e, s in zip(experiments, smoothed, strict=True) if e.n > 2 * steps]
+        if not long_enough:
+            continue
+        errors = np.concatenate([_ahead(kalman, e, s, steps, _PREDICTED_SAMPLES // len(long_enough)) for e, s in long_enough])
+        count = np.isfinite(errors).sum(axis=0)
+        found[steps] = np.sqrt(np.nansum(errors**2, axis=0) / np.where(count > 0, count, np.nan))
+    return found
+
+
+def _ahead(kalman: Filter, experiment: Experiment, smoothed: Smoothed, steps: int, most: int) -> FloatArray:
+    """Prediction errors on a stretch from the record's middle, at most `most` samples and twice the horizon."""
+    length = min(experiment.n, max(most, 2 * steps))
+    start = (experiment.n - length) // 2
+    part, filtered = experiment.window(start, start + length), smoothed.filtered[start : start + length]
+    return part.Y - kalman.predict(part, replace(smoothed, filtered=filtered), steps)
+
+
+def _balance_errors(model: PhysicalModel, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[str, BalanceError]:
+    simulator = Simulator(model)
+    looks = [simulator.look(e, s.X) for e, s in zip(experiments, smoothed, strict=True)]
+    found = {}
+    for name, balance in model.balances.items():
+        terms = [s.missing[name].value for s in smoothed if name in s.missing]
+        if not terms:
+            continue
+        rms = float(np.sqrt(np.mean(np.concatenate(terms) ** 2)))
+        driven = [f"{name}.{term}" for term, value in balance.terms.items() if _is_driven(model, value.tree)]
+        drive = np.concatenate([sum((look[key] for key in driven), np.zeros(1)) * np.ones(1) for look in looks])
+        size = float(np.sqrt(np.mean(drive**2)))
+        found[name] = BalanceError(balance.unit, rms, 100.0 * rms / size if size > 0 else float("nan"))
+    return found
+
+
+def _is_driven(model: PhysicalModel, tree: Node) -> bool:
+    """Whether a term contains an input or a current."""
+    currents = {b.variables["current"] for b in model.balances.values() if "current" in b.variables}
+    return any(isinstance(node, Name) and node.name in {*model.inputs, *currents} for node in walk(tree))

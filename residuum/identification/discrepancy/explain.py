@@ -1,0 +1,115 @@
+"""Explain: which physical effect is missing in a model?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from residuum.identification.discrepancy.free_term import FreeTerm, free_term
+from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
+from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
+from residuum.identification.discrepancy.search import Search, search
+from residuum.identification.discrepancy.visibility import Undetectable, undetectable
+from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.record import Record
+
+MOST_SAMPLES = 6_000
+Tell = Callable[[float, str], None]
+"""Told how far the work is: share done 0 … 1, and what is done now."""
+
+
+def untold(_share: float, _doing: str) -> None:
+    """For those who do not ask how far the work is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The answer.
+
+    Attributes
+    ----------
+    verdict : str
+        `missing-effect`, `adequate` or `unknown-effect`.
+    candidates : tuple of Candidate
+        The accepted effects first, the verdict's before all; probabilities of one step sum with those of "nothing" and
+        "unknown" to at most one.
+    probability_none, probability_unknown : float
+    unexplained_share : float
+        Part of what could be explained that no candidate explains.
+    free : FreeTerm or None
+        The smooth term that best explains the rest.
+    undetectable, next_experiment
+        What this experiment cannot show, and what would.
+    """
+
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    probability_none: float
+    probability_unknown: float
+    unexplained_share: float
+    free: FreeTerm | None
+    undetectable: tuple[Undetectable, ...]
+    next_experiment: tuple[Proposal, ...]
+    search: Search
+    experiments: list[Experiment]
+    seconds: float
+
+
+def explain(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    *,
+    effects: Iterable[str] | None = None,
+    tell: Tell = untold,
+) -> Explanation:
+    """Name the physical effect that is missing in a model.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Its free parameters are re-estimated; its structure is what is judged.
+    records : sequence of Record
+        Each is an experiment with its own initial states.
+    mapping : mapping of model name to column
+    effects : iterable of effect id
+        Consider only these (default: all that fit the model).
+    tell : callable
+        Told how far the work is.
+
+    Raises
+    ------
+    BadRecord, BadUnit, BadModel
+        Columns that do not fit the model; an effect that is not in the catalogue.
+    NotIdentifiable
+        The model diverges on a record.
+
+    Notes
+    -----
+    Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
+    then named as a group).
+    """
+    began = time.perf_counter()
+    tell(0.0, "estimating the model as it is")
+    experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
+    tell(0.2, "trying the effects of the catalogue")
+    found = search(base, experiments, nominal=model, effects=effects)
+    tell(0.75, "drawing what no effect explains")
+    free = free_term(found.best, experiments)
+    judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
+    tell(0.85, "what could not have been seen, and the next experiment")
+    return Explanation(
+        verdict=judgement.verdict,
+        candidates=judgement.candidates,
+        probability_none=judgement.none,
+        probability_unknown=judgement.unknown,
+        unexplained_share=judgement.unexplained_share,
+        free=free,
+        undetectable=undetectable(found),
+        next_experiment=next_experiments(found, judgement.candidates, experiments),
+        search=found,
+        experiments=experiments,
+        seconds=time.perf_counter() - began,
+    )

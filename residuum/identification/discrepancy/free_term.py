@@ -1,0 +1,141 @@
+"""The free term: what any smooth function of one signal, in one balance, would explain beyond a structure.
+
+It stands for the effects that the catalogue does not have. A balance receives Σ c_j·φ_j(axis) with hat functions φ_j on a
+signal of the model (velocity, position, current, temperature, level, time); its effect on the outputs is propagated through the
+linearised model and c is found by whitened least squares together with the free parameters and initial states. It pays for
+every coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.evidence import tempered
+from residuum.identification.discrepancy.innovations import Noises
+from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
+from residuum.identification.discrepancy.score_test import first_order_fit
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.physics import Experiment, Simulator, balance_variables
+
+FloatArray = npt.NDArray[np.float64]
+
+KNOTS: Mapping[str, tuple[int, ...]] = {
+    "velocity": (9, 25),
+    "position": (9, 33),
+    "current": (9,),
+    "temperature": (9,),
+    "level": (9,),
+    "time": (17,),
+}
+"""Axes of the free term, and how many hat functions are tried on each."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTerm:
+    """The best free term.
+
+    Attributes
+    ----------
+    balance, axis, unit : str
+        Where it acts, the signal it is a function of, the unit of its value.
+    at, value : array, shape (knots,)
+        The curve: the term at these values of the axis.
+    rest : float
+        Power of the residual that remains, outputs in units of their innovations' scale.
+    gain : float
+        Log-likelihood gain over the structure, coefficients paid for.
+    evidence : float
+        The same, tempered, and less the logarithm of the number of free terms tried.
+    """
+
+    balance: str
+    axis: str
+    unit: str
+    at: FloatArray
+    value: FloatArray
+    rest: float
+    gain: float
+    evidence: float
+
+
+def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTerm | None:
+    """The free term that explains most beyond the structure; None when the model has nowhere to put one."""
+    model = structure.model
+    responses = [
+        linear_response(model, e, x, s) for e, x, s in zip(experiments, structure.initial, structure.substeps, strict=True)
+    ]
+    if not all(np.all(np.isfinite(r.F)) for r in responses):
+        return None
+    simulator = Simulator(model)
+    states = [f"initial:{name}" for name in model.states if name not in model.initial]
+    slopes = [*structure.parameters, *states]
+    runs = [
+        simulator.run_vectors(e, x, simulator.p(), slopes=slopes, substeps=s).dY
+        for e, x, s in zip(experiments, structure.initial, structure.substeps, strict=True)
+    ]
+    slopes_of = [e.means(run) for e, run in zip(experiments, runs, strict=True) if run is not None and np.all(np.isfinite(run))]
+    if len(slopes_of) < len(runs):
+        return None
+    q = len(structure.parameters)
+    found, tried = [], 0
+    for balance, axis, knots, terms in _terms(structure, experiments, responses):
+        tried += 1
+        columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
+        by_parameters = [np.concatenate([run[:, :, :q], c], axis=2) for run, c in zip(slopes_of, columns, strict=True)]
+        step, pointwise, rest = first_order_fit(
+            structure, structure.residuals, by_parameters, [run[:, :, q:] for run in slopes_of]
+        )
+        price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
+        d = pointwise - structure.pointwise
+        unit = model.balances[balance].unit
+        found.append(
+            FreeTerm(
+                balance,
+                axis,
+                unit,
+                knots,
+                step[q:],
+                scaled_power(rest, structure.noises),
+                float(d.sum()) - price,
+                tempered(d) - price,
+            )
+        )
+    if not found:
+        return None
+    best = max(found, key=lambda term: term.gain)
+    return replace(best, evidence=best.evidence - float(np.log(tried)))
+
+
+def scaled_power(residuals: Sequence[FloatArray], noises: Noises) -> float:
+    """Σ over outputs of the residual's mean square in units of the innovations' squared scale."""
+    stacked = np.concatenate(residuals)
+    return float(
+        sum(np.nanmean(stacked[:, o] ** 2) / noise.innovation_variance for o, noise in enumerate(noises) if noise is not None)
+    )
+
+
+def _terms(
+    structure: Structure, experiments: Sequence[Experiment], responses: Sequence[LinearResponse]
+) -> Iterator[tuple[str, str, FloatArray, list[FloatArray]]]:
+    simulator = Simulator(structure.model)
+    for name, balance in structure.model.balances.items():
+        signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(experiments, responses, strict=True)]
+        times = [e.sample_time * np.arange(e.n, dtype=float) for e in experiments]
+        axes = {axis: [s[axis] for s in signals] for axis in KNOTS if axis in signals[0]} | {"time": times}
+        for axis, values in axes.items():
+            joined = np.concatenate(values)
+            if not np.ptp(joined) > 0:
+                continue
+            for count in KNOTS[axis]:
+                knots = np.linspace(joined.min(), joined.max(), count)
+                yield name, axis, knots, [_hats(v, knots) for v in values]
+
+
+def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
+    """Piecewise linear functions, one at each knot, shape (n, knots); they sum to one."""
+    width = knots[1] - knots[0]
+    return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots[None, :]) / width)

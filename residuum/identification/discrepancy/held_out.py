@@ -1,0 +1,91 @@
+"""Which data a model is estimated from, which are kept aside to judge it, and its error on those."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Experiment, Settings, Simulator, estimate
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+TRAINING_SHARE = 0.7
+_STATES_ONLY = Settings(iterations=20, tolerance=1e-4)
+_FEWEST = 60
+"""Samples that a record must have for a part of it to be kept aside."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """`training` records, and `testing` ones each with the sample from which it counts (0: the whole record)."""
+
+    training: list[Record]
+    testing: list[tuple[Record, int]]
+
+
+def split(records: Sequence[Record]) -> Split:
+    """Several records: every third is kept aside (of two, the second). One: its end, by its note `split: 0.7` or 30 %."""
+    if len(records) > 1:
+        testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
+        return Split([r for k, r in enumerate(records) if k not in testing], [(records[k], 0) for k in testing])
+    record = records[0]
+    first = int(record.n * _share(record))
+    return Split([record.window(0, first)], [(record, first)])
+
+
+def split_experiments(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[tuple[Experiment, int]]]:
+    """Experiments to estimate from, and experiments to judge by with the sample from which each counts.
+
+    Of three or more every third is kept aside; of fewer the last 30 % of each.
+    """
+    if len(experiments) >= 3:
+        return [e for k, e in enumerate(experiments) if k % 3 != 2], [(e, 0) for e in experiments[2::3]]
+    long = [e for e in experiments if e.n >= _FEWEST]
+    firsts = [int(TRAINING_SHARE * e.n) for e in long]
+    return [e.window(0, first) for e, first in zip(long, firsts, strict=True)], list(zip(long, firsts, strict=True))
+
+
+def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
+    """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
+
+    Initial states come from the samples before those that count, or where all count from the experiment itself.
+    """
+    simulator, errors = Simulator(structure.model), []
+    for e, first in testing:
+        seen = e if first == 0 else replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan))
+        try:
+            start = estimate(structure.model, [seen], free=(), settings=_STATES_ONLY)
+        except NotIdentifiable:
+            return np.full(len(structure.model.outputs), np.inf)
+        run = simulator.run_vectors(e, start.initial[0], simulator.p(), substeps=start.substeps[0])
+        errors.append((e.Y - run.Y)[first:])
+    joined = np.concatenate(errors)
+    count = np.isfinite(joined).sum(axis=0)
+    return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)
+
+
+def cross_checked(structure: Structure, experiments: Sequence[Experiment]) -> FloatArray | None:
+    """`held_out_rmse` of a structure re-estimated on the other part of its experiments; None when that cannot be done."""
+    training, testing = split_experiments(experiments)
+    if not training:
+        return None
+    kept = [k for k in range(len(experiments)) if len(experiments) < 3 or k % 3 != 2]
+    initial = [structure.initial[k] for k in kept] if len(training) == len(kept) else structure.initial[: len(training)]
+    again = fit_structure(structure.model, training, initial, iterations=4, second_start=False)
+    return None if again is None else held_out_rmse(again, testing)
+
+
+def _share(record: Record) -> float:
+    """The part of a record that is for estimation."""
+    for note in record.notes:
+        found = re.fullmatch(r"\s*split:\s*(0?\.\d+)\s*", note)
+        if found:
+            return float(found.group(1))
+    return TRAINING_SHARE

@@ -1,0 +1,238 @@
+"""Improve: add effects to a model, re-estimate it, and count the error on data that were not used for it."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, Tell, explain, untold
+from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
+from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.prediction_windows import in_windows
+from residuum.identification.discrepancy.score_test import Screen
+from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.errors import BadModel, NotIdentifiable
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+_RISE, _TIMING = 1.002, 0.9
+"""Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One line of the history: what was added (None: the model as it was, `-id`: dropped) and the held-out error after it."""
+
+    added: str | None
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """The improved model with provenance, and how its error on held-out data fell, in `error_unit` of `output`."""
+
+    model: PhysicalModel
+    history: tuple[Step, ...]
+    verdict: str
+    output: str
+    error_unit: str
+    explanation: Explanation | None
+
+
+def improve(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    *,
+    add: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    tell: Tell = untold,
+) -> Improvement:
+    """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after the other.
+
+    Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
+    simulation error on the rest does not rise. The returned model is re-estimated on everything.
+
+    Raises
+    ------
+    BadModel
+        An effect that is not in the catalogue, does not fit the model, or fits several places and names none.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    chosen = [] if add is None else [_resolved(model, id) for id in add]
+    parts = split(records)
+    tell(0.0, "estimating the model as it is")
+    experiments, base = experiments_and_base(model, parts.training, mapping, MOST_SAMPLES)
+    explanation = None
+    if add is None:
+        explanation = explain(
+            model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
+        )
+        chosen = [*explanation.search.accepted, *explanation.search.timing]
+    judge = _HeldOut(parts, experiments, base, mapping)
+    history = [Step(None, judge.error(base))]
+    kept, refused = base, False
+    for index, key in enumerate(chosen):
+        tell(0.6 + 0.2 * index / len(chosen), f"adding {key[0]} to {key[1]}")
+        seen = {} if explanation is None else explanation.search.values_of(key)
+        better = added(kept, experiments, key, seen)
+        error = judge.error(better) if better is not None else np.inf
+        is_timing = explanation is not None and key in explanation.search.timing
+        if add is None and (better is None or error > history[-1].error * (_TIMING if is_timing else _RISE)):
+            refused = refused or not is_timing
+            continue
+        if better is None:
+            raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
+        kept = better
+        history.append(Step(key[0], error))
+    tell(0.8, "estimating on everything")
+    if add is None:
+        kept, dropped = _without_needless(kept, experiments, judge, history[-1].error)
+        history += dropped
+    plain = _least_simulation_error(kept, experiments)
+    error = np.inf if plain is None else judge.error(plain)
+    simulates_better = error < history[-1].error
+    if simulates_better:
+        history[-1] = replace(history[-1], error=error)
+    final = _on_everything(kept, records, mapping, least_error=simulates_better)
+    improved = _with_provenance(final, records, history, judge)
+    fell = history[-1].error < history[0].error
+    verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
+    return Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation)
+
+
+def added(
+    structure: Structure, experiments: Sequence[Experiment], key: tuple[str, str], seen: Mapping[str, float] | None = None
+) -> Structure | None:
+    """The structure with one more effect, re-estimated; None when it diverges.
+
+    The likelihood of a contact or of friction has many tops: every start of the effect that promises something is followed, and
+    the values `seen` (by full name) where it was estimated before; the likeliest end is kept.
+    """
+    starts = [screened.start for screened in Screen(structure, experiments).promising(*key)]
+    if seen:
+        model = structure.model.with_effect(*key)
+        starts.append(model.with_values({n: v for n, v in seen.items() if n in model.all_parameters}))
+    fitted = [fit_structure(start, experiments, structure.initial) for start in starts]
+    return max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
+
+
+def _verdict(explanation: Explanation, refused: bool) -> str:
+    """`adequate` once everything that explain accepted is in; otherwise what is left has no name."""
+    return "unknown-effect" if refused or explanation.verdict == "unknown-effect" else "adequate"
+
+
+def _resolved(model: PhysicalModel, id: str) -> tuple[str, str]:
+    name, _, target = id.partition("@")
+    fitting = [t for _, t in candidates(model, [name])]
+    if target:
+        model.with_effect(name, target)
+        return name, target
+    if not fitting:
+        raise BadModel(f"effect {name!r}: fits no balance, input or output of model {model.name!r}, or is in it already")
+    if len(fitting) > 1:
+        raise BadModel(f"effect {name!r}: fits {', '.join(fitting)}; say which, as {name}@{fitting[0]}")
+    return name, fitting[0]
+
+
+class _HeldOut:
+    """Simulation error on the data that were kept aside, on one output: the one whose error stands highest above its noise."""
+
+    def __init__(
+        self, parts: Split, experiments: Sequence[Experiment], base: Structure, mapping: Mapping[str, str] | None
+    ) -> None:
+        self.testing = _reduced(base.model, parts.testing, mapping, experiments)
+        noise = [np.nan if n is None else np.sqrt(n.innovation_variance) for n in base.noises]
+        self.o = int(np.nanargmax(base.rmse / np.array(noise)))
+        self.output = list(base.model.outputs)[self.o]
+        self.unit = base.model.outputs[self.output].unit
+
+    def error(self, structure: Structure) -> float:
+        """RMS over the held-out samples; their records' first states come from what precedes them, or from themselves."""
+        return float(held_out_rmse(structure, self.testing)[self.o])
+
+
+def _reduced(
+    model: PhysicalModel,
+    testing: Sequence[tuple[Record, int]],
+    mapping: Mapping[str, str] | None,
+    like: Sequence[Experiment],
+) -> list[tuple[Experiment, int]]:
+    """Held-out records with the training experiments' input timing and blocks, and their first held-out sample."""
+    model, experiments = match(model, [record for record, _ in testing], mapping)
+    found = []
+    for e, (_, first) in zip(experiments, testing, strict=True):
+        timed = replace(e, hold=like[0].hold, block=like[0].block)
+        parts = in_windows(model, [timed.window(first, timed.n)])
+        found += [(timed, first)] if len(parts) == 1 else [(part, 0) for part in parts]
+    return found
+
+
+def _without_needless(
+    structure: Structure, experiments: Sequence[Experiment], judge: _HeldOut, error: float
+) -> tuple[Structure, list[Step]]:
+    """Drop effects whose absence the Schwarz criterion prefers and the held-out error does not mind."""
+    dropped: list[Step] = []
+    for use in structure.model.effects:
+        if len(structure.model.effects) < 2:
+            break
+        less = fit_structure(structure.model.without_effect(use.label), experiments, structure.initial)
+        if less is None or structure.log_likelihood - structure.penalty(less) > less.log_likelihood:
+            continue
+        without = judge.error(less)
+        if without <= error * _RISE:
+            structure, error = less, without
+            dropped.append(Step(f"-{use.id}", without))
+    return structure, dropped
+
+
+def _least_simulation_error(structure: Structure, experiments: Sequence[Experiment]) -> Structure | None:
+    """The structure at the least plain simulation error: of a model that is never complete it is the better simulator."""
+    try:
+        plain = estimate(structure.model, experiments, free=structure.parameters, initial=structure.initial)
+    except NotIdentifiable:
+        return None
+    return replace(structure, model=plain.model, initial=plain.initial, std=np.sqrt(np.diag(plain.covariance)))
+
+
+def _on_everything(
+    kept: Structure, records: Sequence[Record], mapping: Mapping[str, str] | None, *, least_error: bool
+) -> Structure:
+    """The structure re-estimated on all records, at the likeliest innovations or at the least simulation error."""
+    try:
+        experiments, result = experiments_and_base(kept.model, records, mapping, MOST_SAMPLES)
+    except NotIdentifiable:  # with the values of the training part it diverges on the rest
+        return kept
+    likelier = fit_structure(kept.model, experiments, result.initial)
+    if likelier is not None and likelier.log_likelihood > result.log_likelihood:
+        result = likelier
+    return (_least_simulation_error(result, experiments) if least_error else None) or result
+
+
+def _with_provenance(final: Structure, records: Sequence[Record], history: Sequence[Step], judge: _HeldOut) -> PhysicalModel:
+    """Each effect with its records, date, held-out error before and after, and the standard deviation of its parameters."""
+    model = final.model
+    std = dict(zip(final.parameters, final.std, strict=True))
+    for before, after in pairwise(history):
+        use = next((u for u in model.effects if u.id == after.added), None)
+        if use is None:
+            continue
+        note = {
+            "records": ", ".join(record.source for record in records),
+            "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+            "output": judge.output,
+            "error_before": before.error,
+            "error_after": after.error,
+            "error_unit": judge.unit,
+        }
+        note |= {f"std_{n}": float(s) for n in use.parameters if np.isfinite(s := std.get(f"{use.label}.{n}", np.nan))}
+        model = model.with_provenance(use.label, note)
+    return model

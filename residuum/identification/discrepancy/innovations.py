@@ -1,0 +1,110 @@
+"""Innovations of coloured, heavy-tailed noise: A(q) v = e with e Student-t, one noise an output.
+
+Real innovations have outliers (a step between two samples, a lost packet, a knock). With the t distribution each is one
+unlikely sample; with the normal one a few of them set the variance, and every effect drowns in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaln
+
+from residuum.identification.discrepancy.coloured_noise import ColouredNoise, forgetting, longest_memory
+from residuum.identification.discrepancy.innovation_sums import FREEDOM, add_lag_products, innovations, squared_scale
+
+FloatArray = npt.NDArray[np.float64]
+
+ORDER = 12
+"""Of the autoregressive noise."""
+_REWEIGHTINGS = 3
+_NORMAL = FREEDOM / (FREEDOM - 2.0)
+"""Variance of t-distributed innovations over their squared scale."""
+_DRIFT = 1e6
+"""Samples over which drifting noise forgets: longer than any record, short enough to be stable."""
+
+Noises = tuple[ColouredNoise | None, ...]
+"""The noise of each output (`innovation_variance` is the squared scale); None for an output that was not measured."""
+
+
+def fit_noises(residuals: Sequence[FloatArray], order: int = ORDER, *, drifting: bool = False) -> Noises:
+    """The noise of every output's residuals (one array (n, outputs) an experiment, NaN where missing).
+
+    Noise that is `drifting` may be integrated (a load that walks at random); other noise forgets within the data.
+    Autoregression by iteratively reweighted least squares, the maximum likelihood of t-distributed innovations.
+    """
+    return tuple(_fit([np.ascontiguousarray(r[:, o]) for r in residuals], order, drifting) for o in range(residuals[0].shape[1]))
+
+
+def _fit(signals: list[FloatArray], order: int, drifting: bool) -> ColouredNoise | None:
+    known = sum(int(np.isfinite(v).sum()) for v in signals)
+    if known == 0:
+        return None
+    longest = max(len(v) for v in signals)
+    a, variance = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0
+    for turn in range(_REWEIGHTINGS):
+        G, g, rows = np.zeros((a.size, a.size)), np.zeros(a.size), 0
+        for v in signals:
+            rows += add_lag_products(v, a, variance, G, g)
+        if turn == 0 and rows < 3 * (a.size + 1):  # too many gaps for a colour
+            a, variance = np.zeros(0), _squared_scale(signals, np.zeros(0))
+            break
+        G = np.tril(G) + np.tril(G, -1).T
+        a = -np.linalg.solve(G + 1e-10 * (np.trace(G) + 1e-300) * np.eye(a.size), g) if a.size else a
+        variance = _squared_scale(signals, a)
+    limited = forgetting(a, _DRIFT if drifting else longest_memory(known, longest))
+    return ColouredNoise(limited, variance if limited is a else _squared_scale(signals, limited))
+
+
+def _squared_scale(signals: list[FloatArray], a: FloatArray) -> float:
+    e = np.concatenate([innovations(v, a) for v in signals])
+    return scale(e[np.isfinite(e)]) ** 2
+
+
+def scale(e: FloatArray) -> float:
+    """Maximum-likelihood scale of t-distributed innovations."""
+    return float(np.sqrt(squared_scale(e)))
+
+
+def likelihood_weights(e: FloatArray, variance: float) -> FloatArray:
+    """Weight of each innovation of an experiment in the likelihood's normal equations.
+
+    (ν + 1)/(ν + e²/s²) over s². The first sample is no innovation but a sum of many, and normal: without its stationary
+    density an initial state that decays as the noise does would cost nothing, whatever its size.
+    """
+    weights = (FREEDOM + 1.0) / (FREEDOM + e**2 / variance) / variance
+    weights[:1] = 1.0 / (_NORMAL * variance)
+    return np.asarray(weights)
+
+
+def log_density(e: FloatArray, s: float) -> FloatArray:
+    """Log density of t-distributed innovations of scale s."""
+    constant = gammaln((FREEDOM + 1) / 2) - gammaln(FREEDOM / 2) - 0.5 * np.log(FREEDOM * np.pi) - np.log(s)
+    return np.asarray(constant - 0.5 * (FREEDOM + 1) * np.log1p((e / s) ** 2 / FREEDOM))
+
+
+def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) -> FloatArray:
+    """Log-likelihood of each sample at the best scale, outputs one after the other; 0 where a measurement is missing.
+
+    It is exact: the first samples of an experiment have the stationary density of the noise.
+    """
+    found = []
+    for o, noise in enumerate(noises):
+        if noise is None:
+            continue
+        whitened = [noise.innovations(r[:, o]) for r in residuals]
+        known = np.concatenate([e[np.isfinite(e)] for e in whitened])
+        if known.size:
+            s = scale(known)
+            found += [_log_likelihoods(e, s) - np.isfinite(e) * noise.log_spreads(len(e)) for e in whitened]
+    return np.concatenate(found)
+
+
+def _log_likelihoods(e: FloatArray, s: float) -> FloatArray:
+    known = np.isfinite(e)
+    values = np.where(known, log_density(np.where(known, e, 0.0), s), 0.0)
+    if known[0]:
+        values[0] = -0.5 * (np.log(2.0 * np.pi * _NORMAL * s**2) + e[0] ** 2 / (_NORMAL * s**2))
+    return values

@@ -1,0 +1,69 @@
+"""Noise floor of a channel: how much of a model's error can be measurement noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import welch
+
+from residuum.identification.discrepancy.coloured_noise import stretches
+
+FloatArray = npt.NDArray[np.float64]
+
+LOWEST_FREQUENCY = 0.02  # of the sampling rate; below it the error is taken to be the model's
+_COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
+
+
+def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
+    """RMS of the noise in a model's error, read from its fast part alone.
+
+    A model's error is slow against the sampling rate, noise is not: an AR(1) spectrum σ²(1 − ρ²)/|1 − ρ e^{−jω}|² is fitted
+    (Whittle's likelihood) to the periodogram above 2 % of the sampling rate and σ is given, its slow part included.
+
+    Parameters
+    ----------
+    residuals : sequence of arrays, shapes (n_r,)
+        Measured minus modelled, NaN where missing.
+    slowest : float
+        Largest ρ that is still called noise.
+
+    Returns
+    -------
+    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part; the RMS itself for
+    fewer than 64 samples in a row.
+
+    Notes
+    -----
+    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it is a lower bound.
+
+    References
+    ----------
+    P. Whittle, *Estimation and information in stationary time series*, Ark. Mat. 2 (1953).
+    """
+    parts = [part for residual in residuals for part in _whole_parts(residual)]
+    every = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
+    rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
+    if not parts:
+        return rms
+    length = min(1024, *(len(part) for part in parts))
+    spectra = [welch(part, nperseg=length, detrend="linear") for part in parts]
+    weights = np.array([len(part) for part in parts], dtype=float)
+    power = np.average([spectrum for _, spectrum in spectra], axis=0, weights=weights)
+    fast = (spectra[0][0] >= LOWEST_FREQUENCY) & (spectra[0][0] < 0.5)
+    return min(rms, float(np.sqrt(_whittle_variance(spectra[0][0][fast], power[fast], _COLOURS[max(slowest, 0.0) >= _COLOURS]))))
+
+
+def _whole_parts(residual: FloatArray) -> list[FloatArray]:
+    return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= 64]
+
+
+def _whittle_variance(frequency: FloatArray, power: FloatArray, colours: FloatArray) -> float:
+    """Variance of the AR(1) process whose spectrum fits best (one-sided `power` a unit of relative frequency)."""
+    shape = (1 - colours[:, None] ** 2) / np.abs(1 - colours[:, None] * np.exp(-2j * np.pi * frequency)) ** 2
+    variance = np.mean(power / shape, axis=1) / 2.0
+    if not np.all(variance > 0):
+        return 0.0
+    cost = np.mean(np.log(shape), axis=1) + np.log(variance)
+    return float(variance[int(np.argmin(cost))])

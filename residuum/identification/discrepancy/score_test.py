@@ -1,0 +1,256 @@
+"""Screening: what would each effect explain, to first order, after the free parameters have explained what they can?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.coloured_noise import ColouredNoise
+from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.discrepancy.structures import Structure, bounded
+from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
+from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.kalman import Filter, first_noise
+
+FloatArray = npt.NDArray[np.float64]
+
+_WORTH_A_PASS = 2.0
+"""Gain or loss of log-likelihood from which on a second pass, with the noise of the first, may matter."""
+_MOST_SUBSTEPS = 16
+"""An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
+_FRACTIONS = (1.0, 0.3, 0.1, 0.03)
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """One candidate (effect, target) at one first shape.
+
+    Attributes
+    ----------
+    start : PhysicalModel
+        With the effect at the values the first-order step suggests (within bounds).
+    gain : float
+        First-order log-likelihood gain over the base, noise colour re-estimated.
+    chi_square : float
+        Score statistic under the base's noise: expected ½·that is the gain while the effect is small.
+    information : float
+        On the effect's leading parameter under the base's noise, all that is free projected out [1/unit²].
+    own_parameters : int
+        How many parameters the effect adds.
+    """
+
+    effect: str
+    target: str
+    start: PhysicalModel
+    gain: float
+    chi_square: float
+    information: float
+    own_parameters: int
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """(effect id, target)."""
+        return self.effect, self.target
+
+
+class Screen:
+    """Score tests of candidates against one fitted structure.
+
+    Each candidate is linearised where it vanishes (at a start of its own where it has no zero). The base's free parameters and
+    every experiment's initial states are free in the same linear least squares, whitened; the noise is re-estimated from
+    what remains, beginning from white noise and from the base's (the likelihood has a basin near each).
+    """
+
+    def __init__(self, base: Structure, experiments: Sequence[Experiment]) -> None:
+        self.base, self.experiments = base, list(experiments)
+        simulator = Simulator(base.model)
+        self.X = [
+            simulator.run_vectors(e, x, simulator.p(), substeps=s).X
+            for e, x, s in zip(self.experiments, base.initial, base.substeps, strict=True)
+        ]
+
+        self.longest = int(np.argmax([e.n for e in self.experiments]))
+        self.tracked = self._tracked()
+
+    def _tracked(self) -> FloatArray:
+        """States of the longest experiment as the measurements show them: where the machine was, not where the model went."""
+        e, x = self.experiments[self.longest], self.base.initial[self.longest]
+        noise = first_noise(self.base.model, [e])
+        X = Filter(self.base.model, noise).run(e, x, substeps=self.base.substeps[self.longest]).X
+        return X if np.all(np.isfinite(X)) else self.X[self.longest]
+
+    def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
+        """First values of an effect's parameters in the conditions of the longest experiment."""
+        e, found = self.experiments[self.longest], []
+        for missing in self._innovations(self.longest) if EFFECTS[id].follows_missing else [None]:
+            conditions = conditions_at(self.base.model, EFFECTS[id], target, e, self.tracked, missing)
+            found += [dict(start) for start in EFFECTS[id].starts(conditions)]
+        return found
+
+    def _innovations(self, k: int) -> list[FloatArray]:
+        """What the base's noise cannot predict of each output, at the samples of experiment k: where a missing term shows."""
+        e, found = self.experiments[k], []
+        for residual, noise in zip(self.base.residuals[k].T, self.base.noises, strict=True):
+            if noise is not None:
+                white = np.r_[np.zeros(noise.order), np.nan_to_num(noise.whiten(residual))]
+                found.append(np.pad(np.repeat(white, e.block), (0, e.n))[: e.n])
+        return found
+
+    def best(self, id: str, target: str) -> Screened | None:
+        """The candidate at the start that explains most; None when it diverges at every start."""
+        tried = [self.test(id, target, start) for start in self.starts(id, target)]
+        found = [screened for screened in tried if screened is not None]
+        return max(found, key=lambda s: s.gain, default=None)
+
+    def promising(self, id: str, target: str, most: int = 3) -> list[Screened]:
+        """The candidate at its few starts that explain most, to first order or by what its simulation there leaves."""
+        tried = [self.test(id, target, start) for start in self.starts(id, target)]
+        found = [screened for screened in tried if screened is not None]
+        by_gain = sorted(found, key=lambda s: -s.gain)
+        by_error = sorted(found, key=lambda s: self._error(s.start))
+        return list(dict.fromkeys([by_gain[k] for k in range(min(most, len(found)))] + by_error[:1]))
+
+    def test(self, id: str, target: str, start: dict[str, float]) -> Screened | None:
+        """The score test at one start."""
+        effect = EFFECTS[id]
+        base = self.base.model
+        if effect.rest > 0:
+            model = self._nearest(id, target, start)
+        else:
+            model = base.with_effect(id, target, _inside(base, id, target, effect.at_rest(start)))
+        label = model.effects[-1].label
+        shapes = [n for n in model.effects[-1].parameters if f"{label}.{n}" in model.free]
+        own = [f"{label}.{n}" for n in shapes if not effect.sizes or n in effect.sizes]
+        names = [*self.base.parameters, *own]
+        linear = self._linearised(model, names)
+        if linear is None:
+            return None
+        residuals, by_parameters, by_states = linear
+        step, pointwise, _ = first_order_fit(self.base, residuals, by_parameters, by_states)
+        gain = float(pointwise.sum()) - self.base.log_likelihood
+        values = dict(zip(names, step + np.array([model.values[n] for n in names]), strict=True))
+        return Screened(
+            effect=id,
+            target=target,
+            start=_clipped(model, values, start if effect.sizes else None),
+            gain=gain,
+            chi_square=2.0 * gain,
+            information=_information(
+                NormalEquations.of(residuals, by_parameters, by_states, self.base.noises), len(names) - len(own)
+            ),
+            own_parameters=len(shapes),
+        )
+
+    def _nearest(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
+        """The model with the effect at that fraction of its start which simulates best: where it acts about as it should."""
+        tried = [start | {n: f * start[n] for n in EFFECTS[id].sizes if n in start} for f in _FRACTIONS]
+        models = [self.base.model.with_effect(id, target, _inside(self.base.model, id, target, values)) for values in tried]
+        errors = [self._error(model) for model in models]
+        return models[int(np.argmin(errors))]
+
+    def _error(self, model: PhysicalModel) -> float:
+        """Sum of the outputs' log mean square simulation errors; ∞ where the model diverges."""
+        try:
+            simulator = Simulator(model)
+        except (BadInput, NotImplementedError):
+            return np.inf
+        power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
+        for e, x, s in zip(self.experiments, self.base.initial, self.base.substeps, strict=True):
+            r = e.Y - simulator.run_vectors(e, x, simulator.p(), substeps=s).Y
+            if not bounded(r[np.isfinite(e.Y)]):
+                return np.inf
+            power += np.nansum(r**2, axis=0)
+            count += np.isfinite(e.Y).sum(axis=0)
+        return float(np.sum(np.log(np.maximum(power[count > 0] / count[count > 0], 1e-300))))
+
+    def _linearised(
+        self, model: PhysicalModel, names: list[str]
+    ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]] | None:
+        try:
+            simulator = Simulator(model)
+        except (BadInput, NotImplementedError):  # this combination of effects has no explicit equations
+            return None
+        states = [f"initial:{name}" for name in model.states if name not in model.initial]
+        residuals, by_parameters, by_states = [], [], []
+        for e, x, s, X in zip(self.experiments, self.base.initial, self.base.substeps, self.X, strict=True):
+            x0 = np.concatenate([x, np.zeros(len(simulator.states) - len(x))])
+            p = simulator.p()
+            steps = s
+            if len(x0) > len(x):  # only new states can be faster than the base's
+                steps = max(s, simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p))
+            if steps > _MOST_SUBSTEPS:
+                return None
+            run = simulator.run_vectors(e, x0, p, slopes=[*names, *states], substeps=steps)
+            if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
+                return None
+            slopes_there = e.means(run.dY)
+            residuals.append(e.means(e.Y - run.Y))
+            by_parameters.append(slopes_there[:, :, : len(names)])
+            by_states.append(slopes_there[:, :, len(names) :])
+        return residuals, by_parameters, by_states
+
+
+def first_order_fit(
+    base: Structure, residuals: list[FloatArray], by_parameters: list[FloatArray], by_states: list[FloatArray]
+) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
+
+    The better of two beginnings: white noise, and the base's.
+    """
+
+    def pass_on(noises: Noises) -> tuple[FloatArray, FloatArray, list[FloatArray], Noises]:
+        step, initial = NormalEquations.of(residuals, by_parameters, by_states, noises).step()
+        rest = [r - J @ step - Z @ z for r, J, Z, z in zip(residuals, by_parameters, by_states, initial, strict=True)]
+        colour = fit_noises(rest, drifting=base.drifting)
+        return step, pointwise_log_likelihood(rest, colour), rest, colour
+
+    white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
+    best = max((pass_on(noises) for noises in (white, base.noises)), key=lambda found: found[1].sum())
+    if abs(best[1].sum() - base.log_likelihood) > _WORTH_A_PASS:
+        best = max(best, pass_on(best[3]), key=lambda found: found[1].sum())
+    return best[:3]
+
+
+def _information(equations: NormalEquations, leading: int) -> float:
+    """Information on parameter `leading` after those before it are free."""
+    H = equations.information()
+    absorbed = solve_symmetric(H[:leading, :leading], H[:leading, leading : leading + 1])
+    return float(H[leading, leading] - H[leading, :leading] @ absorbed[:, 0])
+
+
+def _inside(model: PhysicalModel, id: str, target: str, values: dict[str, float]) -> dict[str, float]:
+    """The values moved to within their bounds."""
+    declared = {p.name: p for p in EFFECTS[id].parameters(model.site(target, EFFECTS[id]))}
+    return {n: float(np.clip(v, declared[n].lower, declared[n].upper)) for n, v in values.items() if n in declared}
+
+
+def _clipped(model: PhysicalModel, values: dict[str, float], start: dict[str, float] | None) -> PhysicalModel:
+    """The model at `values`, each within its bounds.
+
+    None is moved beyond a factor of three from a base value, nor of five from the start of an effect without a zero.
+
+    A size that the first-order step put at or below nothing begins at a hundredth of its start.
+    """
+    known = model.all_parameters
+    label = model.effects[-1].label
+    found = {}
+    for name, value in values.items():
+        p = known[name]
+        if name.startswith(f"{label}."):
+            if start is None and p.value:
+                low, high = sorted((p.value / 5.0, p.value * 5.0))
+                value = float(np.clip(value, low, high))
+            value = float(np.clip(value, p.lower, p.upper))
+            short = name.removeprefix(f"{label}.")
+            if start is not None and value == p.lower and p.lower == 0.0:
+                value = 0.01 * start[short]
+        else:
+            low, high = sorted((p.value / 3.0, p.value * 3.0))
+            value = float(np.clip(value, max(low, p.lower), min(high, p.upper))) if p.value else value
+        found[name] = value
+    return model.with_values(found)

@@ -1,0 +1,297 @@
+"""Forward–backward search over structures: which effects, together, the data want in the model."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.evidence import ALIKE, preferred, relative_evidence
+from residuum.identification.discrepancy.held_out import cross_checked
+from residuum.identification.discrepancy.score_test import Screen, Screened
+from residuum.identification.discrepancy.structures import Structure, base_structure, fit_structure, glimpse
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
+from residuum.identification.physics.effects import EFFECTS
+
+FloatArray = npt.NDArray[np.float64]
+
+FEWEST_REFITS = 6
+MOST_GLIMPSES, SECOND_LOOKS = 3, 2
+MOST_EFFECTS, POLISHES, CLOSE = 3, 3, 20.0
+_SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
+_THREADS = min(4, os.cpu_count() or 1)
+NEAR, FAR = 3.0, 20.0
+"""Factors from its nominal value within which a parameter is near, and beyond which it has strayed."""
+RISE, WORTH_A_LOOK = 1.005, 1.02
+"""Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
+FALL, SLOW = 0.99, 10.0
+"""Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
+ACCEPT = 3.0
+"""Evidence above the number of candidates' logarithm at which an effect joins the structure: odds of 20 to 1."""
+ACCEPT_MORE = 6.0
+"""The same for a second and third effect, which must not make up for what the first does not follow exactly."""
+
+
+@dataclass(eq=False)
+class Search:
+    """The structures that were tried.
+
+    Attributes
+    ----------
+    base : Structure
+        The model as it is, re-estimated.
+    best : Structure
+        Base plus the accepted effects.
+    screened : mapping
+        First-order result of every candidate against the base.
+    accepted : list
+        The effects that joined, one a step.
+    before, alternatives : lists
+        For each step the structure it began from, and candidate → the refitted structure with that candidate added.
+    refuted : list
+        Effects that the likelihood wanted, but whose held-out error rose: the search ends there.
+    held_out : mapping
+        Effect → held-out RMS errors of the outputs (before, with it), for those that were accepted or refuted.
+    timing : list
+        Delays and lags shorter than a sample that the data want: how the record was taken, not physics. They are in `best`.
+    """
+
+    base: Structure
+    best: Structure
+    count: int
+    screened: dict[tuple[str, str], Screened] = field(default_factory=dict)
+    before: list[Structure] = field(default_factory=list)
+    alternatives: list[dict[tuple[str, str], Structure]] = field(default_factory=list)
+    accepted: list[tuple[str, str]] = field(default_factory=list)
+    refuted: list[tuple[str, str]] = field(default_factory=list)
+    held_out: dict[tuple[str, str], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    timing: list[tuple[str, str]] = field(default_factory=list)
+
+    def values_of(self, key: tuple[str, str]) -> dict[str, float]:
+        """Every parameter, by full name, where an accepted effect was estimated."""
+        structure = self.best if key in self.timing else self.alternatives[self.accepted.index(key)][key]
+        return structure.model.values
+
+
+def search(
+    base: Structure,
+    experiments: Sequence[Experiment],
+    *,
+    nominal: PhysicalModel | None = None,
+    effects: Iterable[str] | None = None,
+    refits: int = FEWEST_REFITS,
+    most_effects: int = MOST_EFFECTS,
+) -> Search:
+    """Add the best effect, again and again while the evidence wants one more.
+
+    At each step all candidates are screened to first order on top of what was found so far, the best `refits` are
+    re-estimated in full with the noise colour of their own, and the winner is accepted when its evidence exceeds
+    log(number of candidates) + `ACCEPT`.
+
+    Where noise that drifts explains more, with no effect at all, than everything that was found, the search is done again
+    with noise that may drift: a load that walks at random resembles every effect that has a mean.
+
+    Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
+    a large term does nothing), nothing can be added there; the search is first done from near those values.
+    """
+    wanted = None if effects is None else list(effects)
+    near = None if nominal is None else _near(nominal, base, experiments)
+    if near is not None:
+        found = _forward(near, experiments, wanted, refits, most_effects)
+        if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
+            return found
+    found = _forward(base, experiments, wanted, refits, most_effects)
+    wanting = found.accepted or found.refuted
+    drift = fit_structure(base.model, experiments, base.initial, drifting=True) if wanting else None
+    if drift is None or drift.log_likelihood <= found.best.log_likelihood:
+        return found
+    return _forward(drift, experiments, wanted, refits, most_effects)
+
+
+def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
+    """The base fitted within `NEAR` of the nominal values; None where it lies within a few times that anyway, or diverges."""
+    values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
+    strayed = [n for n, value in values.items() if not FAR**-1 < abs(base.model.values[n] / value) < FAR]
+    if not strayed:
+        return None
+    narrowed = dict(nominal.parameters)
+    for n, value in values.items():
+        low, high = sorted((value / NEAR, value * NEAR))
+        p = narrowed[n]
+        narrowed[n] = replace(p, lower=max(low, p.lower), upper=min(high, p.upper))
+    try:
+        return base_structure(replace(nominal, parameters=narrowed), experiments)
+    except NotIdentifiable:
+        return None
+
+
+def _forward(
+    base: Structure, experiments: Sequence[Experiment], wanted: list[str] | None, refits: int, most_effects: int
+) -> Search:
+    found = Search(base, base, len(candidates(base.model, wanted)))
+    while len(found.accepted) < most_effects:
+        refitted = _step(found, experiments, candidates(found.best.model, wanted), refits)
+        key, (evidence, nothing) = preferred(refitted, found.best), relative_evidence(refitted, found.best)
+        asked = np.log(max(found.count, 1)) + (ACCEPT_MORE if found.accepted else ACCEPT)
+        wins = key is not None and -nothing >= asked
+        if key is not None and wins and _is_timing(refitted, evidence, experiments):
+            found.timing.append(key)
+            found.best = refitted[key]
+            found.base = found.base if found.accepted else found.best
+            continue
+        found.before.append(found.best)
+        found.alternatives.append(refitted)
+        if key is None or not wins:
+            break
+        if not _holds_up(found, key, refitted[key], experiments):
+            found.refuted.append(key)
+            break
+        refitted[key] = _polished(refitted[key], experiments)
+        found.best = refitted[key]
+        found.accepted.append(key)
+    return found
+
+
+def _step(
+    found: Search, experiments: Sequence[Experiment], pairs: Sequence[tuple[str, str]], refits: int
+) -> dict[tuple[str, str], Structure]:
+    screen = Screen(found.best, experiments)
+    with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
+        tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
+    if not found.accepted:
+        found.screened = {s.key: s for s in tested}
+    tested.sort(key=lambda s: -s.gain)
+    promising = [s for s in tested if s.gain > 2.0][:refits]
+    promising += _overlooked(found.best, experiments, [s for s in tested if s.gain < 0.0])
+    refitted = _refitted(found.best, experiments, promising)
+    for key, structure in _grown(found.best, experiments, pairs, refitted):
+        if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
+            refitted[key] = structure
+    return _settled(refitted, found.best, experiments)
+
+
+def _settled(
+    refitted: dict[tuple[str, str], Structure], best: Structure, experiments: Sequence[Experiment]
+) -> dict[tuple[str, str], Structure]:
+    """Structures that lie close are climbed to their tops before they are compared: the order must not be that of haste."""
+    score = {key: s.log_likelihood - s.penalty(best) for key, s in refitted.items()}
+    highest = max(score.values(), default=0.0)
+    close = [key for key in score if score[key] > max(highest - CLOSE, best.log_likelihood)]
+    return refitted | {key: _polished(refitted[key], experiments) for key in close if len(close) > 1}
+
+
+def _refitted(best: Structure, experiments: Sequence[Experiment], promising: list[Screened]) -> dict[tuple[str, str], Structure]:
+    """Every promising candidate re-estimated in full; the first sets the mark that the others must come near."""
+
+    def refit(screened: Screened, rival: float = -np.inf) -> Structure | None:
+        return fit_structure(screened.start, experiments, best.initial, rival=rival, drifting=best.drifting)
+
+    if not promising:
+        return {}
+    first = refit(promising[0])
+    mark = -np.inf if first is None else first.log_likelihood
+    with ThreadPoolExecutor(_THREADS) as pool:
+        structures = [first, *pool.map(lambda screened: refit(screened, mark), promising[1:])]
+    pairs = zip(promising, structures, strict=True)
+    return {
+        s.key: structure
+        for s, structure in pairs
+        if structure is not None and (_simulates_no_worse(structure, best) or _within_a_sample(structure, s.key, experiments))
+    }
+
+
+def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
+    """The structure climbed to its top: what it does not follow exactly would invite a next effect that is not there."""
+    for _ in range(POLISHES):
+        better = fit_structure(structure.model, experiments, structure.initial, drifting=structure.drifting)
+        if better is None or better.log_likelihood < structure.log_likelihood + 1.0:
+            break
+        structure = better
+    return structure
+
+
+def _grown(
+    best: Structure,
+    experiments: Sequence[Experiment],
+    pairs: Sequence[tuple[str, str]],
+    refitted: Mapping[tuple[str, str], Structure],
+) -> Iterator[tuple[tuple[str, str], Structure]]:
+    """Effects that generalise one that fits well, refitted from its estimate: from nothing they may not be reached."""
+    for id, target in pairs:
+        special = refitted.get((EFFECTS[id].generalises, target))
+        if special is None or special.log_likelihood - best.log_likelihood < ACCEPT:
+            continue
+        for start in _grown_starts(id, target, special, experiments):
+            model = best.model.with_values(
+                {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
+            ).with_effect(id, target, start)
+            mark = special.log_likelihood
+            structure = fit_structure(model, experiments, best.initial, rival=mark, drifting=best.drifting)
+            if structure is not None and _simulates_no_worse(structure, best):
+                yield (id, target), structure
+
+
+def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
+    k = int(np.argmax([e.n for e in experiments]))
+    simulator = Simulator(special.model)
+    X = simulator.run_vectors(experiments[k], special.initial[k], simulator.p(), substeps=special.substeps[k]).X
+    label = f"{EFFECTS[id].generalises}@{target}."
+    values = {n.removeprefix(label): v for n, v in special.model.values.items() if n.startswith(label)}
+    return EFFECTS[id].grown(values, conditions_at(special.model, EFFECTS[id], target, experiments[k], X))
+
+
+def _overlooked(best: Structure, experiments: Sequence[Experiment], tested: Sequence[Screened]) -> list[Screened]:
+    """Candidates that a few full steps speak for, the most promising first.
+
+    They are those whose first-order gain is negative, which a least-squares step can only be where its linearisation fails.
+    """
+    tested = sorted(tested, key=lambda s: -s.gain)[:MOST_GLIMPSES]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        gains = [gain - best.log_likelihood for gain in pool.map(lambda s: glimpse(s.start, experiments, best), tested)]
+    ranked = sorted(zip(gains, range(len(tested)), strict=True), reverse=True)
+    return [tested[k] for gain, k in ranked[:SECOND_LOOKS] if gain > 2.0]
+
+
+def _is_timing(
+    refitted: Mapping[tuple[str, str], Structure], evidence: Mapping[tuple[str, str], float], experiments: Sequence[Experiment]
+) -> bool:
+    """Whether a shift in time by less than a sample wins, and no physics that would do the same lies close."""
+    close = [key for key, value in evidence.items() if value > -ALIKE]  # the winner, at 0, is among them
+    return all(_within_a_sample(refitted[key], key, experiments) for key in close)
+
+
+def _within_a_sample(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
+    """Whether an effect is a shift in time by less than a sample."""
+    shift = structure.model.values.get(f"{structure.label_of(key)}.{_SHIFTS.get(key[0], '')}", np.inf)
+    return bool(shift < max(e.sample_time for e in experiments))
+
+
+def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiments: Sequence[Experiment]) -> bool:
+    """Whether the effect raises neither the simulation error nor that on data which were not used for the estimation.
+
+    An unmeasured disturbance can let the likelihood win by the fast part of the error alone, while what the user sees grows.
+    """
+    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in better.noises]
+    is_slow = bool(np.nanmax(better.rmse / np.array(innovations)) > SLOW)
+    if not _simulates_no_worse(better, found.best, FALL if is_slow else RISE):
+        return False
+    errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
+    if errors[0] is None or errors[1] is None:
+        return True
+    found.held_out[key] = errors[0], errors[1]
+    return _mean_ratio(errors[1], errors[0]) < RISE
+
+
+def _simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:
+    """Whether the simulation error fell too: noise that is nearly integrated can swallow any slow error."""
+    return _mean_ratio(structure.rmse, before.rmse) < rise
+
+
+def _mean_ratio(after: FloatArray, before: FloatArray) -> float:
+    """Geometric mean over the outputs of the ratio of their errors."""
+    return float(np.exp(np.nanmean(np.log(after / before))))

@@ -1,0 +1,292 @@
+"""Structures: a model with some effects, re-estimated together with the colour of its noise, and how likely the data are then.
+
+Each output's residual v is autoregressive, A(q) v = e, with coefficients of its own *in every structure*: what remains of
+a complete model is its noise, what remains of an incomplete one is noise plus the error, and comparing the likelihood of the
+innovations e compares the two without ever assuming white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate
+
+FloatArray = npt.NDArray[np.float64]
+
+_HARDEST = 1e4
+_DIVERGED = 1e60
+_DONE = 0.02
+"""Stop when a step gains less log-likelihood than this."""
+_OPTIMISM, _CLOSE = 3.0, 20.0
+"""A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """A model re-estimated with coloured noise.
+
+    Attributes
+    ----------
+    model : PhysicalModel
+        With the estimated values.
+    parameters : tuple of str
+        Full names of what was estimated; `std` their standard deviations, shape (q,).
+    initial, substeps : per experiment
+        First states in kernel order; integration steps a sample.
+    residuals : list of array, shapes (blocks, outputs)
+        y − ŷ in the outputs' units, means over the experiments' blocks.
+    noises : tuple
+        Colour of each output's residual.
+    pointwise : array
+        Log-likelihood of each innovation; their sum is `log_likelihood`.
+    rmse : array, shape (outputs,)
+        Root mean square of y − ŷ, every sample counted; NaN for an output that was never measured.
+    at_bound : tuple of str
+    drifting : bool
+        Whether the noise may be integrated.
+    """
+
+    model: PhysicalModel
+    parameters: tuple[str, ...]
+    std: FloatArray
+    initial: list[FloatArray]
+    substeps: tuple[int, ...]
+    residuals: list[FloatArray]
+    noises: Noises
+    pointwise: FloatArray
+    rmse: FloatArray
+    at_bound: tuple[str, ...] = ()
+    drifting: bool = False
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the innovations at the estimate."""
+        return float(self.pointwise.sum())
+
+    @property
+    def samples(self) -> int:
+        """Number of innovations."""
+        return int(self.pointwise.size)
+
+    def label_of(self, key: tuple[str, str]) -> str:
+        """Label of the effect that the candidate (id, target) became in this model."""
+        return next(use.label for use in self.model.effects if (use.id, use.target) == key)
+
+    def penalty(self, base: Structure) -> float:
+        """½ log n for every free parameter more than the base has (Schwarz)."""
+        return 0.5 * (len(self.parameters) - len(base.parameters)) * float(np.log(self.samples))
+
+
+def bounded(values: FloatArray) -> bool:
+    """Finite, and so far from overflow that squares and sums of squares are finite too; a model that is not diverges."""
+    return bool(np.all(np.abs(values) < _DIVERGED))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    p: FloatArray
+    initial: list[FloatArray]
+    residuals: list[FloatArray]
+    by_parameters: list[FloatArray]
+    by_states: list[FloatArray]
+    noises: Noises
+    pointwise: FloatArray
+    rmse: FloatArray
+
+    @property
+    def log_likelihood(self) -> float:
+        return float(self.pointwise.sum())
+
+
+class _Ascent:
+    """Levenberg–Marquardt on the innovations' likelihood, the noise re-estimated at every point."""
+
+    def __init__(
+        self,
+        model: PhysicalModel,
+        experiments: Sequence[Experiment],
+        names: tuple[str, ...],
+        colour: Noises | None,
+        drifting: bool,
+    ):
+        self.simulator, self.experiments, self.names = Simulator(model), list(experiments), names
+        known = model.all_parameters
+        self.lower = np.array([known[name].lower for name in names])
+        self.upper = np.array([known[name].upper for name in names])
+        self.index = self.simulator.columns(names)
+        states = [name for name in model.states if name not in model.initial]
+        self.states = [self.simulator.states.index(name) for name in states]
+        self.slopes = [*names, *(f"initial:{name}" for name in states)]
+        self.colour, self.drifting = colour, drifting
+        self.substeps: tuple[int, ...] = ()
+        self.count = np.sum([np.isfinite(e.Y).sum(axis=0) for e in self.experiments], axis=0)
+
+    def point(self, p: FloatArray, initial: list[FloatArray]) -> _Point | None:
+        """Simulate with derivatives; None when that diverges."""
+        q = len(self.names)
+        if not self.substeps:
+            self.substeps = tuple(self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True))
+        residuals, by_parameters, by_states = [], [], []
+        power = np.zeros(self.count.size)
+        for e, x, s in zip(self.experiments, initial, self.substeps, strict=True):
+            run = self.simulator.run_vectors(e, x, p, slopes=self.slopes, substeps=s)
+            if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
+                return None
+            error, slopes = e.Y - run.Y, e.means(run.dY)
+            power += np.nansum(error**2, axis=0)
+            residuals.append(e.means(error))
+            by_parameters.append(slopes[:, :, :q])
+            by_states.append(slopes[:, :, q:])
+        noises = fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
+        rmse = np.sqrt(power / np.where(self.count > 0, self.count, np.nan))
+        pointwise = pointwise_log_likelihood(residuals, noises)
+        return _Point(p, initial, residuals, by_parameters, by_states, noises, pointwise, rmse)
+
+    def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
+        """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
+        damping = 1e-4
+        for _ in range(iterations):
+            equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
+            if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
+                break
+            before = here
+            while damping < _HARDEST:
+                there = self._trial(here, equations, damping)
+                if there is not None and there.log_likelihood > here.log_likelihood:
+                    here, damping = there, max(damping / 10.0, 1e-9)
+                    break
+                damping *= 8.0
+            if here.log_likelihood - before.log_likelihood < _DONE:
+                break
+        return here
+
+    def _trial(self, here: _Point, equations: NormalEquations, damping: float) -> _Point | None:
+        theta = here.p[self.index]
+        held = np.zeros(len(theta), dtype=bool)
+        for _ in range(len(theta) + 1):
+            step, own = equations.step(damping, held)
+            out = ~held & ((theta <= self.lower) & (step < 0) | (theta >= self.upper) & (step > 0))
+            if not out.any():
+                break
+            held |= out
+        p = here.p.copy()
+        p[self.index] = np.clip(theta + step, self.lower, self.upper)
+        initial = []
+        for x0, z in zip(here.initial, own, strict=True):
+            x = x0.copy()
+            x[self.states] += z
+            initial.append(x)
+        return self.point(p, initial)
+
+
+def fit_structure(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    initial: Sequence[FloatArray],
+    *,
+    free: Sequence[str] | None = None,
+    iterations: int = 30,
+    noises: Noises | None = None,
+    rival: float = -np.inf,
+    second_start: bool = True,
+    drifting: bool = False,
+) -> Structure | None:
+    """Re-estimate a model and the colour of its noise together; None when the model diverges.
+
+    `free` are the parameters to estimate (default: all that the model does not fix), `noises` holds the noise where it is known,
+    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen.
+
+    The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
+    noise as it is with the error mended. The climb therefore begins twice (unless there is to be no `second_start`), at the given
+    point and at the least simulation error from there, and the likelier end is kept.
+    """
+    names = tuple(model.free if free is None else free)
+    ascent = _Ascent(model, experiments, names, noises, drifting)
+    start = _states(initial, len(ascent.simulator.states))
+    first = ascent.point(ascent.simulator.p(), start)
+    found = None if first is None else ascent.climb(first, iterations, rival)
+    if second_start and noises is None:
+        weights = None if found is None else _weights(found.residuals)
+        other = _least_simulation_error(ascent, model, start, weights)
+        if other is not None and found is not None:
+            other = ascent.climb(other, iterations, max(rival, found.log_likelihood))
+        if found is None or (other is not None and other.log_likelihood > found.log_likelihood):
+            found = other
+    if found is None:
+        return None
+    theta = found.p[ascent.index]
+    bound = (theta <= ascent.lower) | (theta >= ascent.upper)
+    equations = NormalEquations.of(found.residuals, found.by_parameters, found.by_states, found.noises)
+    return Structure(
+        model=model.with_values(dict(zip(names, theta.tolist(), strict=True))),
+        parameters=names,
+        std=equations.std(),
+        initial=found.initial,
+        substeps=ascent.substeps,
+        residuals=found.residuals,
+        noises=found.noises,
+        pointwise=found.pointwise,
+        rmse=found.rmse,
+        at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
+        drifting=drifting,
+    )
+
+
+def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Structure) -> float:
+    """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges.
+
+    A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
+    trajectory that the base model gets wrong.
+    """
+    ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
+    start = _states(before.initial, len(ascent.simulator.states))
+    point = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
+    return -np.inf if point is None else point.log_likelihood
+
+
+def _states(initial: Sequence[FloatArray], count: int) -> list[FloatArray]:
+    """Initial states for `count` states: an effect's own begin at zero (its kernel sets them)."""
+    return [np.concatenate([x, np.zeros(max(0, count - len(x)))])[:count] for x in initial]
+
+
+def _weights(residuals: Sequence[FloatArray]) -> FloatArray:
+    """1/RMS of each output's residual; 0 where it was never measured."""
+    stacked = np.concatenate(residuals)
+    square, count = np.nansum(stacked**2, axis=0), np.sum(np.isfinite(stacked), axis=0)
+    return np.where(count > 0, 1.0 / np.sqrt(np.maximum(square, 1e-300) / np.maximum(count, 1)), 0.0)
+
+
+def _least_simulation_error(
+    ascent: _Ascent, model: PhysicalModel, start: list[FloatArray], weights: FloatArray | None, iterations: int = 8
+) -> _Point | None:
+    """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges."""
+    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3)
+    try:
+        plain = estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings)
+    except NotIdentifiable:
+        return None
+    return ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
+
+
+def base_structure(model: PhysicalModel, experiments: Sequence[Experiment]) -> Structure:
+    """The model as it is, its free parameters, initial states and noise colours re-estimated.
+
+    Begins with the simulation error (white noise), whose basin is wide.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    first = estimate(model, experiments, settings=Settings(iterations=15, tolerance=1e-5))
+    structure = fit_structure(first.model, experiments, first.initial, second_start=False)
+    if structure is None:
+        raise NotIdentifiable(f"model {model.name!r}: diverges on its records")
+    return structure

@@ -1,0 +1,115 @@
+"""Linear least squares on whitened residuals: parameters common to all experiments, initial states each experiment's own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.innovations import Noises, likelihood_weights
+
+FloatArray = npt.NDArray[np.float64]
+
+RIDGE = 1e-11
+"""Directions whose scaled curvature is below this fraction of the largest are left alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """H θ = g with each experiment's own unknowns z beside them: cross, own, own_gradient (one an experiment)."""
+
+    H: FloatArray
+    g: FloatArray
+    cross: list[FloatArray]
+    own: list[FloatArray]
+    own_gradient: list[FloatArray]
+
+    @classmethod
+    def of(
+        cls,
+        residuals: Sequence[FloatArray],
+        by_parameters: Sequence[FloatArray],
+        by_states: Sequence[FloatArray],
+        noises: Noises,
+    ) -> NormalEquations:
+        """From residuals (n, outputs) and their derivatives (n, outputs, columns), weighted as t-distributed innovations."""
+        q = by_parameters[0].shape[2]
+        H, g = np.zeros((q, q)), np.zeros(q)
+        cross, own, own_gradient = [], [], []
+        for r, J, Z in zip(residuals, by_parameters, by_states, strict=True):
+            G, b = _gram(r, np.concatenate([J, Z], axis=2), noises)
+            H += G[:q, :q]
+            g += b[:q]
+            cross.append(G[:q, q:])
+            own.append(G[q:, q:])
+            own_gradient.append(b[q:])
+        return cls(H, g, cross, own, own_gradient)
+
+    def step(self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None) -> tuple[FloatArray, list[FloatArray]]:
+        """Damped solution (θ, z of each experiment); `held` parameters stay where they are."""
+        eliminated, H, g = self._eliminated(damping)
+        free = np.ones(len(g), dtype=bool) if held is None else ~held
+        theta = np.zeros(len(g))
+        theta[free] = solve_symmetric(H[np.ix_(free, free)], g[free, None])[:, 0]
+        return theta, [K[:, -1] - K[:, :-1] @ theta for K in eliminated]
+
+    def decrement(self) -> float:
+        """Log-likelihood that the full step promises: ½·(step · gradient)."""
+        theta, own = self.step()
+        return 0.5 * float(theta @ self.g + sum(z @ b for z, b in zip(own, self.own_gradient, strict=True)))
+
+    def information(self) -> FloatArray:
+        """Information on the parameters once the experiments' own unknowns are free, shape (q, q)."""
+        return self._eliminated(0.0)[1]
+
+    def std(self) -> FloatArray:
+        """Standard deviations of the parameters (infinite along directions without information), shape (q,)."""
+        H = self.information()
+        scale = np.sqrt(np.maximum(np.diag(H), 0.0))
+        seen = scale > 0
+        found = np.full(len(scale), np.inf)
+        if seen.any():
+            values, vectors = np.linalg.eigh(H[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen]))
+            flat = values < 1e-9 * values[-1]
+            inverse = np.sum(vectors[:, ~flat] ** 2 / values[~flat], axis=1)
+            inverse[np.any(np.abs(vectors[:, flat]) > 1e-2, axis=1)] = np.inf
+            found[seen] = np.sqrt(inverse) / scale[seen]
+        return found
+
+    def _eliminated(self, damping: float) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+        H, g = self.H + damping * np.diag(np.diag(self.H)), self.g.copy()
+        eliminated = []
+        for X, G, b in zip(self.cross, self.own, self.own_gradient, strict=True):
+            K = solve_symmetric(G + damping * np.diag(np.diag(G)), np.column_stack([X.T, b]))
+            H -= X @ K[:, :-1]
+            g -= X @ K[:, -1]
+            eliminated.append(K)
+        return eliminated, H, g
+
+
+def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, FloatArray]:
+    G, b = np.zeros((J.shape[2], J.shape[2])), np.zeros(J.shape[2])
+    for o, noise in enumerate(noises):
+        if noise is None:
+            continue
+        e = noise.innovations(r[:, o])
+        known = np.isfinite(e)
+        A = noise.innovations(J[:, o])[known]
+        weighted = A * likelihood_weights(e, noise.innovation_variance)[known, None]
+        G += weighted.T @ A
+        b += weighted.T @ e[known]
+    return G, b
+
+
+def solve_symmetric(H: FloatArray, right: FloatArray) -> FloatArray:
+    """H⁻¹ right, scaled to unit diagonal, directions without information left at zero."""
+    if H.shape[0] == 0:
+        return np.zeros((0, right.shape[1]))
+    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    kept = values > RIDGE * max(float(values[-1]), 1e-300)
+    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
+    return np.asarray(((vectors * inverse) @ vectors.T @ (right / scale[:, None])) / scale[:, None])
