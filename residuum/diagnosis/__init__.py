@@ -1,0 +1,1 @@
+"""Model or signal → Finding."""

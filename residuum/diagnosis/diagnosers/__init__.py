@@ -1,0 +1,14 @@
+"""The diagnosers, one file each, by the name that the command line and the interface use."""
+
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.diagnosers.bearing import Bearing
+from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
+
+DIAGNOSERS: dict[str, type[Diagnoser]] = {
+    GateActuator.name: GateActuator,
+    GrippingPliers.name: GrippingPliers,
+    Bearing.name: Bearing,
+    RobustResidual.name: RobustResidual,
+}

@@ -1,0 +1,98 @@
+"""What every diagnoser is: trained on records, scores one window, can be stored."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Self
+
+from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+
+
+class NotTrained(BadInput):
+    """A diagnoser was asked for something that needs a baseline before it was given one."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal a diagnoser reads: its name, unit and meaning; `required` False when it may be absent."""
+
+    name: str
+    unit: str
+    meaning: str
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class Example:
+    """A small, self-made case that the conformance test runs on every diagnoser.
+
+    `training` (with `labels`, one a record, or None when all are healthy) must suffice for `fit`;
+    `healthy` and `faulty` are windows with known truth.
+    """
+
+    training: Sequence[Record]
+    labels: Sequence[str] | None
+    healthy: Sequence[Record]
+    faulty: Sequence[Record]
+
+
+class Diagnoser(ABC):
+    """A trained judge of windows of one machine family.
+
+    `score` never raises on a window that is merely unusable (too short, gap, flat, clipped, wrong rate):
+    that is a `not-assessable` Finding. It raises BadInput only when a required channel is absent or in an
+    incompatible unit. A window across a gap is never judged healthy.
+    """
+
+    name: ClassVar[str]
+    channels: ClassVar[Sequence[Channel]]
+    classes: ClassVar[Sequence[str]]
+
+    @abstractmethod
+    def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
+        """Learn the baseline from records; `labels` is one class name a record (`healthy` or a fault class)."""
+
+    @abstractmethod
+    def score(self, record: Record) -> Finding:
+        """Judge one window."""
+
+    def relearned(self, healthy: Sequence[Record]) -> Self:
+        """A diagnoser of the same settings whose limits come from these healthy records; this one stays as it is.
+
+        What tells fault classes apart is kept where the diagnoser has learned it from labelled records.
+        """
+        return copy.copy(self).fit(healthy)
+
+    @abstractmethod
+    def save(self, path: str | Path) -> None:
+        """Store the trained diagnoser (JSON and arrays, estimators by skops; never pickle)."""
+
+    @classmethod
+    @abstractmethod
+    def load(cls, path: str | Path) -> Self:
+        """The diagnoser stored by `save`; BadInput when the file is not one of this class."""
+
+    @classmethod
+    @abstractmethod
+    def examples(cls) -> Sequence[Example]:
+        """Cases for the conformance test, made here by formula (this package never imports the simulators)."""
+
+    def with_settings(self, **settings: object) -> Self:
+        """The same trained diagnoser with other settings; BadInput for a diagnoser that has none."""
+        if settings:
+            raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}")
+        return self
+
+    def describe(self) -> Mapping[str, object]:
+        """What the interface shows of this diagnoser: name, channels with units, classes."""
+        return {
+            "name": self.name,
+            "channels": [vars(channel) for channel in self.channels],
+            "classes": list(self.classes),
+        }

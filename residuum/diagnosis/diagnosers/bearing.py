@@ -1,0 +1,452 @@
+"""Any rolling bearing, from one accelerometer: fault lines of the envelope, absolute indicators, and a healthy baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.diagnosis.bearing_frequencies import CLASS_OF, BearingFrequencies
+from residuum.diagnosis.bearing_model import faulty_bearing
+from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
+from residuum.diagnosis.fault_lines import LineEvidence, line_evidence
+from residuum.diagnosis.finding import Finding, Verdict
+from residuum.diagnosis.healthy_band import HealthyBand
+from residuum.diagnosis.knocks import without_knocks
+from residuum.diagnosis.long_records import LONGEST, blocks_of, score_in_blocks
+from residuum.diagnosis.octave_bands import octave_edges, octave_rms
+from residuum.diagnosis.order_tracking import angle_from_speed, at_even_angle
+from residuum.diagnosis.sensor_health import changed_gain, suspect, unusable
+from residuum.diagnosis.stored import load_stored, save_stored
+from residuum.diagnosis.vibration_indicators import indicators
+from residuum.diagnosis.vibration_severity import LIMITS, severity
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.record import Record
+from residuum.identification.units import compatible, convert
+
+Array = npt.NDArray[Any]
+SHAPE = ("rms", "kurtosis", "crest")
+PROMINENT = 6.0  # healthy records, real and made, stay below 5.3; see docs/vibration.md
+PROMINENT_BESIDE_A_CHANGE = 4.5
+PROMINENT_WITHOUT_A_CHANGE = 7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
+DEPTH = 0.08  # a line family that modulates the envelope by less is no fault yet, however significant
+IMPULSIVE = 6.0
+_CAGE_LEADS_BY = 1.25
+_BALL_BESIDE_CAGE = (3.5, 0.5)  # deciles and share of the cage's: balls change their load once a turn of the cage
+_WINDOW = 1.0  # s
+_SHORTEST = 1024
+_LEAST_CHANGE: Array = np.array([1.6, 1.6, 1.6])
+_LEAST_CHANGE_OF_BAND = (2.5, 2.0)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
+_FEWEST_WINDOWS = 4
+_STEADY = 0.005  # speed range [-] below which lines are looked for in time, above in angle
+_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Baseline:
+    """Healthy windows: shape indicators, octave bands, and how prominent the fault lines were anyway."""
+
+    sampling_rate: float
+    window: float
+    shape: HealthyBand
+    edges: Array
+    bands: HealthyBand
+    lines: Mapping[str, float]
+
+    def gain(self, measured: _Measured) -> float | None:
+        """The factor of a changed sensitivity; None when the bands do not all agree on one."""
+        names = _band_names(self.edges)
+        healthy = dict(zip(names, np.exp(self.bands.mean), strict=True))
+        return changed_gain([healthy[name] for name in measured.bands], list(measured.bands.values()))
+
+
+class Bearing(Diagnoser):
+    """Names the damaged part of a rolling bearing from any vibration record.
+
+    A line family (BPFI, BPFO, twice BSF, FTF and their harmonics in the squared-envelope spectrum) means a fault when it
+    stands out from control frequencies by `PROMINENT` deciles and modulates the envelope by at least 8 %. Kurtosis above
+    6 without a line is `unknown`. With a baseline, RMS, kurtosis, crest factor and octave-band RMS over one-second
+    windows are also held against healthy prediction limits; a change there lowers the prominence that names a part to 4.5
+    (and is `unknown` when no line reaches it), and its absence raises it to 7.5.
+
+    A speed channel that varies by more than 0.5 % makes the lines be looked for in the angle domain. What points to the
+    sensor (drift, loose mounting, mains hum, another sensitivity than the baseline's) is `not-assessable`, never a fault.
+
+    Fails for: faults without impacts (evenly worn, general roughness) unless a baseline shows them; a stated speed that is
+    wrong by more than 2 %; another source that modulates the vibration within 2 % of a fault frequency.
+
+    Parameters
+    ----------
+    orders : mapping or None
+        `bpfi`, `bpfo`, `bsf`, `ftf` (any of them) as multiples of shaft speed; needs a speed.
+    hertz : mapping or None
+        The same in hertz, and `shaft` if known; instead of `orders`.
+    speed_rpm : float or None
+        Shaft speed; None: from the record's speed channel (its name holds `speed` or `rpm`).
+    channel : str or None
+        The acceleration channel; None: the first one with a unit of acceleration, or an only channel without unit.
+    machine_class : str or None
+        Class of `vibration_severity.LIMITS`; when given, velocity RMS and its zone are part of the evidence.
+    false_alarm : float
+        Probability that a healthy window passes any limit of the baseline, when its logarithms are normal.
+    """
+
+    name: ClassVar[str] = "bearing"
+    channels: ClassVar[Sequence[Channel]] = (
+        Channel("acceleration", "m/s²", "vibration of the bearing's housing; any name"),
+        Channel("speed", "rpm", "shaft speed", required=False),
+    )
+    classes: ClassVar[Sequence[str]] = (*CLASS_OF.values(), "unknown")
+
+    def __init__(
+        self,
+        *,
+        orders: Mapping[str, float] | None = None,
+        hertz: Mapping[str, float] | None = None,
+        speed_rpm: float | None = None,
+        channel: str | None = None,
+        machine_class: str | None = None,
+        false_alarm: float = 1e-5,
+    ) -> None:
+        if orders and hertz:
+            raise BadInput("bearing: orders and hertz are given; must be one of them")
+        if speed_rpm is not None and not 0 < speed_rpm < np.inf:
+            raise BadInput(f"bearing: speed_rpm is {speed_rpm!r}; must be a positive number")
+        if not 0 < false_alarm < 0.5:
+            raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
+        if machine_class is not None and machine_class not in LIMITS:
+            raise BadInput(f"bearing: machine class {machine_class!r} is not known; known are {', '.join(LIMITS)}")
+        if orders:
+            BearingFrequencies.from_orders(orders, 1.0)
+        if hertz:
+            BearingFrequencies.from_hertz(hertz)
+        self.orders, self.hertz = dict(orders or {}), dict(hertz or {})
+        self.speed_rpm, self.channel, self.machine_class, self.false_alarm = speed_rpm, channel, machine_class, false_alarm
+        self._baseline: _Baseline | None = None
+
+    def with_settings(self, **settings: Any) -> Self:
+        """This diagnoser and its baseline with other `orders`, `hertz` or `speed_rpm`; what is not given stays."""
+        if unknown := [name for name in settings if name not in ("orders", "hertz", "speed_rpm")]:
+            raise BadInput(f"bearing: has no setting {unknown[0]!r}; has orders, hertz, speed_rpm")
+        lines = settings.keys() & {"orders", "hertz"}
+        kept = (
+            {"speed_rpm": self.speed_rpm} if lines else {"orders": self.orders, "hertz": self.hertz, "speed_rpm": self.speed_rpm}
+        )
+        other = type(self)(
+            **{**kept, **settings}, channel=self.channel, machine_class=self.machine_class, false_alarm=self.false_alarm
+        )
+        same = (other.orders, other.hertz) == (self.orders, self.hertz)
+        other._baseline = self._baseline if same or self._baseline is None else replace(self._baseline, lines={})
+        return other
+
+    def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
+        """Learn what is healthy, from one-second windows of the records; records with another label are left out.
+
+        Raises NotIdentifiable when they hold fewer than 4 windows, BadInput when they differ in rate or cannot be used.
+        """
+        if labels is not None and len(labels) != len(records):
+            raise BadInput(f"bearing: {len(records)} records but {len(labels)} labels; must be one each")
+        healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
+        rates = {round(record.sampling_rate, 3) for record in healthy}
+        if len(rates) != 1:
+            raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate")
+        healthy = [block for record in healthy for block in blocks_of(record)]
+        signals = [self._acceleration(record)[0] for record in healthy]
+        for record, x in zip(healthy, signals, strict=True):
+            if reason := unusable(x, _SHORTEST):
+                raise BadInput(f"bearing: record {record.source!r} cannot be trained on: {reason}")
+        rate, frequencies = healthy[0].sampling_rate, self._frequencies(healthy[0])
+        signals = [without_knocks(x, rate, _slowest(frequencies))[0] for x in signals]
+        window = min(_WINDOW, *(record.duration for record in healthy))
+        edges = octave_edges(rate, window)
+        parts = [part for x in signals for part in _windows(x, rate, window)]
+        if len(parts) < _FEWEST_WINDOWS:
+            raise NotIdentifiable(f"bearing: {len(parts)} healthy windows of {window:g} s; at least {_FEWEST_WINDOWS} are needed")
+        shape = HealthyBand.of([_shape(part) for part in parts])
+        bands = HealthyBand.of([octave_rms(part, rate, edges) for part in parts])
+        found = [line_evidence(part, rate, frequencies) for part in (*parts, *signals)] if frequencies else []
+        lines = {
+            name: max(evidence[name].prominence for evidence in found if name in evidence) for name in sorted(set().union(*found))
+        }
+        self._baseline = _Baseline(rate, window, shape, edges, bands, lines)
+        return self
+
+    def score(self, record: Record) -> Finding:
+        """Judge one record: its fault lines over the whole of it, its indicators as medians over windows.
+
+        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of the whole.
+        """
+        if record.n > LONGEST:
+            return score_in_blocks(self.name, self.score, record)
+        x, unit = self._acceleration(record)
+        if reason := unusable(x, _SHORTEST):
+            return Finding.not_assessable(self.name, reason)
+        frequencies = self._frequencies(record)
+        x, knocks = without_knocks(x, record.sampling_rate, _slowest(frequencies))
+        if reason := suspect(x, record.sampling_rate, frequencies.shaft if frequencies else None):
+            return Finding.not_assessable(self.name, reason)
+        measured = _Measured.of(x, record.sampling_rate, self._baseline)
+        if self._baseline and (gain := self._baseline.gain(measured)):
+            return Finding.not_assessable(
+                self.name, f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
+            )
+        try:
+            evidence = line_evidence(self._at_steady_speed(record, x), record.sampling_rate, frequencies) if frequencies else {}
+            zone = severity(x, record.sampling_rate, self.machine_class) if self.machine_class else None
+        except BadInput as error:
+            return Finding.not_assessable(self.name, str(error))
+        if frequencies and not evidence and self._baseline is None:
+            return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
+        more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
+        return self._judge(measured, evidence, unit, more)
+
+    def _judge(self, measured: _Measured, lines: Mapping[str, LineEvidence], unit: str, more: dict[str, Any]) -> Finding:
+        limits = self._limits(measured)
+        values = dict(zip(SHAPE, map(float, measured.shape), strict=True)) | measured.bands
+        changed = [name for name in limits if values[name] > limits[name]]
+        prominences = {f"prominence_{name}": line.prominence for name, line in lines.items()}
+        line_limits = {f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines}
+        named = _named(lines, line_limits)
+        worst = max(
+            [values[name] / limits[name] for name in limits]
+            + [line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH) for name, line in lines.items()]
+        )
+        faulty = bool(named or changed)
+        return Finding(
+            self.name,
+            Verdict.FAULTY if faulty else Verdict.HEALTHY,
+            (CLASS_OF[named] if named else "unknown") if faulty else None,
+            {**values, **prominences, "severity": worst},
+            {**limits, **line_limits, "severity": 1.0},
+            {name: unit for name in values if name.startswith("rms")},
+            {
+                "lines": {name: vars(line) for name, line in lines.items()},
+                "changed": changed,
+                "baseline": self._baseline is not None,
+                **more,
+            },
+            _says(named, lines, changed, values, limits) if faulty else None,
+        )
+
+    def _limits(self, measured: _Measured) -> dict[str, float]:
+        baseline = self._baseline
+        if baseline is None:
+            return {"kurtosis": IMPULSIVE}
+        share = self.false_alarm / (len(SHAPE) + len(measured.bands))
+        limits: dict[str, float] = {}
+        if measured.comparable:
+            limits = dict(zip(SHAPE, map(float, baseline.shape.upper(share, _LEAST_CHANGE)), strict=True))
+        least = np.where(baseline.edges[:-1] >= 1000, _LEAST_CHANGE_OF_BAND[1], _LEAST_CHANGE_OF_BAND[0])
+        upper = dict(zip(_band_names(baseline.edges), map(float, baseline.bands.upper(share, least)), strict=True))
+        return limits | {name: upper[name] for name in measured.bands} or {"kurtosis": IMPULSIVE}
+
+    def _line_limit(self, name: str, changed: bool) -> float:
+        if changed or self._baseline is None:
+            limit = PROMINENT_BESIDE_A_CHANGE if changed else PROMINENT
+        else:
+            limit = PROMINENT_WITHOUT_A_CHANGE
+        return max(limit, 1.3 * (self._baseline.lines.get(name, 0.0) if self._baseline else 0.0))
+
+    def _acceleration(self, record: Record) -> tuple[Array, str]:
+        """The vibration in m/s² (or without unit), float32 kept."""
+        name = self.channel or next((name for name in record.names if compatible(record.units[name], "m/s²")), None)
+        if name is None and len(record.names) == 1 and compatible(record.units[record.names[0]], ""):
+            name = record.names[0]
+        if name is None:
+            raise BadInput(
+                f"bearing: record {record.source!r} has no channel with a unit of acceleration (give one: "
+                f"unit {record.names[0]}=g); has {dict(record.units)}"
+            )
+        unit = record.units[name]
+        if compatible(unit, ""):
+            return record[name], ""
+        gain = float(convert(1.0, unit, "m/s²", what=f"channel {name!r}"))
+        return record[name] if gain == 1.0 else record[name] * record[name].dtype.type(gain), "m/s²"
+
+    def _frequencies(self, record: Record) -> BearingFrequencies | None:
+        speed = self.speed_rpm or _speed_of(record)
+        if self.hertz:
+            return BearingFrequencies.from_hertz(self.hertz, speed / 60 if speed else None)
+        if not self.orders:
+            return None
+        if not speed:
+            raise BadInput("bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel")
+        return BearingFrequencies.from_orders(self.orders, speed / 60)
+
+    def _at_steady_speed(self, record: Record, x: Array) -> Array:
+        """The signal as if the shaft had turned at its mean speed, when a speed channel says that it did not."""
+        name = None if self.speed_rpm or self.hertz else _speed_channel(record)
+        if name is None:
+            return x
+        speed = np.abs(record.in_unit(name, "rpm"))
+        if np.isnan(speed).any() or np.ptp(speed) <= _STEADY * float(np.median(speed)):
+            return x
+        return at_even_angle(
+            x, angle_from_speed(speed, record.sampling_rate), 60 * record.sampling_rate / float(np.median(speed))
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Store the baseline and the bearing's frequencies."""
+        baseline = self._baseline
+        if baseline is None:
+            raise NotTrained("bearing: has no baseline to store; train it on healthy records first")
+        meta = {
+            "orders": self.orders,
+            "hertz": self.hertz,
+            "speed_rpm": self.speed_rpm,
+            "channel": self.channel,
+            "machine_class": self.machine_class,
+            "false_alarm": self.false_alarm,
+            "baseline": {
+                "sampling_rate": baseline.sampling_rate,
+                "window": baseline.window,
+                "n": baseline.shape.n,
+                "lines": dict(baseline.lines),
+            },
+        }
+        arrays = {
+            "shape_mean": baseline.shape.mean,
+            "shape_scatter": baseline.shape.scatter,
+            "edges": baseline.edges,
+            "bands_mean": baseline.bands.mean,
+            "bands_scatter": baseline.bands.scatter,
+        }
+        save_stored(path, self.name, _VERSION, meta, arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The diagnoser that `save` stored."""
+        stored = load_stored(path, cls.name)
+        meta, a = dict(stored.meta), stored.arrays
+        try:
+            b = meta.pop("baseline")
+            diagnoser = cls(**meta)
+            diagnoser._baseline = _Baseline(
+                b["sampling_rate"],
+                b["window"],
+                HealthyBand(a["shape_mean"], a["shape_scatter"], b["n"]),
+                a["edges"],
+                HealthyBand(a["bands_mean"], a["bands_scatter"], b["n"]),
+                b["lines"],
+            )
+        except (KeyError, TypeError) as error:
+            raise BadInput(f"{path}: is not a complete bearing baseline: {error}") from None
+        return diagnoser
+
+    @classmethod
+    def examples(cls) -> Sequence[Example]:
+        """A deep-groove bearing at 30 Hz, 12 kHz: noise and shaft harmonics, with impacts of an inner- or outer-race fault."""
+        training = [_example_record(None, seed=1, seconds=8.0)]
+        healthy = [_example_record(None, seed=seed) for seed in (2, 3)]
+        faulty = [_example_record("bpfi", seed=4), _example_record("bpfo", seed=5)]
+        return (Example(training, None, healthy, faulty),)
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Indicators of a record: medians over windows; `comparable` when rate (and so bandwidth) is the baseline's."""
+
+    shape: Array
+    bands: dict[str, float]
+    comparable: bool
+
+    @classmethod
+    def of(cls, x: Array, rate: float, baseline: _Baseline | None) -> _Measured:
+        parts = _windows(x, rate, baseline.window if baseline else _WINDOW)
+        shape = np.median([_shape(part) for part in parts], axis=0)
+        if baseline is None:
+            return cls(shape, {}, comparable=False)
+        comparable = abs(rate / baseline.sampling_rate - 1) < 0.005
+        top = rate / 2 if comparable else 0.4 * min(rate, baseline.sampling_rate)  # below both recorders' own filters
+        bands = np.median([octave_rms(part, rate, baseline.edges) for part in parts], axis=0)
+        usable = baseline.edges[1:] <= top * (1 + 1e-6) if not comparable else np.ones(bands.shape, dtype=bool)
+        names = _band_names(baseline.edges)
+        return cls(shape, {name: float(value) for name, value, use in zip(names, bands, usable, strict=True) if use}, comparable)
+
+
+def _windows(x: Array, rate: float, window: float) -> list[Array]:
+    """Whole windows of `window` seconds; the record itself when it is shorter than one."""
+    n = round(window * rate)
+    return [x[start : start + n] for start in range(0, x.shape[0] - n + 1, n)] or [x]
+
+
+def _shape(x: Array) -> list[float]:
+    found = indicators(x - x.mean())
+    return [found.rms, found.kurtosis, found.crest]
+
+
+def _band_names(edges: Array) -> list[str]:
+    return [f"rms_{low:.4g}_{high:.4g}_hz" for low, high in pairwise(edges)]
+
+
+def _named(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> str | None:
+    """The family that stands out most; the cage only when it does so by a quarter, and no ball does so half as much.
+
+    A damaged ball passes the load once a turn of the cage, which puts the cage's line beside its own. The cage's harmonics in
+    turn meet the others' lines: BPFO = N FTF.
+    """
+    over = {
+        name: line.prominence
+        for name, line in lines.items()
+        if line.prominence > limits[f"prominence_{name}"] and line.depth >= DEPTH
+    }
+    named = max(over, key=lambda name: over[name] / (_CAGE_LEADS_BY if name == "ftf" else 1.0), default=None)
+    if named == "ftf" and "bsf" in lines and lines["bsf"].depth >= DEPTH:
+        least, share = _BALL_BESIDE_CAGE
+        return "bsf" if lines["bsf"].prominence >= max(least, share * over["ftf"]) else "ftf"
+    return named
+
+
+def _says(
+    named: str | None,
+    lines: Mapping[str, LineEvidence],
+    changed: list[str],
+    values: Mapping[str, float],
+    limits: Mapping[str, float],
+) -> str:
+    parts = []
+    if named:
+        line = lines[named]
+        parts.append(
+            f"the envelope of {line.low:.0f}–{line.high:.0f} Hz is modulated by {100 * line.depth:.0f} % at {line.frequency:.1f} "
+            f"Hz and its harmonics ({named.upper()}: {line.expected:.1f} Hz), {line.prominence:.1f} deciles above the control "
+            "frequencies"
+        )
+    if changed:
+        worst = max(changed, key=lambda name: values[name] / limits[name])
+        parts.append(f"{worst} is {values[worst]:.3g} against a limit of {limits[worst]:.3g}")
+    return "; ".join(parts)
+
+
+def _slowest(frequencies: BearingFrequencies | None) -> float | None:
+    return min(frequencies.lines.values()) if frequencies else None
+
+
+def _speed_channel(record: Record) -> str | None:
+    names = [name for name in record.names if any(word in name.lower() for word in ("speed", "rpm"))]
+    return next((name for name in names if compatible(record.units[name], "rpm")), None)
+
+
+def _speed_of(record: Record) -> float | None:
+    """Median of the record's speed channel [rpm]; None when it has none, or it stands still."""
+    name = _speed_channel(record)
+    if name is None:
+        return None
+    speed = np.abs(record.in_unit(name, "rpm"))
+    known = speed[~np.isnan(speed)]
+    return float(np.median(known)) or None if known.size else None
+
+
+def _example_record(fault: Any, seed: int, seconds: float = 2.0) -> Record:
+    rate, shaft = 12000.0, 30.0
+    orders = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}
+    n = round(seconds * rate)
+    x = faulty_bearing(n, rate, shaft, orders, fault, snr_db=3.0, seed=seed)
+    return Record(
+        {"acceleration": x, "speed": np.full(n, 60 * shaft)}, {"acceleration": "m/s²", "speed": "rpm"}, 1 / rate, source="example"
+    )

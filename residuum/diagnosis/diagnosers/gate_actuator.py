@@ -1,0 +1,313 @@
+"""Gate actuator: tooth faults of nylon gear, pinion and rack from the motor's own signals, movement by movement."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from residuum.diagnosis.actuator_model import ActuatorConstants
+from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
+from residuum.diagnosis.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
+from residuum.diagnosis.finding import Finding, Verdict
+from residuum.diagnosis.gate_baseline import GateBaseline, Judgement, TrainingMovement
+from residuum.diagnosis.gate_examples import example_records
+from residuum.diagnosis.movement_assessability import unusable_movement, unusable_record
+from residuum.diagnosis.movement_features import MovementFeatures, movement_features
+from residuum.diagnosis.movements import Movement, cut_movements
+from residuum.diagnosis.operating_events import Happened, event_of_profile
+from residuum.diagnosis.position_domain import average_profile
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.record import Record
+
+_SPELLINGS = {
+    HEALTHY: HEALTHY,
+    **dict.fromkeys((PINION_OR_GEAR, "pinion", "gear", "nylon-gear", "pinion-tooth", "gear-notch"), PINION_OR_GEAR),
+    **dict.fromkeys((RACK, "rack-tooth"), RACK),
+}
+_UNITS = {"F1": "mm/s", "F2": "mm/s", "low_peak": "rad/s", "low_rms": "rad/s", "high_peak": "rad/s", "level": "rad/s"}
+_SHOWN_SPECTRUM = 10.0  # Hz
+_SHOWN_ORDERS = 50
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """One movement with what was said of it: a reason why not, or features and a judgement."""
+
+    movement: Movement
+    reason: str | None = None
+    happened: Happened | None = None
+    features: MovementFeatures | None = None
+    judgement: Judgement | None = None
+
+
+class GateActuator(Diagnoser):
+    """The model-based scheme of the source (chapter 7), with features in shaft angle beside its F₁ and F₂.
+
+    Each movement (opening or closing) is cut out by the phase; the model (7.2), (7.4) is adapted to it, its output error
+    (7.5) is evaluated at flat voltage. The source's path is the reference and is reported beside: band-pass 0.5–10 Hz,
+    envelope, θ(f), F₁ and F₂ at the fault frequency of the *measured* speed, linear support vector machine.
+
+    The verdict holds features of the typical shaft turn (gear: a matched filter for a notch; pinion) and of single pulses (rack)
+    against limits from healthy movements; whether the turn or one place alone passes its limit names the class. A gear that
+    was trained healthy is recognised by its tooth errors, and only what is new in its turn is held against a lower limit.
+    Trained on labelled faults too, a logistic regression on all features gives probabilities, and `unknown` for what fits no
+    class.
+
+    A movement that was cut short, stopped, pushed, or ran through a supply sag is `not-assessable`, named in
+    `evidence["event"]`. docs/gate_actuator.md has what was measured on exemplars never seen. Fails when the fault lies
+    where the gate only ramps (its first and last decimetres); a notch hides in the tooth errors of a gear that was never
+    seen healthy.
+
+    Parameters
+    ----------
+    constants : ActuatorConstants
+        Data sheet of the actuator; tooth numbers set the fault frequency.
+
+    References
+    ----------
+    N. Valceschini, Data-Driven Robust Control and Diagnosis, chapter 7, (7.1)–(7.6).
+    """
+
+    name: ClassVar[str] = "gate-actuator"
+    channels: ClassVar[Sequence[Channel]] = (
+        Channel("speed", "rad/s", "motor speed ω_M"),
+        Channel("voltage", "V", "motor voltage V"),
+        Channel("current", "A", "motor current i", required=False),
+        Channel("phase", "", "0 pause, 1 opening, 2 closing; without it the sign of the voltage tells", required=False),
+    )
+    classes: ClassVar[Sequence[str]] = (PINION_OR_GEAR, RACK, UNKNOWN)
+
+    def __init__(self, *, constants: ActuatorConstants | None = None) -> None:
+        self.constants = constants or ActuatorConstants()
+        self._baseline: GateBaseline | None = None
+
+    def fit(
+        self, records: Sequence[Record], labels: Sequence[str] | None = None, exemplars: Sequence[object] | None = None
+    ) -> Self:
+        """Learn from labelled movements.
+
+        Parameters
+        ----------
+        records : sequence of Record
+            One or more movements each; what `score` would not assess is left out.
+        labels : sequence of str or None
+            One a record: healthy, pinion-or-gear, rack (or the part's name); None: all healthy.
+        exemplars : sequence or None
+            Which actuator each record comes from, so that alarm limits hold for one never seen; None: each record its own.
+
+        Raises
+        ------
+        BadInput
+            Unknown label, unequal lengths, records of different rates.
+        NotIdentifiable
+            Fewer than three movements of a class.
+        """
+        names = _labels(records, labels)
+        groups = list(range(len(records))) if exemplars is None else list(exemplars)
+        if len(groups) != len(records):
+            raise BadInput(f"gate-actuator: {len(records)} records but {len(groups)} exemplars; must be one each")
+        rate = float(np.median([record.sampling_rate for record in records]))
+        training: list[TrainingMovement] = []
+        for record, label, group in zip(records, names, groups, strict=True):
+            if reason := unusable_record(record, rate):
+                raise BadInput(f"gate-actuator: record {record.source!r} cannot be trained on: {reason}")
+            for movement in cut_movements(record):
+                left_out = self._unusable(movement, 0.0)
+                if left_out is None:
+                    features = movement_features(movement, self.constants)
+                    training.append(TrainingMovement(features, label, group, float(movement.motor_angle[-1])))
+                elif not training and record is records[-1]:
+                    raise NotIdentifiable(f"gate-actuator: no movement can be trained on; the last one: {left_out.reason}")
+        self._baseline = GateBaseline.of(training, self.constants, rate)
+        return self
+
+    def relearned(self, healthy: Sequence[Record]) -> Self:
+        """The same classifier, with limits from these healthy movements, whose gear is known from now on."""
+        fresh = super().relearned(healthy)
+        if self._baseline is not None and fresh._baseline is not None:
+            fresh._baseline = fresh._baseline.after(self._baseline)
+        return fresh
+
+    def score(self, record: Record) -> Finding:
+        """Judge every movement in the record; the finding is that of the first faulty one, else of the last."""
+        if self._baseline is None:
+            raise NotTrained("gate-actuator: has not been trained; train it on healthy movements first")
+        for name in ("speed", "voltage"):
+            record.in_unit(name, "rad/s" if name == "speed" else "V")
+        if reason := unusable_record(record, self._baseline.rate):
+            return Finding.not_assessable(self.name, reason)
+        movements = cut_movements(record)
+        if not movements:
+            return Finding.not_assessable(self.name, f"no movement in {record.duration:.4g} s: the phase is 0 throughout")
+        scored = [self._score_movement(self._baseline, movement) for movement in movements]
+        judged = [one for one in scored if one.judgement is not None]
+        if not judged:
+            return _not_assessed(scored)
+        worst = next((one for one in judged if _judgement(one).fault_class is not None), judged[-1])
+        return self._finding(self._baseline, worst, scored)
+
+    def _unusable(self, movement: Movement, shortest_travel: float) -> _Scored | None:
+        driven = np.max(movement.speed) > 0 and np.max(movement.voltage) > 0
+        if driven and (happened := event_of_profile(movement, shortest_travel)):
+            return _Scored(movement, happened.says, happened)
+        reason = unusable_movement(movement, self.constants)
+        return _Scored(movement, reason) if reason else None
+
+    def _score_movement(self, baseline: GateBaseline, movement: Movement) -> _Scored:
+        if unusable := self._unusable(movement, baseline.shortest_travel):
+            return unusable
+        try:
+            features = movement_features(movement, self.constants)
+        except NotIdentifiable as error:
+            return _Scored(movement, str(error))
+        if happened := baseline.pushed(features):
+            return _Scored(movement, happened.says, happened, features)
+        return _Scored(movement, None, None, features, baseline.judge(features))
+
+    def _finding(self, baseline: GateBaseline, one: _Scored, scored: Sequence[_Scored]) -> Finding:
+        features, judgement = one.features, _judgement(one)
+        if features is None:
+            raise NotTrained("gate-actuator: a judged movement has features")
+        known = baseline.known(features)
+        indicators = baseline.indicators(features, known) | {"fault_frequency": features.fault_frequency}
+        limits = baseline.feature_limits(known)
+        if judgement.isolation is not None:
+            indicators["fault_probability"] = judgement.isolation.fault_probability
+        verdict = Verdict.HEALTHY if judgement.fault_class is None else Verdict.FAULTY
+        return Finding(
+            self.name,
+            verdict,
+            judgement.fault_class,
+            indicators,
+            limits,
+            _UNITS | {"fault_frequency": "Hz"},
+            _evidence(baseline, one, features, scored) | {"known_gear": known is not None},
+            _sentence(one, features, judgement),
+        )
+
+    @property
+    def baseline(self) -> GateBaseline:
+        """What was learned; NotTrained before `fit`."""
+        if self._baseline is None:
+            raise NotTrained("gate-actuator: has not been trained; train it on healthy movements first")
+        return self._baseline
+
+    def save(self, path: str | Path) -> None:
+        """Store the trained diagnoser."""
+        if self._baseline is None:
+            raise NotTrained("gate-actuator: has not been trained; there is nothing to save")
+        self._baseline.save(path, self.name)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The diagnoser stored by `save`."""
+        baseline = GateBaseline.load(path, cls.name)
+        loaded = cls(constants=baseline.constants)
+        loaded._baseline = baseline
+        return loaded
+
+    @classmethod
+    def examples(cls) -> Sequence[Example]:
+        """Made-up movements: trained with all classes, and on healthy ones alone."""
+        healthy, gear, rack = (example_records(fault, 8, seed) for fault, seed in (("healthy", 0), ("gear", 100), ("rack", 200)))
+        unseen = example_records("healthy", 2, 50)
+        faulty = example_records("gear", 1, 150) + example_records("rack", 1, 250)
+        labels = [HEALTHY] * 8 + [PINION_OR_GEAR] * 8 + [RACK] * 8
+        return (
+            Example([*healthy, *gear, *rack], labels, unseen, faulty),
+            Example(healthy, None, unseen, faulty),
+        )
+
+
+def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str]:
+    given = [HEALTHY] * len(records) if labels is None else list(labels)
+    if not records or len(given) != len(records):
+        raise BadInput(f"gate-actuator: {len(records)} records and {len(given)} labels; must be one each, at least one")
+    if unknown := [label for label in given if label not in _SPELLINGS]:
+        raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; known are {', '.join(_SPELLINGS)}")
+    return [_SPELLINGS[label] for label in given]
+
+
+def _judgement(one: _Scored) -> Judgement:
+    if one.judgement is None:
+        raise NotTrained("gate-actuator: the movement was not judged")
+    return one.judgement
+
+
+def _not_assessed(scored: Sequence[_Scored]) -> Finding:
+    first = next((one for one in scored if one.happened), scored[0])
+    evidence: dict[str, Any] = {"movements": [_summary(one) for one in scored]}
+    if first.happened is not None:
+        evidence["event"] = first.happened.event.value
+    return Finding.not_assessable(GateActuator.name, f"{first.movement.direction}: {first.reason}", **evidence)
+
+
+def _evidence(baseline: GateBaseline, one: _Scored, features: MovementFeatures, scored: Sequence[_Scored]) -> dict[str, Any]:
+    judgement = _judgement(one)
+    shown = features.spectrum.frequency <= _SHOWN_SPECTRUM
+    fine = max(1, round(features.spectrum.resolution / (4 * features.spectrum.frequency[1])))
+    model = features.model
+    evidence: dict[str, Any] = {
+        "direction": one.movement.direction.value,
+        "motor_speed": features.motor_speed,
+        "turns": features.turns,
+        "model": {"gain": model.gain, "time_constant": model.time_constant, "delay": model.delay, "load": list(model.load)},
+        "pulse_position": features.pulse_position,
+        "envelope_spectrum": {
+            "frequency": features.spectrum.frequency[shown][::fine],
+            "modulus": features.spectrum.modulus[shown][::fine],
+        },
+        "orders": features.pattern.orders()[: _SHOWN_ORDERS + 1],
+        "movements": [_summary(each) for each in scored],
+        "over_the_way": _over_the_way(scored),
+        "healthy_movements_trained": baseline.features.n,
+    }
+    if judgement.isolation is not None:
+        evidence |= {"probabilities": dict(judgement.isolation.probabilities), "distances": dict(judgement.isolation.distances)}
+    if judgement.likely_part is not None:
+        evidence["likely_part"] = judgement.likely_part
+    if baseline.source is not None:
+        reference = baseline.source
+        evidence["source_class"] = str(reference.predict(features.source_vector()[None])[0])
+        evidence["source_decision"] = np.ravel(reference.decision_function(features.source_vector()[None]))
+    return evidence
+
+
+def _over_the_way(scored: Sequence[_Scored]) -> dict[str, Any]:
+    """The pulse statistic by place of the gate, averaged over all movements that were assessed, both ways."""
+    average = average_profile([one.features.profile for one in scored if one.features is not None])
+    return {"place": average.place, "contrast": average.contrast, "statistic": average.statistic}
+
+
+def _summary(one: _Scored) -> dict[str, Any]:
+    said = one.judgement.fault_class or HEALTHY if one.judgement else "not-assessable"
+    event = one.happened.event.value if one.happened else None
+    return {
+        "direction": one.movement.direction.value,
+        "start": one.movement.start * one.movement.sample_time,
+        "class": said,
+        "event": event,
+    }
+
+
+def _sentence(one: _Scored, features: MovementFeatures, judgement: Judgement) -> str:
+    where = f"{one.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm, {features.turns} turns of the shaft"
+    values = features.values
+    if judgement.fault_class == PINION_OR_GEAR:
+        return (
+            f"{where}: the load changes once a turn ({features.fault_frequency:.2f} Hz) by up to {values['low_peak']:.1f} rad/s, "
+            f"F1 = {values['F1']:.2f} mm/s"
+        )
+    if judgement.fault_class == RACK:
+        return (
+            f"{where}: one pulse of {values['single_pulse']:.0f} standard deviations at {100 * features.pulse_position:.0f} % of "
+            "the way, not repeated once a turn"
+        )
+    if judgement.fault_class == UNKNOWN:
+        return f"{where}: unlike healthy movements and unlike every fault that was trained"
+    pulse = f"largest pulse {values['single_pulse']:.1f} standard deviations"
+    return f"{where}: F1 = {values['F1']:.2f} mm/s, {pulse}, as in healthy movements"

@@ -1,0 +1,96 @@
+"""Finding: what a diagnoser says of one window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+
+class Verdict(StrEnum):
+    """The three things that can be said of a window."""
+
+    HEALTHY = "healthy"
+    FAULTY = "faulty"
+    NOT_ASSESSABLE = "not-assessable"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Verdict on one window with the numbers it rests on.
+
+    Parameters
+    ----------
+    diagnoser : str
+        Name in the catalogue of diagnosers.
+    verdict : Verdict
+        `not-assessable` is a verdict, not an error: `reason` then says why, in one sentence.
+    fault_class : str or None
+        The kind of fault, where the diagnoser tells kinds apart.
+    indicators, thresholds : mapping of name to number
+        An indicator with a threshold of the same name is judged by it.
+    units : mapping of name to unit
+        Unit of each indicator (absent = dimensionless).
+    evidence : mapping
+        JSON-able material a person can check: band, frequency, samples, baseline size, probabilities.
+    reason : str or None
+        One sentence with the numbers: why this verdict.
+
+    Raises
+    ------
+    ValueError
+        `not-assessable` without a reason, or `healthy` with a fault class.
+    """
+
+    diagnoser: str
+    verdict: Verdict
+    fault_class: str | None = None
+    indicators: Mapping[str, float] = field(default_factory=dict)
+    thresholds: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    reason: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "verdict", Verdict(self.verdict))
+        if self.verdict is Verdict.NOT_ASSESSABLE and not self.reason:
+            raise ValueError("Finding, reason: a not-assessable finding must say why")
+        if self.verdict is Verdict.HEALTHY and self.fault_class is not None:
+            raise ValueError("Finding, fault_class: a healthy finding has none")
+
+    @classmethod
+    def not_assessable(cls, diagnoser: str, reason: str, **evidence: Any) -> Finding:
+        """The finding for a window that cannot be judged, with the sentence that says why."""
+        return cls(diagnoser, Verdict.NOT_ASSESSABLE, evidence=evidence, reason=reason)
+
+    def to_json(self) -> dict[str, Any]:
+        """The finding as plain JSON values (the `score` object of the command line and the HTTP interface)."""
+        return {
+            "diagnoser": self.diagnoser,
+            "verdict": self.verdict.value,
+            "class": self.fault_class,
+            "indicators": _plain(self.indicators),
+            "thresholds": _plain(self.thresholds),
+            "units": dict(self.units),
+            "evidence": _plain(self.evidence),
+            "reason": self.reason,
+        }
+
+
+def _plain(value: Any) -> Any:
+    """JSON values only: arrays become lists, NumPy numbers Python ones, non-finite numbers null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,366 @@
+"""Generalised likelihood ratio over windows: offset, ramp, gain and power of a whitened residual, model error allowed for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+
+from residuum.diagnosis.false_alarm_rate import cusum_rate, scan_rate
+from residuum.diagnosis.residual_generator import BoolArray, ResidualSignals
+from residuum.diagnosis.state_space import FloatArray
+from residuum.identification.errors import BadInput
+
+LONGEST_WINDOW = 1024
+KINDS = ("none", "offset", "gain", "power", "ramp")
+_SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
+_SHORTEST_POWER = 8  # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an offset
+_REFERENCE = 0.5  # k of the CUSUM: best for an offset of one standard deviation
+_HEAD_START = 2.7  # A, nats: two fifths of a sample sooner at one deviation, a twentieth later at two, than equal shares
+_STEP, _RAMP, _TEMPLATE = 0, 1, 2
+_EPOCH = 65536  # samples after which time is counted anew
+_SHARE = (0.66, 0.09)
+_LAZY = 3.0  # a CUSUM below this many standard deviations need not know the model error exactly
+
+
+class BankOutput(NamedTuple):
+    """Per sample: the largest standardised statistic, what alarmed (index into `KINDS`, 0 = nothing) and its window [samples]."""
+
+    statistic: FloatArray
+    kind: npt.NDArray[np.int64]
+    window: npt.NDArray[np.int64]
+
+    @property
+    def alarm(self) -> BoolArray:
+        """Samples at which an alarm was given."""
+        return np.asarray(self.kind > 0)
+
+
+def window_lengths(longest: int = LONGEST_WINDOW) -> npt.NDArray[np.int64]:
+    """1, 2, 3, 4, 6, 8, 12, … samples: steps of about √2, so that some window is nearly as long as any fault has lasted."""
+    powers = 2 ** np.arange(int(np.log2(longest)) + 1)
+    lengths = np.union1d(powers, 3 * powers // 2)
+    return np.asarray(lengths[lengths <= longest], dtype=np.int64)
+
+
+@cache
+def bank_threshold(rate: float, longest: int = LONGEST_WINDOW) -> float:
+    """b of a bank that alarms `rate` times per sample of independent standard normal scores.
+
+    Windows, templates and CUSUM often cross together: of the sum of their own rates, what the whole bank alarms is a share
+    that grows with b, 0.66 at b = 4 and 0.74 at 4.9 (measured over 17·10⁶ samples at six levels, 10⁻³ … 10⁻⁶ a sample).
+    """
+    windows = window_lengths(longest).tolist()
+    long = [length for length in windows if length >= _SHORTEST_POWER]
+    scans = [(2, windows), (2, [length for length in windows if length >= _SHORTEST_GAIN]), (1, long), (2, long)]
+
+    def excess(b: float) -> float:
+        scanned = sum(sides * scan_rate(b, lengths) for sides, lengths in scans if lengths)
+        alone = scanned + cusum_rate(max(b * b / 2.0 - _HEAD_START, 0.0), _REFERENCE)
+        return float(np.log(min(_SHARE[0] + _SHARE[1] * (b - 4.0), 1.0) * alone / rate))
+
+    return float(optimize.brentq(excess, 1.0, 30.0)) if excess(1.0) > 0 else 1.0
+
+
+class LikelihoodRatioBank:
+    """Scans normal scores s(t) for a lasting offset, a ramp, a lost gain and a rise of power, over windows of many lengths.
+
+    For a window of ℓ samples and a template p (1 for an offset, 1 … ℓ for a ramp, the whitened prediction for a gain),
+
+        z = Σ s p / √(Σ p² + wᵀ Σ_g w),   w = Σ p(t) φ(t),
+
+    is standard normal while healthy: φ(t) is the whitened input at the model's lags and Σ_g the covariance of the identified
+    impulse response, so the second term is exactly what the model's own uncertainty adds for the input that was applied.
+    z²/2 is the log likelihood ratio of a fault of unknown size in that window (Willsky and Jones, 1976), the largest over
+    the windows that of a fault of unknown onset. Beside the windows runs a two-sided CUSUM g with reference ½, the log
+    likelihood ratio of an offset of just one standard deviation: it need not guess size and onset, so it may alarm at
+    A = 2.7 nats less, and it counts as z = √(2 (g + A)); g, too, is lowered by what the model error may add. The power scan
+    compares Σ s² with χ²_ℓ by the cube-root normal of Wilson and Hilferty. An alarm is z > b; after it windows and CUSUM
+    start empty again.
+
+    The rate of alarms of healthy, independent scores is set through `bank_threshold`. It fails (too many alarms) when
+    scores are not independent: a noise colour that changed, or a model with structured error.
+
+    Parameters
+    ----------
+    rate : float
+        False alarms per sample.
+    covariance : array, shape (m, m)
+        Σ_g [(output unit / input unit)²].
+    delay : int
+        Lag of the first coefficient.
+    longest : int
+        Longest window [samples].
+    threshold : float or None
+        b, when it comes from elsewhere (calibration); then `rate` is not used.
+    restart : bool
+        Whether the windows start empty after an alarm; False gives the undisturbed statistic.
+    """
+
+    def __init__(
+        self,
+        rate: float,
+        covariance: FloatArray,
+        delay: int,
+        longest: int = LONGEST_WINDOW,
+        *,
+        threshold: float | None = None,
+        restart: bool = True,
+    ) -> None:
+        if longest < 1:
+            raise BadInput(f"likelihood-ratio bank, longest: is {longest}; must be at least one sample")
+        self.windows = window_lengths(longest)
+        self.b = bank_threshold(rate, longest) if threshold is None else float(threshold)
+        self.delay = delay
+        self.restart = restart
+        self.covariance: FloatArray = np.ascontiguousarray(covariance, dtype=float)
+        self._root = _root(self.covariance)
+        self._power_quantile = _upper_mean_square(self.covariance, self.b)
+        self._ring = int(self.windows[-1]) + 1
+        self._memory = self._ring + len(self.covariance) + delay
+        self.reset()
+
+    def reset(self) -> None:
+        """Empty all windows and forget the input."""
+        self._sums: FloatArray = np.zeros((5, self._ring))  # running Σ s, Σ s p, Σ p², Σ s², Σ τ s
+        self._past: FloatArray = np.zeros((2, self._memory))  # p and the whitened input
+        self._cusum: FloatArray = np.zeros((2, 2))  # up, down: the sum, and the samples since it was zero
+        self._counts = np.zeros(2, dtype=np.int64)  # samples in the windows, samples in the memory
+
+    def process(self, signals: ResidualSignals) -> BankOutput:
+        """Scan the next block; samples that are not valid empty the windows."""
+        n = len(signals.scores)
+        output = BankOutput(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64))
+        _scan(
+            signals.scores, signals.gain_template, signals.white_input, signals.valid, self.windows, self.b,
+            self._root, self.delay, self._power_quantile, self.restart, self._sums, self._past, self._cusum, self._counts,
+            *output,
+        )  # fmt: skip
+        return output
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Everything the scan remembers."""
+        return {
+            "sums": self._sums.copy(), "past": self._past.copy(), "cusum": self._cusum.copy(), "counts": self._counts.copy()
+        }  # fmt: skip
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Continue from a saved `state`; BadInput when it is of another bank."""
+        if state.keys() != self.state.keys() or any(np.shape(state[name]) != np.shape(mine) for name, mine in self.state.items()):
+            raise BadInput("likelihood-ratio bank: the saved state is of another bank")
+        self._sums = np.array(state["sums"], dtype=float)
+        self._past = np.array(state["past"], dtype=float)
+        self._cusum = np.array(state["cusum"], dtype=float)
+        self._counts = np.array(state["counts"], dtype=np.int64)
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Rows of Bᵀ with Σ_g = B Bᵀ, largest first, shape (r, m); what makes up less than 10⁻⁶ of the trace is left out."""
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    eigenvalues = np.maximum(eigenvalues[::-1], 0.0)
+    left = np.cumsum(eigenvalues[::-1])[::-1]
+    kept = left > 1e-6 * left[0] if left[0] > 0 else np.zeros(len(left), dtype=bool)
+    kept[0] = True
+    return np.ascontiguousarray((vectors[:, ::-1][:, kept] * np.sqrt(eigenvalues[kept])).T)
+
+
+def _upper_mean_square(covariance: FloatArray, b: float) -> float:
+    """How far δᵀ A δ may exceed its mean at the b-sigma level, δ being the model error with this covariance."""
+    trace, square = float(np.trace(covariance)), float(np.sum(covariance**2))
+    if trace <= 0.0:
+        return 0.0
+    spread = 2.0 * square / (9.0 * trace**2)
+    return float((1.0 - spread + b * np.sqrt(spread)) ** 3)
+
+
+@numba.njit(cache=True)
+def _model_error(template, white_input, now, count, delay, root, enough, shape):  # type: ignore[no-untyped-def]
+    """‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
+
+    `shape` says whether the fault is a step, a ramp or the template; for a step w follows from lag to lag by one sample that
+    enters and one that leaves.
+    """
+    r, m = root.shape
+    size = len(white_input)
+    past = np.empty(count + m)
+    for i in range(count + m):
+        past[i] = white_input[(now - delay - count - m + 1 + i) % size]
+    w = np.zeros(m)
+    if shape == _STEP:
+        for i in range(count):
+            w[0] += past[m + i]
+        for k in range(1, m):
+            w[k] = w[k - 1] + past[m - k] - past[m - k + count]
+    else:
+        for i in range(count):
+            p = i + 1.0 if shape == _RAMP else template[(now - count + 1 + i) % size]
+            for k in range(m):
+                w[k] += p * past[m + i - k]
+    total = 0.0
+    for j in range(r):  # the largest directions first, so that it is soon enough
+        part = 0.0
+        for k in range(m):
+            part += root[j, k] * w[k]
+        total += part * part
+        if total > enough:
+            break
+    return total
+
+
+@numba.njit(cache=True)
+def _mean_square(white_input, now, count, delay, root):  # type: ignore[no-untyped-def]
+    """Mean of φᵀ Σ_g φ over (at most eight points of) the window."""
+    points, size = min(count, 8), len(white_input)
+    total = 0.0
+    for point in range(points):
+        at = now - (point * count) // points - delay
+        for j in range(root.shape[0]):
+            part = 0.0
+            for k in range(root.shape[1]):
+                part += root[j, k] * white_input[(at - k) % size]
+            total += part * part
+    return total / points
+
+
+@numba.njit(cache=True)
+def _move_origin(sums, here, ring):  # type: ignore[no-untyped-def]
+    """Count τ of Σ τ s from here on again, and Σ s from its value here: only differences matter, and they keep their digits."""
+    for slot in range(ring):
+        sums[4, slot] -= _EPOCH * sums[0, slot]
+    for row in range(5):
+        level = sums[row, here]
+        for slot in range(ring):
+            sums[row, slot] -= level
+
+
+@numba.njit(cache=True)
+def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass over the samples, kept in one loop for speed
+    scores,
+    template,
+    white_input,
+    valid,
+    windows,
+    b,
+    root,
+    delay,
+    quantile,
+    restart,
+    sums,
+    past,
+    both_sums,
+    counts,
+    statistic,
+    kind,
+    window,
+) -> None:
+    ring, size, square, number = sums.shape[1], past.shape[1], b * b, len(windows)
+    spread = np.empty(number)
+    power_limit = np.empty(number)
+    ramp_energy = np.empty(number)
+    for i in range(number):
+        length = float(windows[i])
+        spread[i] = 2.0 / (9.0 * length)
+        power_limit[i] = length * (1.0 - spread[i] + b * np.sqrt(spread[i])) ** 3
+        ramp_energy[i] = length * (length + 1.0) * (2.0 * length + 1.0) / 6.0
+    for t in range(len(scores)):
+        now = counts[1] % size
+        past[0, now], past[1, now] = template[t], white_input[t]
+        counts[1] += 1
+        if not valid[t]:
+            counts[0] = 0
+            sums[:, 0] = 0.0
+            both_sums[:] = 0.0
+            continue
+        n, s, p = counts[0] + 1, scores[t], template[t]
+        here, before, local = n % ring, (n - 1) % ring, (n - 1) % _EPOCH + 1
+        sums[0, here] = sums[0, before] + s
+        sums[1, here] = sums[1, before] + s * p
+        sums[2, here] = sums[2, before] + p * p
+        sums[3, here] = sums[3, before] + s * s
+        sums[4, here] = sums[4, before] + local * s
+        counts[0] = n
+        sum_s, sum_sp, sum_pp, sum_ss, sum_ts = sums[0, here], sums[1, here], sums[2, here], sums[3, here], sums[4, here]
+        largest = 0.0
+        for i in range(number):
+            length = windows[i]
+            if length > n:
+                break
+            start = here - length
+            if start < 0:
+                start += ring
+            offset = sum_s - sums[0, start]
+            z2 = offset * offset / length
+            # The model error only lowers z, so it is worked out for the rare windows that would alarm without it.
+            if z2 > largest:
+                if z2 > square:
+                    enough = offset * offset / square - length
+                    z2 = offset * offset / (length + _model_error(past[0], past[1], now, length, delay, root, enough, _STEP))
+                if z2 > largest:
+                    largest = z2
+                    if z2 > square:
+                        kind[t], window[t] = 1, length
+            if length < _SHORTEST_GAIN:
+                continue
+            energy = sum_pp - sums[2, start]
+            matched = sum_sp - sums[1, start]
+            if matched * matched > largest * energy and energy > 0.0:
+                z2 = matched * matched / energy
+                if z2 > square:
+                    enough = matched * matched / square - energy
+                    error = _model_error(past[0], past[1], now, length, delay, root, enough, _TEMPLATE)
+                    z2 = matched * matched / (energy + error)
+                if z2 > largest:
+                    largest = z2
+                    if z2 > square:
+                        kind[t], window[t] = 2, length
+            if length < _SHORTEST_POWER:
+                continue
+            ramp = sum_ts - sums[4, start] - (local - length) * offset
+            if ramp * ramp > largest * ramp_energy[i]:
+                z2 = ramp * ramp / ramp_energy[i]
+                if z2 > square:
+                    enough = ramp * ramp / square - ramp_energy[i]
+                    error = _model_error(past[0], past[1], now, length, delay, root, enough, _RAMP)
+                    z2 = ramp * ramp / (ramp_energy[i] + error)
+                if z2 > largest:
+                    largest = z2
+                    if z2 > square:
+                        kind[t], window[t] = 4, length
+            power = sum_ss - sums[3, start]
+            if power > power_limit[i]:
+                power /= length * (1.0 + quantile * _mean_square(past[1], now, length, delay, root))
+                z = (power ** (1.0 / 3.0) - 1.0 + spread[i]) / np.sqrt(spread[i])
+                if z > 0.0 and z * z > largest:
+                    largest = z * z
+                    if z > b:
+                        kind[t], window[t] = 3, length
+        for side in range(2):
+            g = max(0.0, both_sums[side, 0] + (s if side == 0 else -s) - _REFERENCE)
+            length = int(both_sums[side, 1]) + 1 if g > 0.0 else 0
+            if length >= ring:  # as old as the longest window: what has not shown by now is no step of this size
+                g, length = 0.0, 0
+            both_sums[side, 0], both_sums[side, 1] = g, length
+            z2 = 2.0 * (g + _HEAD_START) if g > 0.0 else 0.0
+            if z2 > max(square, _LAZY**2):
+                offset = g + _REFERENCE * length
+                least = 0.5 * square - _HEAD_START + _REFERENCE * length
+                enough = length * (offset * offset / (least * least) - 1.0)
+                error = _model_error(past[0], past[1], now, length, delay, root, enough, _STEP)
+                z2 = 2.0 * (offset * np.sqrt(length / (length + error)) - _REFERENCE * length + _HEAD_START)
+            if z2 > largest:
+                largest = z2
+                if z2 > square:
+                    kind[t], window[t] = 1, length
+        statistic[t] = np.sqrt(largest)
+        if local == _EPOCH:
+            _move_origin(sums, here, ring)
+        if restart and kind[t] > 0:
+            counts[0] = 0
+            sums[:, 0] = 0.0
+            both_sums[:] = 0.0

@@ -1,0 +1,157 @@
+"""Noise model of a healthy residual: its colour (AR), its size σ and its tails (Gaussian or Student t)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import linalg, optimize, signal, special, stats
+
+from residuum.diagnosis.state_space import FloatArray
+from residuum.identification.errors import BadInput
+
+_HIGHEST_ORDER = 20
+_FEWEST = 50
+_LIGHTEST_TAILS = 200.0  # degrees of freedom from which a Student t is called Gaussian
+_TABLE = np.arcsinh(np.logspace(-3, 9, 400))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """e(t) + a₁ e(t−1) + … + a_p e(t−p) = σ ε(t), with ε independent, of unit scale and symmetric.
+
+    Parameters
+    ----------
+    ar : array, shape (p + 1,)
+        Whitening filter 1, a₁, …, a_p.
+    sigma : float
+        σ [unit of the residual]: standard deviation of the innovation for Gaussian noise, scale of Student's t otherwise.
+    dof : float
+        Degrees of freedom of Student's t; infinite for Gaussian noise.
+    n : int
+        Healthy samples it was fitted on; 0 when taken from an identified model.
+    """
+
+    ar: FloatArray
+    sigma: float
+    dof: float = float("inf")
+    n: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ar", np.ascontiguousarray(self.ar, dtype=float))
+        if not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise BadInput(f"noise model, sigma: is {self.sigma!r}; must be positive (is the residual constant?)")
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether the tails are Gaussian."""
+        return bool(np.isinf(self.dof))
+
+    @property
+    def innovation_std(self) -> float:
+        """Standard deviation of σ ε (of a Student t with dof ≤ 2, which has none, its scale)."""
+        return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if 2 < self.dof < np.inf else self.sigma
+
+    def output_std(self, post_filter: FloatArray) -> float:
+        """Standard deviation of the noise after a filter with this impulse response [unit of the residual times its gain]."""
+        coloured = signal.lfilter([1.0], self.ar, np.concatenate([post_filter, np.zeros(max(1000, len(post_filter)))]))
+        return self.innovation_std * float(np.linalg.norm(coloured))
+
+    def whiten(self, e: npt.ArrayLike) -> FloatArray:
+        """ε, shape (n,); the first p samples lack their past and are NaN."""
+        e = np.asarray(e, dtype=float)
+        white = np.convolve(e, self.ar)[: len(e)] / self.sigma
+        white[: len(self.ar) - 1] = np.nan
+        return white
+
+    def normal_scores(self, epsilon: FloatArray) -> FloatArray:
+        """Φ⁻¹(F(ε)): standard normal when ε follows the model, so that Gaussian thresholds hold with heavy tails too."""
+        if self.is_gaussian:
+            return epsilon
+        knots, scores = score_table(self.dof)
+        return np.asarray(np.sign(epsilon) * np.interp(np.arcsinh(np.abs(epsilon)), knots, scores))
+
+
+def score_table(dof: float) -> tuple[FloatArray, FloatArray]:
+    """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
+    epsilon = np.sinh(_TABLE)
+    log_tail = np.maximum(stats.t.logsf(epsilon, dof), np.log(stats.t.sf(0.0, dof)) - 1e4)
+    scores = -special.ndtri_exp(np.minimum(log_tail, np.log(0.5)))
+    return np.concatenate([[0.0], _TABLE]), np.concatenate([[0.0], scores])
+
+
+def fit_noise_model(residuals: Sequence[npt.ArrayLike], *, highest_order: int = _HIGHEST_ORDER) -> NoiseModel:
+    """Noise model of healthy residuals, one array an experiment; NaN marks samples that are missing.
+
+    AR order by BIC over least-squares fits up to `highest_order`; tails by maximum likelihood of Student's t, kept
+    only where its BIC beats the Gaussian's.
+
+    Raises
+    ------
+    BadInput
+        Fewer than 50 usable samples in a row, or a residual that does not vary.
+
+    Examples
+    --------
+    >>> e = signal.lfilter([1.0], [1.0, -0.6], np.random.default_rng(1).standard_normal(5000))
+    >>> model = fit_noise_model([e])
+    >>> len(model.ar) - 1, round(float(model.ar[1]), 1), model.is_gaussian
+    (1, -0.6, True)
+    """
+    stretches = [stretch for residual in residuals for stretch in _unbroken(np.asarray(residual, dtype=float))]
+    stretches = [stretch for stretch in stretches if len(stretch) >= _FEWEST]
+    if not stretches:
+        raise BadInput(f"noise model: no stretch of {_FEWEST} healthy residual samples without a gap; record more")
+    n = sum(map(len, stretches))
+    if max(float(np.ptp(stretch)) for stretch in stretches) == 0.0:
+        raise BadInput("noise model: the healthy residual does not vary; a noise size cannot be taken from it")
+    ar = _autoregression(stretches, min(highest_order, n // 20))
+    p = len(ar) - 1
+    innovations = np.concatenate([np.convolve(stretch, ar)[p : len(stretch)] for stretch in stretches])
+    sigma, dof = _tails(innovations)
+    return NoiseModel(ar, sigma, dof, n)
+
+
+def _unbroken(residual: FloatArray) -> list[FloatArray]:
+    good = np.isfinite(residual)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    return [residual[start:stop] for start, stop in edges.reshape(-1, 2)]
+
+
+def _autoregression(stretches: list[FloatArray], highest_order: int) -> FloatArray:
+    """Least-squares AR of each order on the same rows, the order by BIC; an unstable fit is passed over."""
+    lagged = np.concatenate([np.lib.stride_tricks.sliding_window_view(s, highest_order + 1)[:, ::-1] for s in stretches])
+    n = len(lagged)
+    gram = lagged.T @ lagged
+    best, least = np.ones(1), n * np.log(gram[0, 0] / n)
+    for p in range(1, highest_order + 1):
+        a = -linalg.solve(gram[1 : p + 1, 1 : p + 1], gram[1 : p + 1, 0], assume_a="sym")
+        power = gram[0, 0] + a @ gram[1 : p + 1, 0]
+        bic = n * np.log(max(power, np.finfo(float).tiny) / n) + p * np.log(n)
+        polynomial = np.concatenate([[1.0], a])
+        if bic < least and np.all(np.abs(np.roots(polynomial)) < 1.0):
+            best, least = polynomial, bic
+    return best
+
+
+def _tails(innovations: FloatArray) -> tuple[float, float]:
+    """σ and degrees of freedom."""
+    sigma = float(np.sqrt(np.mean(innovations**2)))
+    x = innovations / sigma
+
+    def cost(parameters: FloatArray) -> float:
+        scale, dof = np.exp(parameters)
+        constant = special.gammaln((dof + 1) / 2) - special.gammaln(dof / 2) - 0.5 * np.log(dof * np.pi) - parameters[0]
+        return -float(len(x) * constant - (dof + 1) / 2 * np.sum(np.log1p((x / scale) ** 2 / dof)))
+
+    start = np.log([float(np.median(np.abs(x))) / 0.75 + 1e-3, 6.0])
+    sparse = x if len(x) <= 20000 else x[:: len(x) // 20000]
+    x, weight = sparse, len(x) / len(sparse)
+    fitted = optimize.minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-2, "maxiter": 200})
+    gaussian = 0.5 * float(np.sum(x**2) + len(x) * np.log(2 * np.pi))
+    scale, dof = np.exp(fitted.x)
+    if dof > _LIGHTEST_TAILS or weight * (gaussian - fitted.fun) < 0.5 * np.log(weight * len(x)):
+        return sigma, float("inf")
+    return sigma * float(scale), float(dof)
