@@ -1,0 +1,1 @@
+"""From identified models to a controller with a guarantee."""

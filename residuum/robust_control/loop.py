@@ -1,0 +1,241 @@
+"""The mixed-sensitivity cost of a loop on a frequency grid, with its gradient, and the stability of the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.schur import is_schur
+from residuum.identification.transfer_function import TransferFunction
+from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+Plant = TransferFunction | MeasuredPlant
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """|W_S|, |W_T| and, when the control effort counts, |W_K| on the grid, shape (k,); the cost needs no more than magnitudes.
+
+    `entries` is the norm taken across the entries at each frequency: "2" for ‖[W_S S; W_T T; W_K K S]‖∞ (2.1), "1" for
+    |W_S S| + |W_T T| (+ |W_K K S|), which is the robust-performance condition (2.33), (2.37b).
+    """
+
+    W_S: FloatArray
+    W_T: FloatArray
+    entries: str = "2"
+    W_K: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.entries not in ("1", "2"):
+            raise BadInput(f"Weights, entries: is {self.entries!r}; must be '1' or '2'")
+        for name in ("W_S", "W_T") if self.W_K is None else ("W_S", "W_T", "W_K"):
+            values = np.abs(np.asarray(getattr(self, name)))
+            if values.ndim != 1 or not np.isfinite(values).all():
+                raise BadInput(f"Weights, {name}: must be finite magnitudes on the grid")
+            object.__setattr__(self, name, values)
+
+    def between(self, position: FloatArray) -> Weights:
+        """The weights at positions between the points of the grid, linear in the logarithms."""
+        steps = np.arange(len(self.W_S))
+
+        def at(magnitude: FloatArray) -> FloatArray:
+            return np.asarray(np.exp(np.interp(position, steps, np.log(np.maximum(magnitude, 1e-300)))))
+
+        return Weights(at(self.W_S), at(self.W_T), self.entries, None if self.W_K is None else at(self.W_K))
+
+
+class Loop:
+    """One or more plants under one controller.
+
+    Parameters
+    ----------
+    plants : sequence of TransferFunction or MeasuredPlant
+        Discrete-time, one sample time.
+    omega : array, shape (k,)
+        Frequencies [rad/s], increasing, up to π/Ts.
+
+    Raises
+    ------
+    BadInput
+        No plant, continuous time, different sample times, a grid beyond Nyquist.
+    """
+
+    def __init__(self, plants: Sequence[Plant], omega: npt.ArrayLike) -> None:
+        if not plants:
+            raise BadInput("Loop, plants: none was given")
+        steps = {plant.sample_time for plant in plants}
+        if len(steps) != 1 or None in steps:
+            raise BadInput(f"Loop, plants: have sample times {sorted(map(str, steps))}; all must be discrete-time and equal")
+        self.plants = tuple(plants)
+        self.sample_time = float(plants[0].sample_time or 0.0)
+        self.omega = np.asarray(omega, dtype=float)
+        if self.omega.ndim != 1 or np.any(np.diff(self.omega) <= 0) or self.omega[-1] > np.pi / self.sample_time * (1 + 1e-9):
+            raise BadInput(f"Loop, omega: must increase up to at most π/Ts = {np.pi / self.sample_time:.6g} rad/s")
+        self.z = np.exp(1j * self.omega * self.sample_time)
+        self._powers: dict[int, ComplexArray] = {}
+        self.stabilising: dict[object, list[tuple[FloatArray, FloatArray]]] = {}  # per structure, once found
+        self.G = np.array([plant.frequency_response(self.omega) for plant in plants])
+
+    def part_of_finer(self, kept: npt.NDArray[np.intp]) -> Loop:
+        """The loop on some points of its finer grid; nothing is computed anew, and it refines to the same grid."""
+        fine, position = self.finer
+        part = object.__new__(Loop)
+        part.plants, part.sample_time, part._powers = self.plants, self.sample_time, {}
+        part.stabilising = self.stabilising
+        part.omega, part.z, part.G = fine.omega[kept], fine.z[kept], fine.G[:, kept]
+        part.__dict__["finer"] = (fine, np.interp(position, position[kept], np.arange(len(kept))))
+        return part
+
+    @cached_property
+    def finer(self) -> tuple[Loop, FloatArray]:
+        """(the loop on a grid 20 times as fine, positions of its points in this grid)."""
+        steps = np.arange(len(self.omega))
+        position = np.linspace(0, steps[-1], 20 * int(steps[-1]) + 1)
+        omega = np.exp(np.interp(position, steps, np.log(self.omega)))
+        omega[-1] = self.omega[-1]
+        return Loop(self.plants, omega), position
+
+    @cached_property
+    def plants_are_stable(self) -> bool:
+        """Whether no plant has a pole on or outside the unit circle; measured plants as they were declared."""
+        return all(
+            plant.unstable_poles == plant.integrators == 0
+            if isinstance(plant, MeasuredPlant)
+            else bool(np.abs(plant.poles).max(initial=0.0) < 1.0 - 1e-9)
+            for plant in self.plants
+        )
+
+    @cached_property
+    def gain_and_time_constant(self) -> tuple[float, float]:
+        """Mean static gain, and the time constant [s] of the slowest half-power frequency of the plants."""
+        gain = float(np.mean(self.G[:, 0].real)) or 1.0
+        below = np.abs(self.G) < np.abs(self.G[:, :1]) / np.sqrt(2)
+        corner = [self.omega[np.argmax(row)] if row.any() else self.omega[-1] for row in below]
+        return gain, 1.0 / float(min(corner))
+
+    def controller_response(self, num: FloatArray, den: FloatArray) -> ComplexArray:
+        """K = num/den (descending powers of z) on the grid."""
+        size = max(len(num), len(den))
+        if size not in self._powers:
+            self._powers[size] = np.vander(self.z, size)
+        powers = self._powers[size]
+        return np.asarray((powers[:, size - len(num) :] @ num) / (powers[:, size - len(den) :] @ den))
+
+    def cost(self, K: ComplexArray, weights: Weights) -> FloatArray:
+        """The weighted cost at every plant and frequency, shape (plants, k)."""
+        L = self.G * K
+        squares = [weights.W_S**2, weights.W_T**2 * _square(L)]
+        if weights.W_K is not None:
+            squares.append(weights.W_K**2 * _square(K))
+        L += 1.0
+        if weights.entries == "1":
+            return np.asarray(sum(np.sqrt(square) for square in squares) / np.abs(L))
+        return np.asarray(np.sqrt(sum(squares) / _square(L)))
+
+    def slopes(
+        self, K: ComplexArray, dK: ComplexArray, weights: Weights, at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
+    ) -> tuple[FloatArray, FloatArray]:
+        """(cost, ∂cost/∂ρ) at chosen (plant, frequency) pairs, shapes (c,) and (c, parameters), from K and ∂K/∂ρ there.
+
+        With S = 1/(1 + GK): dS = −S² G dK = −dT, d(KS) = S² dK, and d|X| = Re(X̄ dX)/|X|.
+        """
+        plant, k = at
+        G = self.G[plant, k]
+        S = 1.0 / (1.0 + G * K)
+        square = S * S
+        turn = square * G
+        X = [weights.W_S[k] * S, weights.W_T[k] * (1.0 - S)]
+        dX = [-weights.W_S[k] * turn, weights.W_T[k] * turn]
+        if weights.W_K is not None:
+            X.append(weights.W_K[k] * K * S)
+            dX.append(weights.W_K[k] * square)
+        sizes = [np.abs(x) for x in X]
+        if weights.entries == "2":
+            value = np.sqrt(sum(size * size for size in sizes))
+            factor = sum(x.conj() * dx for x, dx in zip(X, dX, strict=True)) / np.maximum(value, 1e-300)
+        else:
+            value = np.asarray(sum(sizes))
+            factor = sum(x.conj() * dx / np.maximum(size, 1e-300) for x, dx, size in zip(X, dX, sizes, strict=True))
+        return value, (factor[:, None] * dK).real
+
+    def is_stable(self, controller: TransferFunction) -> bool:
+        """Whether every closed loop has all its poles inside the unit circle (no hidden cancellation allowed)."""
+        return self.stabilised_by(controller.num, controller.den)
+
+    def stabilised_by(self, num: FloatArray, den: FloatArray) -> bool:
+        """The same for the controller num/den (descending powers of z): Schur–Cohn; measured plants by Nyquist."""
+        return all(
+            self._turns_right(k, num, den)
+            if isinstance(plant, MeasuredPlant)
+            else is_schur(_sum(np.convolve(plant.den, den), np.convolve(plant.num, num)))
+            for k, plant in enumerate(self.plants)
+        )
+
+    def is_certainly_stable(self, controller: TransferFunction) -> bool:
+        """The same from the closed-loop roots themselves, for the final word; measured plants by Nyquist's criterion."""
+        return all(
+            self._turns_right(k, controller.num, controller.den)
+            if isinstance(plant, MeasuredPlant)
+            else bool(np.all(np.abs(np.roots(characteristic(plant, controller))) < 1.0))
+            for k, plant in enumerate(self.plants)
+        )
+
+    def _turns_right(self, k: int, num: FloatArray, den: FloatArray) -> bool:
+        plant = self.plants[k]
+        if not isinstance(plant, MeasuredPlant):
+            raise TypeError("only a measured plant is judged by Nyquist's criterion")
+        poles = np.roots(den)
+        integrators = int(np.sum(np.abs(poles - 1.0) < 1e-6))
+        outside = int(np.sum(np.abs(poles) > 1.0)) if not integrators else int(np.sum(np.abs(poles) > 1.0 + 1e-6))
+        L = self.G[k] * self.controller_response(num, den)
+        found = closed_loop_unstable_poles(L, plant.unstable_poles + outside, plant.integrators + integrators)
+        return found == 0
+
+
+def frequency_grid(plants: Sequence[Plant], *, points: int = 600, lowest: float | None = None) -> FloatArray:
+    """Frequencies [rad/s] for a design: logarithmic up to π/Ts, and dense about every lightly damped pole and zero.
+
+    Between two points of an even grid a resonance can hide whose peak decides the norm. When plants were measured, their
+    common frequencies are the grid.
+    """
+    measured = [plant for plant in plants if isinstance(plant, MeasuredPlant)]
+    if measured:
+        grid = np.unique(np.concatenate([plant.omega for plant in measured]))
+        low, high = max(plant.omega[0] for plant in measured), min(plant.omega[-1] for plant in measured)
+        return np.asarray(grid[(grid >= low) & (grid <= high)])
+    sample_time = float(plants[0].sample_time or 0.0)
+    nyquist = np.pi / sample_time
+    grids = [np.geomspace(lowest if lowest is not None else nyquist / 10**5.5, nyquist, points)]
+    for plant in plants:
+        if isinstance(plant, MeasuredPlant):
+            continue
+        for root in np.concatenate([plant.poles, plant.zeros]):
+            if root.imag > 0 and 0.9 < abs(root) < 1.1:
+                centre, width = np.angle(root) / sample_time, abs(np.log(abs(root))) / sample_time + 1e-6 * nyquist
+                grids.append(centre + width * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]))
+    whole = np.unique(np.concatenate(grids))
+    return np.asarray(whole[(whole >= grids[0][0]) & (whole <= nyquist)])
+
+
+def _square(X: ComplexArray) -> FloatArray:
+    return np.asarray(X.real**2 + X.imag**2)
+
+
+def characteristic(plant: TransferFunction, controller: TransferFunction) -> FloatArray:
+    """Closed-loop characteristic polynomial den_G den_K + num_G num_K."""
+    return _sum(np.convolve(plant.den, controller.den), np.convolve(plant.num, controller.num))
+
+
+def _sum(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Of two polynomials, descending powers."""
+    long, short = (a, b) if len(a) >= len(b) else (b, a)
+    total = long.astype(float)
+    total[len(long) - len(short) :] += short
+    return total

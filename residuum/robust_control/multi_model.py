@@ -1,0 +1,64 @@
+"""Several operating points as one uncertain system: average model and overall weight (Algorithm 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.identified_model import IdentifiedModel
+from residuum.identification.magnitude_fit import fit_magnitude
+from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.uncertainty import chernoff_samples
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:
+    """The plant in the middle: one model's own, or the mean impulse response of several, as an FIR system.
+
+    An experiment that joins the configurations identifies this same mean (footnote 3 of chapter 3 of the source).
+
+    Raises BadInput for no model or different sample times.
+    """
+    if not models:
+        raise BadInput("average plant: no identified model was given")
+    steps = {model.sample_time for model in models}
+    if len(steps) > 1:
+        raise BadInput(f"average plant: models have sample times {sorted(steps)}; all must be equal")
+    if len(models) == 1:
+        return models[0].transfer_function()
+    length = max(model.delay + model.order for model in models)
+    mean = np.zeros(length)
+    for model in models:
+        mean[model.delay : model.delay + model.order] += model.impulse_response / len(models)
+    return TransferFunction(mean, np.r_[1.0, np.zeros(length - 1)], models[0].sample_time)
+
+
+def overall_uncertainty(
+    models: Sequence[IdentifiedModel],
+    average: TransferFunction,
+    omega: FloatArray,
+    *,
+    n_samples: int | None = None,
+    order: int | None = 2,
+    seed: int = 0,
+) -> tuple[TransferFunction, FloatArray]:
+    """(Ŵ_T(z), Ω): a weight above the largest relative error of random plants of every model, (3.2).
+
+    Parameters
+    ----------
+    n_samples : int or None
+        Random plants in all, shared equally; None: (2.24) at ε = ζ = 0.05, 738.
+    """
+    each = int(np.ceil((n_samples or chernoff_samples(0.05, 0.95)) / len(models)))
+    nominal = average.frequency_response(omega)
+    if np.any(np.abs(nominal) < 1e-12 * np.abs(nominal).max()):
+        raise BadInput("overall uncertainty: the average plant has a zero on the grid, where a relative error means nothing")
+    largest = np.zeros(len(omega))
+    for number, model in enumerate(models):
+        drawn = model.sample_frequency_responses(each, omega, np.random.default_rng([seed, number]))
+        largest = np.maximum(largest, np.abs(drawn / nominal - 1.0).max(axis=0))
+    return fit_magnitude(omega, largest, order=order, bound="above", sample_time=float(average.sample_time or 0.0)), largest
