@@ -1,0 +1,33 @@
+"""AlarmRule: when what a machine shows becomes an alarm, and when it no longer is one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class AlarmRule(BaseModel):
+    """Deadband, delays and latch of the alarms of a machine (ANSI/ISA-18.2, clause 10)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    deadband: float = Field(default=0.0, ge=0, lt=1, description="A standing alarm clears below (1 − deadband) · threshold only.")
+    on_delay: float = Field(
+        default=0.0, ge=0, le=86_400, description="Seconds for which a fault must be seen to raise the alarm."
+    )
+    off_delay: float = Field(default=0.0, ge=0, le=86_400, description="Seconds without the fault that clear the alarm.")
+    latch: bool = Field(default=False, description="The alarm stays when its condition goes, until it is acknowledged and reset.")
+
+
+def in_deadband(rule: AlarmRule, indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]) -> bool:
+    """Whether an indicator lies below its threshold τ by less than the deadband d: (1 − d) τ < x ≤ τ.
+
+    >>> in_deadband(AlarmRule(deadband=0.1), {"rms": 0.95}, {"rms": 1.0})
+    True
+    """
+    for name, tau in thresholds.items():
+        x = indicators.get(name)
+        if x is not None and tau is not None and (1.0 - rule.deadband) * tau < x <= tau:
+            return rule.deadband > 0.0
+    return False

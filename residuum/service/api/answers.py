@@ -1,0 +1,196 @@
+"""The shapes of answers, for the OpenAPI document."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, Field
+
+T = TypeVar("T")
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem document."""
+
+    type: str = Field(description="`urn:residuum:problem:…`, one a rule, or `about:blank`.")
+    title: str
+    status: int
+    detail: str = Field(description="One line: what is wrong, where, which rule.")
+
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    "4XX": {"model": Problem, "description": "Refused; nothing was stored.", "content": {"application/problem+json": {}}},
+}
+
+
+class PageOf(BaseModel, Generic[T]):
+    """One page of a list."""
+
+    items: list[T]
+    next_cursor: str | None = Field(description="Ask for the next page with it; null at the end.")
+
+
+class ScoreAnswer(BaseModel):
+    """What a diagnoser says of one window."""
+
+    diagnoser: str
+    verdict: str = Field(description="`healthy`, `faulty` or `not-assessable` (then `reason` says why).")
+    fault_class: str | None = Field(alias="class")
+    indicators: dict[str, float | None]
+    thresholds: dict[str, float | None]
+    units: dict[str, str]
+    evidence: dict[str, Any]
+    reason: str | None
+
+
+class FindingAnswer(ScoreAnswer):
+    """A stored finding."""
+
+    id: int
+    asset: str
+    window: int
+    at: datetime
+
+
+class WindowAnswer(BaseModel):
+    """A stored window without its samples."""
+
+    id: int
+    asset: str
+    received_at: datetime
+    t0: float = Field(description="Time of the first sample [s], the recorder's clock.")
+    sample_time: float = Field(description="Seconds between samples.")
+    n: int
+    units: dict[str, str] = Field(description="Unit by channel.")
+    source: str
+    size_bytes: int
+    signal_let_go_at: datetime | None = Field(description="When the samples were removed by the retention rule; null: kept.")
+
+
+class StoredWindowAnswer(BaseModel):
+    """A window that is on disk, with what was found."""
+
+    window: WindowAnswer
+    finding: FindingAnswer
+
+
+class AssetAnswer(BaseModel):
+    """A machine with its latest finding."""
+
+    id: str
+    title: str
+    diagnoser: str | None
+    created_at: datetime
+    windows: int
+    state: str = Field(description="The latest verdict, or `no-data`.")
+    last_finding: FindingAnswer | None
+
+
+class AlarmAnswer(BaseModel):
+    """An alarm; its states are those of ISA-18.2."""
+
+    id: int
+    asset: str
+    kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
+    state: str
+    condition: bool = Field(description="Whether the latest judged window still shows it.")
+    message: str
+    occurrences: int
+    raised_at: datetime | None
+    cleared_at: datetime | None
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    shelved_until: datetime | None
+    comment: str | None
+    window: int | None
+
+
+class AlarmRatesAnswer(BaseModel):
+    """How often alarms are raised (ANSI/ISA-18.2, clause 16)."""
+
+    last_10_minutes: int
+    last_hour: int
+    last_day: int
+    highest_in_10_minutes: int = Field(description="Most in any ten minutes of the last day.")
+    flood: bool = Field(description="More than ten in the last ten minutes.")
+    flood_share: float = Field(description="Share of the last day's intervals of ten minutes that were floods.")
+    standing: dict[str, int] = Field(description="Alarms in each state.")
+    stale: list[int] = Field(description="Alarms on the list for over a day.")
+    chattering: list[int] = Field(description="Alarms raised three times within a minute.")
+    most_frequent: list[dict[str, Any]] = Field(description="The alarms raised most often in the last day.")
+
+
+class AuditAnswer(BaseModel):
+    """One line of the audit trail."""
+
+    number: int
+    at: datetime
+    by: str | None
+    action: str
+    subject: str
+    detail: dict[str, Any]
+    digest: str = Field(description="SHA-256 over this entry and the digest before it.")
+
+
+class RecordAnswer(BaseModel):
+    """An uploaded record without its samples."""
+
+    id: int
+    name: str
+    created_at: datetime
+    t0: float
+    sample_time: float
+    n: int
+    units: dict[str, str]
+    notes: list[str]
+    size_bytes: int
+
+
+class ModelVersionAnswer(BaseModel):
+    """One version of a stored model."""
+
+    model: str
+    kind: str
+    number: int
+    created_at: datetime
+    created_by: str | None
+    note: str
+    size_bytes: int
+    checksum: str = Field(description="SHA-256 of the content.")
+
+
+class JobAnswer(BaseModel):
+    """Long work: `refused` is bad input, `failed` a fault of ours."""
+
+    id: str
+    kind: str
+    state: str
+    progress: float = Field(description="Share done, 0 to 1.")
+    doing: str
+    created_at: datetime
+    finished_at: datetime | None
+    result: dict[str, Any] | None = None
+    error: str | None
+
+
+class SignalAnswer(BaseModel):
+    """A stretch of a window, reduced to minimum and maximum an interval where it is long."""
+
+    window: int | None
+    start: float = Field(description="Time of the first sample of the stretch after the window's begin [s].")
+    interval: float = Field(description="Seconds one value (or one pair of minimum and maximum) stands for.")
+    reduced: bool
+    n: int = Field(description="Samples in the stretch.")
+    channels: dict[str, dict[str, Any]] = Field(description="By name: `unit` and `values`, or `minimum` and `maximum`.")
+
+
+class SpectrumAnswer(BaseModel):
+    """Amplitude spectrum of one channel, reduced to the maximum an interval."""
+
+    window: int
+    channel: str
+    unit: str
+    step: float = Field(description="Hertz between values.")
+    amplitude: list[float | None]
+    resolution: float = Field(description="Frequency resolution of the estimate [Hz].")

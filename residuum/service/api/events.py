@@ -1,0 +1,45 @@
+"""Server-sent events: what happens, as it happens."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Response
+from starlette.responses import StreamingResponse
+
+from residuum.service.events import Event, Events
+from residuum.service.services import Running
+
+router = APIRouter(tags=["events"])
+
+LastEventId = Annotated[str | None, Header(description="Resume after this event.", max_length=60)]
+
+
+@router.get("/events", response_class=StreamingResponse)
+async def stream_events(
+    running: Running,
+    last_event_id: LastEventId = None,
+    kinds: Annotated[list[str] | None, Query(alias="kind", description="Only these kinds.", max_length=16)] = None,
+) -> Response:
+    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then read the state anew."""
+    return event_stream(running.events, last_event_id, lambda event: not kinds or event.kind in kinds)
+
+
+def event_stream(
+    events: Events, last_event_id: str | None, wanted: Callable[[Event], bool], ends: Callable[[Event], bool] | None = None
+) -> StreamingResponse:
+    """A stream of the wanted events, after the one that `ends` it closed; a comment keeps quiet connections open."""
+
+    async def lines() -> AsyncIterator[bytes]:
+        yield b": connected\n\n"
+        async for event in events.listen(last_event_id):
+            if event is None:
+                yield b": still here\n\n"
+            elif event.kind == "reset" or wanted(event):
+                yield b"id: %s\nevent: %s\ndata: %s\n\n" % (events.token(event).encode(), event.kind.encode(), event.data)
+                if ends is not None and ends(event):
+                    return
+
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(lines(), media_type="text/event-stream", headers=headers)

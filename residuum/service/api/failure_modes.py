@@ -1,0 +1,32 @@
+"""Failure modes, effects and criticality of the gate actuator, and what watches each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.fmeca import PROBABILITIES, SEVERITIES, FailureMode, coverage, criticality_matrix, load_fmeca, risk
+from residuum.service.api.json_response import Json
+
+router = APIRouter(tags=["score"])
+
+
+@router.get("/failure-modes")
+def list_failure_modes() -> Response:
+    """Every mode with its risk and the diagnosers that report it; the cells of the criticality matrix."""
+    modes = load_fmeca()
+    covered = coverage(modes, {name: diagnoser.classes for name, diagnoser in DIAGNOSERS.items()})
+    cells = [
+        {"probability": p, "severity": s, "risk": risk(p, s).value, "modes": [mode.id for mode in there]}
+        for (p, s), there in criticality_matrix(modes).items()
+    ]
+    items = [_mode(mode, covered.get(mode.id, [])) for mode in modes]
+    answer = {"items": items, "next_cursor": None, "cells": cells, "probabilities": PROBABILITIES, "severities": SEVERITIES}
+    return Json(answer)
+
+
+def _mode(mode: FailureMode, covered: list[tuple[str, str]]) -> dict[str, Any]:
+    by = [{"diagnoser": diagnoser, "fault_class": fault_class} for diagnoser, fault_class in covered]
+    return {**vars(mode), "covered_by": by, "risk": mode.risk.value}

@@ -1,0 +1,64 @@
+"""The frequency response of a stored identified model, with its confidence."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, Field
+
+from residuum.identification.identified_model import IdentifiedModel
+from residuum.service.api.answers import PROBLEMS
+from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.parameters import ModelName
+from residuum.service.residual_view import read_identified
+from residuum.service.services import Running
+from residuum.service.store import Conflict
+
+router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
+
+_LOWEST = 1e-3  # of the Nyquist frequency
+
+
+class FrequencyResponseAnswer(BaseModel):
+    """Bode points; `magnitude_std` and `phase_std` are first-order standard deviations."""
+
+    frequency: list[float] = Field(description="[Hz], logarithmic up to the Nyquist frequency.")
+    magnitude: list[float] = Field(description="[output unit / input unit].")
+    magnitude_std: list[float]
+    phase: list[float] = Field(description="Unwrapped [degree].")
+    phase_std: list[float] = Field(description="[degree].")
+
+
+@router.get("/{model}/frequency-response", response_model=FrequencyResponseAnswer)
+def get_frequency_response(
+    running: Running,
+    model: ModelName,
+    version: Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)] = None,
+    points: Annotated[int, Query(description="Frequencies.", ge=2, le=2000)] = 300,
+) -> Response:
+    """Magnitude and phase over frequency with their standard deviations."""
+    found = running.store.model_versions(model)[0].kind
+    if found != "identified":
+        raise Conflict(f"model {model!r}: is a {found} model; this needs an identified one")
+    return Json(frequency_response(read_identified(running.store.model_content(model, version)), points))
+
+
+def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[float]]:
+    """Bode points with first-order deviations: the parts of the covariance of (Re G, Im G) along and across G."""
+    nyquist = 0.5 / model.sample_time
+    frequency = np.geomspace(_LOWEST * nyquist, nyquist, points)
+    G = model.frequency_response(2 * np.pi * frequency)
+    covariance = model.frequency_covariance(2 * np.pi * frequency)
+    magnitude = np.abs(G)
+    along = np.stack([G.real, G.imag], axis=1) / np.maximum(magnitude, 1e-300)[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    radial, tangential = (np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", d, covariance, d), 0.0)) for d in (along, across))
+    return {
+        "frequency": frequency.tolist(),
+        "magnitude": magnitude.tolist(),
+        "magnitude_std": radial.tolist(),
+        "phase": np.degrees(np.unwrap(np.angle(G))).tolist(),
+        "phase_std": np.degrees(tangential / np.maximum(magnitude, 1e-300)).tolist(),
+    }

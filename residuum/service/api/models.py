@@ -1,0 +1,71 @@
+"""Stored models and their versions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from residuum.service.access import ANYBODY
+from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
+from residuum.service.api.json_response import Json, page_json
+from residuum.service.api.parameters import NAME, Cursor, Limit, ModelName
+from residuum.service.model_files import MODEL_KINDS, check_model_file
+from residuum.service.services import Running
+
+router = APIRouter(prefix="/models", tags=["models"], responses=PROBLEMS)
+
+VersionNumber = Annotated[int, Path(description="Number of the version.", ge=1, le=10**9)]
+Kind = Literal["physical", "identified", "baseline"]
+_MODEL_BODY = {
+    "requestBody": {
+        "required": True,
+        "description": "The model file's bytes: YAML (physical), JSON (identified) or a stored diagnoser (baseline).",
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+
+
+@router.post("", status_code=201, response_model=ModelVersionAnswer, openapi_extra=_MODEL_BODY)
+async def add_model(
+    request: Request,
+    running: Running,
+    name: Annotated[str, Query(description="Name of the model; a known one gets a new version.", pattern=NAME)],
+    kind: Annotated[Kind, Query(description="What the file is.")] = "physical",
+    diagnoser: Annotated[str | None, Query(description="baseline: of which diagnoser.", max_length=64)] = None,
+    note: Annotated[str, Query(description="What is new in this version.", max_length=2000)] = "",
+) -> Response:
+    """Store a model, or a new version of one. The file is read and checked first; nothing else is stored."""
+    content = await request.body()
+    await run_in_threadpool(check_model_file, kind, content, diagnoser)
+    caller = getattr(request.state, "caller", ANYBODY).name
+    version = await run_in_threadpool(running.store.add_model_version, name, kind, content, note, caller)
+    return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{name}/versions/{version.number}"})
+
+
+@router.get("", response_model=PageOf[ModelVersionAnswer])
+def list_models(
+    running: Running,
+    kind: Annotated[Kind | None, Query(description="Only these.")] = None,
+    cursor: Cursor = None,
+    limit: Limit = 100,
+) -> Response:
+    """The newest version of every model, by name."""
+    return page_json(running.store.models(kind, cursor, limit))
+
+
+@router.get("/{model}/versions", response_model=PageOf[ModelVersionAnswer])
+def list_versions(running: Running, model: ModelName) -> Response:
+    """All versions of a model, newest first."""
+    return Json({"items": [version.to_json() for version in running.store.model_versions(model)], "next_cursor": None})
+
+
+@router.get("/{model}/versions/{number}", response_class=Response)
+def get_version(running: Running, model: ModelName, number: VersionNumber) -> Response:
+    """The file of one version, as it was stored."""
+    version = next((each for each in running.store.model_versions(model) if each.number == number), None)
+    content = running.store.model_content(model, number)
+    media, ending = MODEL_KINDS[version.kind if version else "baseline"]
+    headers = {"Content-Disposition": f'attachment; filename="{model}-{number}{ending}"'}
+    return Response(content, media_type=media, headers=headers)

@@ -1,0 +1,20 @@
+"""Path and query parameters that several routes take."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Path, Query
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+"""Names of assets, models and baselines: they stand in addresses and rows, never in a file's path."""
+
+_LARGEST_ID = 2**53 - 1
+
+AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]
+ModelName = Annotated[str, Path(description="Name of the model.", pattern=NAME)]
+WindowId = Annotated[int, Path(description="Number of the window.", ge=1, le=_LARGEST_ID)]
+RecordId = Annotated[int, Path(description="Number of the record.", ge=1, le=_LARGEST_ID)]
+AlarmId = Annotated[int, Path(description="Number of the alarm.", ge=1, le=_LARGEST_ID)]
+Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", max_length=200)]
+Limit = Annotated[int, Query(description="Most items on the page.", ge=1, le=500)]

@@ -1,0 +1,94 @@
+"""Uploaded records: the material for comparing, identifying and training."""
+
+from __future__ import annotations
+
+import io
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.identification.record_formats import READERS
+from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
+from residuum.service.api.json_response import Json, page_json
+from residuum.service.api.parameters import Cursor, Limit, RecordId
+from residuum.service.api.signal_body import check_npz
+from residuum.service.api.windows import ChannelNames, Points, signal_view
+from residuum.service.problems import UnsupportedBody
+from residuum.service.services import Running
+from residuum.service.settings import Settings
+from residuum.service.upload_reader import read_upload
+
+router = APIRouter(prefix="/records", tags=["records"], responses=PROBLEMS)
+
+_FILE_BODY = {
+    "requestBody": {
+        "required": True,
+        "description": "The file's bytes as they are.",
+        "content": {
+            kind: {"schema": {"type": "string", "format": "binary"}}
+            for kind in ("application/octet-stream", "text/csv", "application/zip")
+        },
+    }
+}
+
+
+@router.post("", status_code=201, response_model=RecordAnswer, openapi_extra=_FILE_BODY)
+async def add_record(
+    request: Request,
+    running: Running,
+    filename: Annotated[str, Query(description="Name with its ending, which says the format.", min_length=1, max_length=200)],
+) -> Response:
+    """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid."""
+    record = await run_in_threadpool(_read, filename, await request.body(), running.settings)
+    number = await run_in_threadpool(running.store.add_record, filename, record)
+    stored = await run_in_threadpool(running.store.record, number)
+    return Json(stored.to_json(), 201, {"Location": f"/api/v1/records/{number}"})
+
+
+@router.get("", response_model=PageOf[RecordAnswer])
+def list_records(running: Running, cursor: Cursor = None, limit: Limit = 50) -> Response:
+    """Uploaded records, newest first."""
+    return page_json(running.store.records(cursor, limit))
+
+
+@router.get("/{record}", response_model=RecordAnswer)
+def get_record(running: Running, record: RecordId) -> Response:
+    """One record."""
+    return Json(running.store.record(record).to_json())
+
+
+@router.delete("/{record}", status_code=204)
+def delete_record(running: Running, record: RecordId) -> Response:
+    """Delete a record for good. What was made of it (models, findings) stays."""
+    running.store.remove_record(record)
+    return Response(status_code=204)
+
+
+@router.get("/{record}/signal", response_model=SignalAnswer)
+def get_record_signal(
+    running: Running,
+    record: RecordId,
+    channels: ChannelNames = None,
+    points: Points = 2000,
+    begin: Annotated[float, Query(alias="from", description="Seconds after the record's begin.", ge=0)] = 0.0,
+    end: Annotated[float | None, Query(alias="to", description="Seconds after the record's begin.", gt=0)] = None,
+) -> Response:
+    """A stretch of the signals, reduced as a window's are."""
+    units = running.store.record(record).units
+    for name in channels or ():
+        if name not in units:
+            raise BadInput(f"channel {name[:60]!r}: the record has {', '.join(units)}")
+    return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
+
+
+def _read(filename: str, content: bytes, settings: Settings) -> Record:
+    """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
+    ending = next((known for known in READERS if filename.lower().endswith(known)), None)
+    if ending is None:
+        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(READERS)}")
+    if ending == ".npz":
+        check_npz(io.BytesIO(content))
+    return read_upload(content, ending, filename, memory=settings.upload_memory, seconds=settings.upload_seconds)

@@ -1,0 +1,84 @@
+"""Score one window with a diagnoser; nothing is stored."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import QueryParams
+
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.identification.errors import BadInput
+from residuum.service.api.answers import PROBLEMS, ScoreAnswer
+from residuum.service.api.json_response import BareRoute, Json
+from residuum.service.api.parameters import NAME
+from residuum.service.api.signal_body import SIGNAL_BODY, record_of
+from residuum.service.commands.diagnoser_options import bearing_settings
+from residuum.service.services import Services
+
+_SCORED_AT_ONCE = 8192
+"""Samples up to which a thread costs more than the scoring it would take off the event loop."""
+
+_LONGEST_KEPT = 1000
+"""Bytes of a query up to which it is remembered as it was parsed."""
+
+
+def _parameter(place: str, name: str, kind: str, says: str) -> dict[str, Any]:
+    return {"in": place, "name": name, "required": place == "path", "description": says, "schema": {"type": kind}}
+
+
+_DESCRIBED = SIGNAL_BODY | {
+    "parameters": [
+        _parameter("path", "diagnoser", "string", "One of `GET /diagnosers`."),
+        _parameter("query", "baseline", "string", "A stored baseline, or the name of an asset that has one."),
+        _parameter("query", "sample_time", "number", ".npy: seconds between samples (or `sampling_rate` [Hz])."),
+        _parameter("query", "channel", "string", ".npy: `name [unit]`, once a row of the array."),
+        _parameter("query", "speed_rpm", "number", "bearing: shaft speed [rpm]."),
+        _parameter("query", "orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
+        _parameter("query", "hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
+    ]
+}
+
+router = APIRouter(tags=["score"], route_class=BareRoute, responses=PROBLEMS)
+
+
+@router.post("/score/{diagnoser}", response_model=ScoreAnswer, openapi_extra=_DESCRIBED)
+async def score(request: Request) -> Response:
+    """Score one window. Without a baseline only absolute indicators and fault lines are judged."""
+    # The parameters are read by hand: declared ones cost more time than the rest of the answer to a short window.
+    services: Services = request.app.state.services
+    query_string = request.scope["query_string"]
+    if len(query_string) <= _LONGEST_KEPT:
+        request._query_params = _query(query_string)  # a client asks with the same query again and again
+    judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
+    record = await record_of(request, judge.channels)
+    small = record.n * len(record.names) <= _SCORED_AT_ONCE
+    finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
+    return Json(finding.to_json())
+
+
+@lru_cache(maxsize=256)
+def _query(query_string: bytes) -> QueryParams:
+    return QueryParams(query_string)
+
+
+async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diagnoser:
+    baseline = query.get("baseline")
+    if baseline is None:
+        settings = bearing_settings(_speed(query.get("speed_rpm")), query.get("orders"), query.get("hertz"))
+        return services.judges.untrained(diagnoser, settings)
+    if not re.match(NAME, baseline):
+        raise BadInput(f"query, baseline: {baseline[:60]!r} is not a name of letters, digits, '.', '_' and '-'")
+    return await run_in_threadpool(services.judges.trained, diagnoser, baseline)
+
+
+def _speed(text: str | None) -> float | None:
+    if text is None:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise BadInput(f"query, speed_rpm: {text[:40]!r} is not a number") from None

@@ -1,0 +1,51 @@
+"""The live side: sources on the buses, the machines' pipeline, and the faults of the demo's machines."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Response
+from pydantic import BaseModel, Field
+
+from residuum.service.api.answers import PROBLEMS
+from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.parameters import NAME
+from residuum.service.services import Running
+
+router = APIRouter(tags=["live"], route_class=StrictRoute, responses=PROBLEMS)
+
+Machine = Annotated[str, Path(description="Name of the demo's machine.", pattern=NAME)]
+
+
+class FaultSwitch(BaseModel, extra="forbid"):
+    """A fault to switch."""
+
+    fault: str = Field(description="Fault of the machine, or `none` to switch all off.", min_length=1, max_length=64)
+    size: float | None = Field(None, ge=0, le=1e6, description="In the fault's unit; default: its own; 0 switches it off.")
+
+
+@router.get("/status")
+def get_status(running: Running) -> Response:
+    """State of every machine's pipeline (training, running) and of every source."""
+    return Json(running.pipeline.status())
+
+
+@router.get("/sources")
+def list_sources(running: Running) -> Response:
+    """Sources with their rates and every loss counter."""
+    sources = running.pipeline.status().get("sources", {})
+    items = [{"name": name, **state} for name, state in sources.items()] if isinstance(sources, dict) else sources
+    return Json({"items": items, "next_cursor": None})
+
+
+@router.get("/demo/machines/{machine}/fault")
+def list_faults(running: Running, machine: Machine) -> Response:
+    """Faults of a demo machine with default size, unit and meaning, and which are on."""
+    return Json(running.pipeline.faults(machine))
+
+
+@router.post("/demo/machines/{machine}/fault")
+async def switch_fault(running: Running, machine: Machine, switch: FaultSwitch) -> Response:
+    """Switch a fault of a demo machine, over its own bus."""
+    await running.pipeline.switch_fault(machine, switch.fault, switch.size)
+    return Json(running.pipeline.faults(machine))

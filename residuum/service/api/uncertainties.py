@@ -1,0 +1,95 @@
+"""How far an identified model is to be trusted: its uncertainty weight over sampled models, and the residual it allows."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, Field
+
+from residuum.identification.uncertainty import design_uncertainty_weight
+from residuum.service.api.analyses import RecordNumbers
+from residuum.service.api.answers import PROBLEMS, JobAnswer
+from residuum.service.api.jobs import accepted
+from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.parameters import ModelName
+from residuum.service.command_job import parts_of
+from residuum.service.residual_view import WEIGHT_ORDER, read_identified, view_residual
+from residuum.service.services import Running, Services
+from residuum.service.store import Conflict
+
+router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
+
+Version = Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)]
+_POINTS = 200
+_LOWEST = 1e-3  # of the Nyquist frequency
+
+
+class UncertaintyAnswer(BaseModel):
+    """|G/Ĝ₀ − 1| of sampled models, and the weight above them."""
+
+    frequency: list[float] = Field(description="[Hz].")
+    samples: list[list[float]] = Field(description="Relative error of every drawn model.")
+    sampled_frequency: list[float] = Field(description="Where the weight was fitted [Hz].")
+    largest: list[float] = Field(description="Ω, the largest relative error of all models that the weight was made from.")
+    weight: list[float] = Field(description="|W_T| at `frequency`.")
+    critical_frequency: float | None = Field(description="From here on the weight is 1 or more [Hz].")
+    n_samples: int
+    promise: str
+
+
+class ResidualView(BaseModel, extra="forbid"):
+    """Which records a residual generator learns its noise from, and which one it runs on."""
+
+    healthy: RecordNumbers
+    record: int = Field(ge=1, le=2**53 - 1, description="Number of the record it runs on.")
+    offset: float | None = Field(None, gt=0, description="Sensor offset of the characteristic; null: twice the noise.")
+    false_alarms_per_day: float = Field(1.0, gt=0, le=86400, description="Of the posterior threshold.")
+    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+
+
+@router.get("/uncertainty", response_model=UncertaintyAnswer)
+def get_uncertainty(
+    running: Running,
+    model: ModelName,
+    version: Version = None,
+    shown: Annotated[int, Query(alias="samples", description="Drawn models to show.", ge=1, le=200)] = 40,
+) -> Response:
+    """The multiplicative uncertainty weight W_T of an identified model, above the models that its posterior allows."""
+    identified = read_identified(_content(running, model, version))
+    made = design_uncertainty_weight(identified, order=WEIGHT_ORDER)
+    omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
+    lags = np.arange(identified.order)
+    nominal = identified.impulse_response
+    turn = np.exp(-1j * np.outer(omega * identified.sample_time, lags))
+    relative = np.abs((identified.sample(shown, 0) - nominal) @ turn.T) / np.maximum(np.abs(turn @ nominal), 1e-300)
+    critical = made.critical_frequency
+    answer = {
+        "frequency": (omega / (2 * np.pi)).tolist(),
+        "samples": relative.tolist(),
+        "sampled_frequency": (made.omega / (2 * np.pi)).tolist(),
+        "largest": made.magnitude.tolist(),
+        "weight": np.abs(made.weight.frequency_response(omega)).tolist(),
+        "critical_frequency": None if critical is None else critical / (2 * np.pi),
+        "n_samples": made.n_samples,
+        "promise": made.promise,
+    }
+    return Json(answer)
+
+
+@router.post("/residual-views", status_code=202, response_model=JobAnswer)
+def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
+    """Design a residual generator and run it: residual, statistic and threshold over time, and its operating characteristic."""
+    content = _content(running, model, asked.version)
+    healthy = [parts_of(running.store.record_samples(number)) for number in asked.healthy]
+    record = parts_of(running.store.record_samples(asked.record))
+    arguments = (content, healthy, record, asked.offset, asked.false_alarms_per_day)
+    return accepted(running.jobs.submit("residual-view", view_residual, *arguments))
+
+
+def _content(running: Services, model: str, version: int | None) -> bytes:
+    found = running.store.model_versions(model)[0].kind
+    if found != "identified":
+        raise Conflict(f"model {model!r}: is a {found} model; this needs an identified one")
+    return running.store.model_content(model, version)

@@ -1,0 +1,190 @@
+"""What else a page draws of a window: its kurtogram, the envelope spectrum of a band, the residual with its threshold."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+import numpy as np
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, Field
+
+from residuum.diagnosis.classifier_plane import classifier_plane, plane_features
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
+from residuum.diagnosis.envelope import band_envelope
+from residuum.diagnosis.kurtogram import kurtogram
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.record import Record
+from residuum.service.api.answers import PROBLEMS
+from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.parameters import AssetName, WindowId
+from residuum.service.services import Running, Services
+from residuum.service.signal_view import extremes
+from residuum.service.store import Conflict, NotFound
+
+router = APIRouter(prefix="/assets/{asset}/windows/{window}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
+
+ChannelName = Annotated[str | None, Query(description="Channel (default: the first).", max_length=200)]
+Feature = Annotated[str | None, Query(description="Feature across or up.", max_length=40)]
+Largest = Annotated[float | None, Query(description="Where the plane ends.", gt=0, lt=1e12)]
+Judge = TypeVar("Judge", bound=Diagnoser)
+_DEEPEST = 6
+_MOST_POINTS = 2000
+
+
+class KurtogramAnswer(BaseModel):
+    """Kurtosis of the envelope, a row a level of the ⅓-binary tree (0 = Gaussian)."""
+
+    channel: str
+    level: list[float] = Field(description="log₂ of the number of bands side by side.")
+    frequency: list[float] = Field(description="Centres of the columns [Hz].")
+    kurtosis: list[list[float]]
+    best: dict[str, float] = Field(description="`centre`, `width` [Hz] and `kurtosis` of the most impulsive band.")
+
+
+class EnvelopeAnswer(BaseModel):
+    """Amplitude spectrum of the envelope of a band, the largest of every interval kept."""
+
+    channel: str
+    unit: str
+    low: float = Field(description="Lower edge of the band [Hz].")
+    high: float = Field(description="Upper edge of the band [Hz].")
+    step: float = Field(description="Hertz between values.")
+    amplitude: list[float | None]
+
+
+class ResidualAnswer(BaseModel):
+    """The residual of a window and the statistic that is held against the threshold."""
+
+    unit: str
+    time: list[float] = Field(description="Seconds after the window's begin, of each interval's first sample.")
+    lowest: list[float | None] = Field(description="Smallest residual of the interval; null while a memory fills.")
+    highest: list[float | None]
+    statistic: list[float | None] = Field(description="Largest statistic of the interval, in standard deviations.")
+    threshold: float
+
+
+class RegionsAnswer(BaseModel):
+    """Which class the trained classifier gives at each place of the plane of two features."""
+
+    features: list[str] = Field(description="What planes can be made of; empty when no faults were trained.")
+    x: list[float] = Field(description="Grid along the first feature, in the unit of the indicator.")
+    y: list[float]
+    classes: list[str]
+    region: list[list[int]] = Field(description="Index into `classes`; rows go along y.")
+
+
+@router.get("/kurtogram", response_model=KurtogramAnswer)
+def get_kurtogram(running: Running, asset: AssetName, window: WindowId, channel: ChannelName = None) -> Response:
+    """In which band, and at which width, the signal is most impulsive."""
+    name, record = _channel(running, asset, window, channel)
+    found = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft")
+    level, frequency, kurtosis = found.as_map()
+    best = {"centre": found.best.centre, "width": found.best.width, "kurtosis": found.best.kurtosis}
+    return Json(
+        {"channel": name, "level": level, "frequency": frequency, "kurtosis": np.ascontiguousarray(kurtosis), "best": best}
+    )
+
+
+@router.get("/envelope", response_model=EnvelopeAnswer)
+def get_envelope(
+    running: Running,
+    asset: AssetName,
+    window: WindowId,
+    channel: ChannelName = None,
+    low: Annotated[float | None, Query(description="Lower edge [Hz] (default: the most impulsive band).", ge=0)] = None,
+    high: Annotated[float | None, Query(description="Upper edge [Hz].", gt=0)] = None,
+) -> Response:
+    """Spectrum of the envelope of a band: what rhythm its impacts have."""
+    name, record = _channel(running, asset, window, channel)
+    if (low is None) != (high is None):
+        raise BadInput("query, low and high: give both edges of the band, or none")
+    if low is None or high is None:
+        best = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft").best
+        low, high = max(best.low, 0.0), min(best.high, record.sampling_rate / 2)
+    frequency, amplitude = band_envelope(record[name], record.sampling_rate, low, high).spectrum("amplitude")
+    reduced = extremes(amplitude[1:], _MOST_POINTS)  # without the mean
+    step = float(frequency[1] - frequency[0]) * reduced.samples if len(frequency) > 1 else 0.0
+    answer = {"channel": name, "unit": record.units[name], "low": low, "high": high, "step": step, "amplitude": reduced.maximum}
+    return Json(answer)
+
+
+@router.get("/residual", response_model=ResidualAnswer)
+def get_residual(running: Running, asset: AssetName, window: WindowId) -> Response:
+    """What the machine's model does not explain of the window; 409 for a diagnoser that judges without a residual."""
+    judge = _residual_judge(running, asset)
+    record = running.store.window_record(asset, window)
+    model = judge.design.model
+    u, y = record.in_unit(judge.input, model.input_unit), record.in_unit(judge.output, model.output_unit)
+    monitor = judge.stream()
+    signals, bank = monitor.process(u, y)
+    residual, statistic = (np.where(signals.valid, values, np.nan) for values in (signals.primary, bank.statistic))
+    reduced = extremes(residual, _MOST_POINTS)
+    answer = {
+        "unit": model.output_unit,
+        "time": (np.arange(len(reduced.minimum)) * reduced.samples * record.sample_time).tolist(),
+        "lowest": reduced.minimum,
+        "highest": reduced.maximum,
+        "statistic": extremes(statistic, _MOST_POINTS).maximum,
+        "threshold": running.store.finding_of(window).finding.thresholds.get("glr", float("nan")),
+    }
+    return Json(answer)
+
+
+@router.get("/decision-regions", response_model=RegionsAnswer)
+def get_decision_regions(
+    running: Running,
+    asset: AssetName,
+    window: WindowId,
+    x: Feature = None,
+    y: Feature = None,
+    x_to: Largest = None,
+    y_to: Largest = None,
+) -> Response:
+    """The regions of a gate actuator's classifier, in the plane of F1 and F2 or as a cut through this window's movement.
+
+    Without x and y the answer only says which features planes can be made of. The plane spans from 0 to `x_to` and `y_to`
+    (default: twice the window's own values). 409 for another diagnoser.
+    """
+    judge = _trained_judge(running, asset, GateActuator, "decision region")
+    features = plane_features(judge.baseline)
+    if x is None or y is None or not features:
+        return Json({"features": features, "x": [], "y": [], "classes": [], "region": []})
+    here = running.store.finding_of(window).finding.indicators
+    ends = [2 * here.get(name, 0.5) if end is None else end for name, end in ((x, x_to), (y, y_to))]
+    found = classifier_plane(judge.baseline, here, x, y, [[0.0, 0.0], ends])
+    return Json({"features": features, "x": found.x, "y": found.y, "classes": found.classes, "region": found.region.tolist()})
+
+
+def _residual_judge(running: Services, asset: str) -> RobustResidual:
+    return _trained_judge(running, asset, RobustResidual, "residual")
+
+
+def _trained_judge(running: Services, asset: str, kind: type[Judge], what: str) -> Judge:
+    diagnoser = running.store.asset(asset).diagnoser
+    if diagnoser != kind.name:
+        raise Conflict(f"asset {asset!r}: is judged by {diagnoser}, which has no {what}")
+    try:
+        judge = running.judges.trained(diagnoser, asset)
+    except NotFound:
+        raise Conflict(f"asset {asset!r}: has no baseline yet, so there is no {what}") from None
+    if not isinstance(judge, kind):
+        raise Conflict(f"asset {asset!r}: its baseline is one of {judge.name}")
+    return judge
+
+
+def _channel(running: Services, asset: str, window: int, channel: str | None) -> tuple[str, Record]:
+    units = running.store.window(asset, window).units
+    name = channel if channel is not None else next(iter(units))
+    if name not in units:
+        raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+    record = running.store.window_record(asset, window, [name])
+    if np.isnan(record[name]).any():
+        raise BadRecord(f"window {window}, channel {name!r}: has missing samples; this view needs all of them")
+    return name, record
+
+
+def _levels(n: int) -> int:
+    """Deepest level at which every band keeps the samples that a kurtosis needs."""
+    return int(np.clip(np.log2(max(n, 2) / 256), 1, _DEEPEST))

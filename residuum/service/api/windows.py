@@ -1,0 +1,162 @@
+"""Windows: store and score one, look at its signal and spectrum."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
+from residuum.service.api.json_response import Json, page_json
+from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
+from residuum.service.api.signal_body import SIGNAL_BODY, record_of
+from residuum.service.services import Running, Services
+from residuum.service.signal_view import amplitude_spectrum, extremes
+from residuum.service.store import NotFound
+
+router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
+
+ChannelNames = Annotated[list[str] | None, Query(description="Channels to show (default: all).", alias="channel", max_length=64)]
+_NEXT = 1e-6  # of a sample: a time that is printed as a sample's own means that sample
+
+Points = Annotated[int, Query(description="Most intervals to show.", ge=10, le=20_000)]
+
+
+@router.post("", status_code=201, response_model=StoredWindowAnswer, openapi_extra=SIGNAL_BODY)
+async def add_window(
+    request: Request,
+    running: Running,
+    asset: AssetName,
+    diagnoser: Annotated[str | None, Query(description="Needed with an asset's first window.", max_length=64)] = None,
+    idempotency_key: Annotated[
+        str | None, Header(description="The same key never stores twice.", min_length=1, max_length=200)
+    ] = None,
+) -> Response:
+    """Store a window and score it. The answer comes only when window and finding are on disk.
+
+    With an `Idempotency-Key` the same request can be sent again after a broken connection: it stores nothing twice
+    and gets the first answer. The diagnoser is the asset's, with the baseline of the asset's name where there is one.
+    """
+    judge = await run_in_threadpool(_judge, running, asset, diagnoser)
+    digest = hashlib.sha256(str(request.url.query).encode() + b"\n" + await request.body()).hexdigest()
+    record = await record_of(request, judge.channels)
+    return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
+
+
+@router.get("", response_model=PageOf[WindowAnswer])
+def list_windows(running: Running, asset: AssetName, cursor: Cursor = None, limit: Limit = 50) -> Response:
+    """Windows of an asset, newest first."""
+    return page_json(running.store.windows(asset, cursor, limit))
+
+
+@router.get("/{window}", response_model=StoredWindowAnswer)
+def get_window(running: Running, asset: AssetName, window: WindowId) -> Response:
+    """One window with its latest finding."""
+    return Json(_described(running, asset, window))
+
+
+@router.get("/{window}/signal", response_model=SignalAnswer)
+def get_signal(
+    running: Running,
+    asset: AssetName,
+    window: WindowId,
+    channels: ChannelNames = None,
+    points: Points = 2000,
+    begin: Annotated[float, Query(alias="from", description="Seconds after the window's begin.", ge=0)] = 0.0,
+    end: Annotated[float | None, Query(alias="to", description="Seconds after the window's begin.", gt=0)] = None,
+) -> Response:
+    """A stretch of the signals: all samples when there are few, else minimum and maximum of every interval."""
+    known = running.store.window(asset, window)
+    record = running.store.window_record(asset, window, _known(channels, known.units))
+    return Json({"window": window, **signal_view(record, points, begin, end)})
+
+
+@router.get("/{window}/spectrum", response_model=SpectrumAnswer)
+def get_spectrum(
+    running: Running,
+    asset: AssetName,
+    window: WindowId,
+    channel: Annotated[str | None, Query(description="Channel (default: the first).", max_length=200)] = None,
+    points: Points = 2000,
+    highest: Annotated[float | None, Query(alias="to", description="Highest frequency to show [Hz].", gt=0)] = None,
+) -> Response:
+    """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval kept."""
+    known = running.store.window(asset, window)
+    name = channel if channel is not None else next(iter(known.units))
+    record = running.store.window_record(asset, window, _known([name], known.units))
+    spectrum = amplitude_spectrum(record[name], record.sample_time)
+    wanted = len(spectrum.amplitude) if highest is None else max(2, int(highest / spectrum.step) + 1)
+    reduced = extremes(spectrum.amplitude[:wanted], points)
+    answer = {
+        "window": window,
+        "channel": name,
+        "unit": record.units[name],
+        "step": spectrum.step * reduced.samples,
+        "amplitude": reduced.maximum,
+        "resolution": spectrum.resolution,
+    }
+    return Json(answer)
+
+
+def signal_view(record: Record, points: int, begin: float, end: float | None) -> dict[str, Any]:
+    """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the stretch is empty."""
+    first = min(int(begin / record.sample_time + _NEXT), record.n)
+    last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
+    if last <= first:
+        raise BadInput(f"query, from and to: no sample in {begin} … {end} s; the window lasts {record.duration:.6g} s")
+    shown = {name: signal[first:last] for name, signal in record.channels.items()}
+    samples = max(1, -(-(last - first) // points))
+    reduced = samples > 2
+    channels = {name: {"unit": record.units[name], **_values(signal, points, reduced)} for name, signal in shown.items()}
+    interval = record.sample_time * (samples if reduced else 1)
+    return {
+        "start": first * record.sample_time,
+        "interval": interval,
+        "reduced": reduced,
+        "n": last - first,
+        "channels": channels,
+    }
+
+
+def _values(signal: Any, points: int, reduced: bool) -> dict[str, Any]:
+    if not reduced:
+        return {"values": signal}
+    kept = extremes(signal, points)
+    return {"minimum": kept.minimum, "maximum": kept.maximum}
+
+
+def _known(channels: list[str] | None, units: Any) -> list[str] | None:
+    for name in channels or ():
+        if name not in units:
+            raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+    return channels
+
+
+def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
+    try:
+        name = diagnoser or running.store.asset(asset).diagnoser
+    except NotFound:
+        name = None
+    if name is None:
+        raise BadInput(f"asset {asset!r}: has no diagnoser yet; say diagnoser=… in the query of its first window")
+    try:
+        return running.judges.trained(name, asset)
+    except NotFound:
+        return running.judges.untrained(name)
+
+
+def _store(running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str) -> Response:
+    window = None if key is None else running.store.window_with_key(asset, key, digest)
+    if window is None:
+        window = running.store.add_window(asset, record, judge.score(record), key, digest)
+    return Json(_described(running, asset, window), 201, {"Location": f"/api/v1/assets/{asset}/windows/{window}"})
+
+
+def _described(running: Services, asset: str, window: int) -> dict[str, Any]:
+    described = running.store.window(asset, window).to_json()
+    return {"window": described, "finding": running.store.finding_of(window).to_json()}

@@ -1,0 +1,150 @@
+"""The service as an ASGI app: storage, events, jobs, pipeline and routes joined."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from importlib.metadata import version
+from typing import Any
+
+import structlog
+from fastapi import FastAPI
+from sqlalchemy.engine import make_url
+
+from residuum.service import problems
+from residuum.service.access import ApiKeys
+from residuum.service.api import ROUTERS, health
+from residuum.service.bearer_tokens import BearerTokens
+from residuum.service.events import Events
+from residuum.service.gate import Gate
+from residuum.service.jobs import Jobs
+from residuum.service.judges import Judges
+from residuum.service.logs import set_up_logs
+from residuum.service.metrics import Metrics
+from residuum.service.notifications import Notifications
+from residuum.service.pipeline import Pipeline
+from residuum.service.services import LivePipeline, Services
+from residuum.service.settings import Settings
+from residuum.service.storage import DiskStore
+from residuum.service.storage.retention import Retention
+from residuum.service.store import StorageUnavailable, Store
+from residuum.service.web import web_routes
+from residuum.service.worker_pool import WorkerPool
+
+log = structlog.get_logger()
+
+API = "/api/v1"
+_TICK = 5.0
+"""Seconds between looks at shelved alarms that have run out."""
+_RETAIN_EVERY = 60.0
+"""Seconds between looks at signals that need not be kept."""
+_SETTLED = 120.0
+"""Age [s] at which a block without a row is an orphan: longer than a writer waits for the database."""
+
+
+MakePipeline = Callable[[Settings, Store, Events, WorkerPool], LivePipeline]
+
+
+def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> FastAPI:
+    """The service, ready to be run by an ASGI server; everything it holds lives from startup to shutdown.
+
+    Raises BadSettings for keys that cannot be read or a database URL that names none.
+    """
+    keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
+    tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
+    events = Events()
+
+    def pipeline_status() -> Mapping[str, Any]:
+        return app.state.services.pipeline.status()
+
+    metrics = Metrics(pipeline_status)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with _running(settings, events, metrics, keys, make_pipeline) as services:
+            app.state.services = services
+            yield
+
+    app = FastAPI(
+        title="Residuum",
+        summary="Condition monitoring for machines that have a model",
+        description="Scores signal windows of machines, keeps findings and alarms, and says what physics a model is missing.",
+        version=version("residuum"),
+        lifespan=lifespan,
+        docs_url=None,
+        redoc_url=None,
+    )
+    problems.install(app)
+    app.add_middleware(Gate, settings=settings, keys=keys, tokens=tokens, measure=metrics.request)
+    _add_routes(app)
+    return app
+
+
+def _add_routes(app: FastAPI) -> None:
+    for router in (*ROUTERS, health.router):
+        app.include_router(router, prefix=API)
+    app.include_router(health.router, include_in_schema=False)
+    app.router.routes.extend(web_routes())
+
+
+@asynccontextmanager
+async def _running(
+    settings: Settings, events: Events, metrics: Metrics, keys: ApiKeys, make_pipeline: MakePipeline
+) -> AsyncIterator[Services]:
+    set_up_logs(settings)
+    notifications = Notifications(settings)
+
+    def announce(kind: str, payload: Mapping[str, Any]) -> None:
+        metrics.event(kind, payload)
+        events.publish(kind, payload)
+        notifications.tell(kind, payload)
+
+    store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, settings.alarm_rule)
+    executor = WorkerPool(settings.workers)
+    jobs = Jobs(events.publish)
+    pipeline = make_pipeline(settings, store, events, executor)
+    services = Services(settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys)
+    log.info("started", database=make_url(settings.database_url).render_as_string(hide_password=True), data=str(settings.data))
+    if orphans := await asyncio.to_thread(store.sweep, _SETTLED):
+        log.warning("removed signal blocks without a row, left by a crash", blocks=orphans)
+    watches = [asyncio.create_task(_watch_shelved(store)), asyncio.create_task(_retain(store, settings))]
+    await pipeline.start()
+    try:
+        yield services
+    finally:
+        for watch in watches:
+            watch.cancel()
+        events.close()
+        await pipeline.stop()
+        await asyncio.to_thread(jobs.close)
+        executor.shutdown(wait=False, cancel_futures=True)
+        await asyncio.to_thread(notifications.stop)
+        store.close()
+        log.info("stopped")
+
+
+def _baselines(store: DiskStore) -> Any:
+    def newest(name: str) -> tuple[str, bytes]:
+        version = store.model_versions(name)[0]
+        return f"{version.number}-{version.checksum}", store.model_content(name, version.number)
+
+    return newest
+
+
+async def _watch_shelved(store: DiskStore) -> None:
+    while True:
+        await asyncio.sleep(_TICK)
+        with suppress(StorageUnavailable):
+            await asyncio.to_thread(store.check)
+
+
+async def _retain(store: DiskStore, settings: Settings) -> None:
+    rule = Retention(settings.keep_days, settings.keep_bytes, settings.keep_row_days, settings.keep_rows)
+    while True:
+        try:
+            if gone := await asyncio.to_thread(store.retain, rule):
+                log.info("let signals go", windows=gone)
+        except (StorageUnavailable, OSError) as error:
+            log.error("signals could not be let go", reason=str(error))
+        await asyncio.sleep(_RETAIN_EVERY)

@@ -1,0 +1,65 @@
+"""The console command `residuum`: one file a command in `commands/`, loaded when it is called."""
+
+import os
+import sys
+import traceback
+from importlib import import_module
+from importlib.metadata import version
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.commands import COMMANDS
+
+DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT = 0, 1, 2, 3
+
+# The base of typer's usage errors, which typer itself does not export by name.
+_UsageError: type[Exception] = typer.BadParameter.__mro__[2]
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit status (0 done, 1 the answer is no, 2 bad input, 3 a fault of ours)."""
+    if not arguments or arguments[0] in ("--help", "-h", "help"):
+        sys.stdout.write(_overview())
+        return DONE if arguments else BAD_INPUT
+    if arguments[0] == "--version":
+        sys.stdout.write(f"residuum {version('residuum')}\n")
+        return DONE
+    name, *rest = arguments
+    if name not in COMMANDS:
+        return _refuse(f"command {name!r}: there is none of this name; known are {', '.join(COMMANDS)}")
+    try:
+        command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+        status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
+    except typer.Exit as done:
+        return done.exit_code
+    except _UsageError as error:
+        return _refuse(f"{name}: {getattr(error, 'format_message', error.__str__)()}")
+    except BadInput as error:
+        return _refuse(str(error))
+    except (typer.Abort, KeyboardInterrupt):
+        return _refuse("interrupted")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing more can be printed
+        return DONE
+    except Exception as error:
+        traceback.print_exc()
+        sys.stderr.write(f"residuum: a fault of ours: {type(error).__name__}: {error}\n")
+        return OUR_FAULT
+    return status if isinstance(status, int) else DONE
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {says}" for name, (_, says) in COMMANDS.items()]
+    return "\n".join(["usage: residuum COMMAND [--help]", "", *lines, ""])
+
+
+def _refuse(message: str) -> int:
+    sys.stderr.write(f"residuum: {' '.join(message.split())}\n")
+    return BAD_INPUT
+
+
+def main() -> None:
+    """Entry point of the console command."""
+    sys.exit(run(sys.argv[1:]))

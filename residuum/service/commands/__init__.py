@@ -1,0 +1,30 @@
+"""The commands of the console program: name → (module in this package, one line of help).
+
+Each module holds `app`, a `typer.Typer` with the command (or its subcommands). Reports go out
+through `residuum.service.commands.report`.
+"""
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "serve": ("serve", "Run the service (with --demo: with its simulated machines)."),
+    "doctor": ("doctor", "Check the service's surroundings: database, blocks, disk, buses, keys, compiled code."),
+    "backup": ("backup", "Write database and signals into one verified file; the service may be running."),
+    "restore": ("restore", "Bring a backup back into an empty data folder and database."),
+    "gateway": ("gateway", "Read machines and send their windows over MQTT to the scorers."),
+    "scorer": ("scorer", "Judge and store windows that gateways send over MQTT."),
+    "machine": ("machine", "Run one simulated machine on a real bus."),
+    "simulate": ("simulate", "Write a record of a simulated machine, with effects and faults."),
+    "fault": ("fault", "Switch a fault of a machine in a running demo."),
+    "replay": ("replay", "Send a recording to a CAN bus or a Modbus server."),
+    "compare": ("compare", "Compare a model with records: where and how much does it fail?"),
+    "explain": ("explain", "Which physical effect is missing in a model?"),
+    "improve": ("improve", "Add effects to a model and re-estimate it."),
+    "estimate": ("estimate", "Estimate the parameters of a model, structure as it is."),
+    "effects": ("effects", "List the catalogue of physical effects, or what fits a model."),
+    "identify": ("identify", "Identify a linear model with its uncertainty from a record."),
+    "residual": ("residual", "Design a residual generator, or run one on a record."),
+    "train": ("train", "Train a diagnoser on records."),
+    "score": ("score", "Score records with a diagnoser."),
+    "rescore": ("rescore", "Score every record of a folder, bucket or database, on all processors or a Dask cluster."),
+    "reidentify": ("reidentify", "Identify a model of every record of a folder, bucket or database."),
+    "control": ("control", "Design a robust controller from identified models."),
+}

@@ -1,0 +1,127 @@
+"""`residuum explain`: which physical effect is missing in a model?"""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import typer
+
+from residuum.identification.discrepancy.compare import compare
+from residuum.identification.discrepancy.explain import Explanation, explain
+from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.physics import load_model
+from residuum.service.commands.compare import comparison_json, comparison_text
+from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
+from residuum.service.commands.report import AsJson, progress, report
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(name="explain")
+def explain_command(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    records: RecordFiles,
+    effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
+    channel_map: ChannelMap = None,
+    resample: Resample = False,
+    sample_time: SampleTime = None,
+    unit: Units = None,
+    as_json: AsJson = False,
+) -> None:
+    """Name the physical effect that is missing in a model, from records."""
+    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
+    given = load_model(model)
+    explanation = explain(given, loaded, mapping, effects=wanted, tell=lambda share, doing: progress(doing, 0.9 * share))
+    progress("comparing", 0.9)
+    comparison = compare(given, loaded, mapping)
+    result = comparison_json(model, [str(file) for file in records], comparison) | explanation_json(explanation)
+    report(result, f"{comparison_text(comparison)}\n\n{explanation_text(explanation)}", as_json=as_json)
+
+
+def explanation_json(explanation: Explanation) -> dict[str, Any]:
+    """What `explain` adds to the `compare` object."""
+    return {
+        "verdict": explanation.verdict,
+        "candidates": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step == 0],
+        "also_missing": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step > 0],
+        "probability_nothing_missing": explanation.probability_none,
+        "probability_unknown_effect": explanation.probability_unknown,
+        "undetectable": [
+            {"effect": u.effect, "balance": u.balance, "smallest_visible": u.smallest_visible, "unit": u.unit}
+            for u in explanation.undetectable
+        ],
+        "unexplained_share": explanation.unexplained_share,
+        "missing_term": None if explanation.free is None else free_term_json(explanation.free),
+        "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
+        "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
+        "drifting": explanation.search.base.drifting,
+        "seconds": explanation.seconds,
+    }
+
+
+def free_term_json(free: FreeTerm) -> dict[str, Any]:
+    """The shape of what the catalogue leaves unexplained."""
+    formula = suggestion(free)
+    return {
+        "suggestion": None if formula is None else asdict(formula),
+        "balance": free.balance,
+        "axis": free.axis,
+        "unit": free.unit,
+        "at": free.at,
+        "value": free.value,
+        "evidence": free.evidence,
+    }
+
+
+def _candidate_json(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "effect": candidate.effect,
+        "balance": candidate.balance,
+        "probability": candidate.probability,
+        "indistinguishable_from": list(candidate.indistinguishable_from),
+        "parameters": {
+            name: {"value": quantity.value, "std": quantity.std, "unit": quantity.unit}
+            for name, quantity in candidate.parameters.items()
+        },
+        "error_before": candidate.error_before,
+        "error_after": candidate.error_after,
+        "error_unit": candidate.error_unit,
+        "output": candidate.output,
+        "held_out": candidate.held_out,
+        "within_bounds": candidate.within_bounds,
+    }
+
+
+def explanation_text(explanation: Explanation) -> str:
+    """The short human report."""
+    lines = [f"verdict: {explanation.verdict}"]
+    for candidate in explanation.candidates[:6]:
+        values = ", ".join(f"{n} = {q.value:.4g} ± {q.std:.1g} {q.unit}".rstrip() for n, q in candidate.parameters.items())
+        lines.append(
+            f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
+            f"probability {candidate.probability:.2f}, {values}; "
+            f"{candidate.output} error {candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
+            + ("" if candidate.within_bounds else "; at a physical bound")
+            + (f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else "")
+        )
+    if explanation.probability_unknown > 0.1 and explanation.free is not None:
+        free = explanation.free
+        lines.append(
+            f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
+            f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
+        )
+        if (formula := suggestion(free)) is not None:
+            lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
+    if explanation.search.base.drifting:
+        lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
+    lines += [
+        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
+    ]
+    lines += [
+        f"  next: {p.do} (separates {' from '.join(p.separates)} with power {p.power:.2f})"
+        for p in explanation.next_experiment[:2]
+    ]
+    lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")
+    return "\n".join(lines)

@@ -1,0 +1,66 @@
+"""What `rescore` and `reidentify` share: where the records are, the results file, the workers, and the report."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.commands.report import progress, report
+from residuum.service.fleet import Work, open_executor, run_fleet
+from residuum.service.fleet_source import FleetSource
+
+Source = Annotated[
+    str,
+    typer.Argument(
+        metavar="FOLDER|URL",
+        help="Record files in a folder or a bucket (s3://…, file://…), or a service's database (sqlite:///…).",
+    ),
+]
+Data = Annotated[Path | None, typer.Option(help="Data folder of the service, for the signals of its database.")]
+Results = Annotated[Path, typer.Option("--out", help="Results, a line of JSON a file; an unfinished one is gone on with.")]
+Workers = Annotated[int | None, typer.Option(min=1, max=256, help="Worker processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files.")]
+
+_STEPS = 20
+
+
+def run_over_fleet(
+    source: FleetSource,
+    work: Work,
+    results: Path,
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    as_json: bool,
+    counts: dict[str, str],
+) -> None:
+    """Do the work for every record of a fleet and report how many; `counts` maps a name to a dotted place and value."""
+    if not results.parent.is_dir():
+        raise BadInput(f"{results}: folder {str(results.parent)!r} does not exist")
+    files = [item for item in source.items() if item != str(results)]
+    if not files:
+        raise BadInput(f"{source}: holds no record")
+    many = workers or os.cpu_count() or 1
+    told = 0
+
+    def tell(done: int, all_files: int) -> None:
+        nonlocal told
+        if done * _STEPS // all_files > told:
+            told = done * _STEPS // all_files
+            progress(f"{done} of {all_files} files")
+
+    with open_executor(many, scheduler) as executor:
+        found = run_fleet(files, work, executor, results, workers=many, tell=tell)
+    summary = {"files": len(found), "refused": sum("refused" in each for each in found)}
+    summary |= {name: sum(_at(each, *place.split("=")) for each in found) for name, place in counts.items()}
+    says = ", ".join(f"{count} {name}" for name, count in summary.items())
+    report(summary | {"results": str(results)}, f"{says}; written to {results}", as_json=as_json)
+
+
+def _at(result: dict[str, Any], place: str, wanted: str = "") -> bool:
+    value: Any = result
+    for name in place.split("."):
+        value = value.get(name) if isinstance(value, dict) else None
+    return value is not None and (not wanted or value == wanted)

@@ -1,0 +1,43 @@
+"""`residuum gateway`: reads machines and sends their windows over MQTT to the scorers."""
+
+import re
+import socket
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.commands.until_interrupted import until_interrupted
+from residuum.service.logs import set_up_logs
+from residuum.service.machine_line import MachineLine
+from residuum.service.settings import broker_address, load_settings
+from residuum.service.window_queue.gateway import Gateway
+from residuum.service.window_queue.spool import Spool
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def gateway(
+    name: Annotated[str | None, typer.Option(help="Of this gateway, unlike any other's; default: this machine's name.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder in which windows wait until they are stored elsewhere.")] = None,
+) -> None:
+    """Read the machines of the settings and send their windows, each kept here until a scorer has stored it."""
+    settings = load_settings(data=data)
+    if not settings.mqtt or not settings.machines:
+        raise BadInput("settings mqtt and machines: a gateway needs a broker to send to and machines to read")
+    name = name or socket.gethostname()
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+        raise BadInput(f"--name {name!r}: must be letters, digits, '.', '_' and '-'")
+    set_up_logs(settings)
+    sender = Gateway(name, Spool(settings.data / "spool", settings.keep_bytes), broker_address(settings.mqtt))
+    lines = [MachineLine(machine, sender.handle, lambda _: None) for machine in settings.machines]
+    sender.start()
+    for line in lines:
+        line.start()
+        line.use_baseline("")  # the scorers know it; a window has to wait for nothing here
+    until_interrupted(f"Gateway {name} reads {len(lines)} machines.")
+    for line in lines:
+        line.stop()
+    sender.stop()

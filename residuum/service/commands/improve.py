@@ -1,0 +1,67 @@
+"""`residuum improve`: add effects to a model and re-estimate it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residuum.identification.discrepancy.improve import Improvement, improve
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import load_model, write_model
+from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
+from residuum.service.commands.report import AsJson, progress, report
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(name="improve")
+def improve_command(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    records: RecordFiles,
+    out: Annotated[Path, typer.Option(help="Model file to write; the previous file stays as it is.")],
+    add: Annotated[
+        list[str] | None, typer.Option(metavar="ID…", help="Effects to add: ID or ID@TARGET, also with commas.")
+    ] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Add what explain finds until the model is adequate.")] = False,
+    effects: Annotated[str | None, typer.Option(metavar="ID,…", help="With --auto: consider only these effects.")] = None,
+    channel_map: ChannelMap = None,
+    resample: Resample = False,
+    sample_time: SampleTime = None,
+    unit: Units = None,
+    as_json: AsJson = False,
+) -> None:
+    """Add effects to a model, re-estimate it, and show its error on data not used for that."""
+    if auto == bool(add):
+        raise BadInput("improve: give either --add ID or --auto")
+    if Path(model).exists() and out.exists() and Path(model).samefile(out):
+        raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
+    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    wanted = None if auto else [id.strip() for text in add or [] for id in text.split(",")]
+    considered = None if effects is None else [id.strip() for id in effects.split(",")]
+    improvement = improve(
+        load_model(model),
+        loaded,
+        pairs("--map", channel_map),
+        add=wanted,
+        effects=considered,
+        tell=lambda share, doing: progress(doing, share),
+    )
+    out.write_text(write_model(improvement.model), encoding="utf-8")
+    result = {
+        "history": [{"added": step.added, "error": step.error} for step in improvement.history],
+        "verdict": improvement.verdict,
+        "output": improvement.output,
+        "error_unit": improvement.error_unit,
+        "held_out": True,
+        "model_file": str(out),
+    }
+    report(result, improvement_text(improvement, out), as_json=as_json)
+
+
+def improvement_text(improvement: Improvement, out: Path) -> str:
+    """The short human report."""
+    lines = [f"error of {improvement.output} on held-out data:"]
+    lines += [
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
+    ]
+    return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file: {out}"])

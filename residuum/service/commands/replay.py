@@ -1,0 +1,123 @@
+"""`residuum replay`: send a recording to a CAN bus, or offer it as a Modbus device."""
+
+import asyncio
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import can
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.service.commands.records import ChannelMap, Resample, SampleTime, Units, load_records
+from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.fieldbus.can import open_bus
+from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
+from residuum.service.fieldbus.register_trace import TracedPage, read_trace
+from residuum.service.fieldbus.replay import (
+    CAN_LOGS,
+    TRACE,
+    TimedFrame,
+    layout_for,
+    read_can_log,
+    record_frames,
+    record_pages,
+    replay_to_can,
+    replay_to_modbus,
+    stream_for,
+)
+from residuum.service.fieldbus.settings import MAPS, map_file
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="BLF or ASC log, register trace, or any record file.")],
+    to: Annotated[str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")],
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How many times faster than recorded.")] = 1.0,
+    bus_map: Annotated[str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")] = None,
+    linger: Annotated[float, typer.Option(min=0, help="modbus: seconds to go on serving after the last page.")] = 3.0,
+    channel_map: ChannelMap = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    resample: Resample = False,
+    as_json: AsJson = False,
+) -> None:
+    """Send a recording to a CAN bus, or offer it as a Modbus device that begins when it is first asked."""
+    kind, _, address = to.partition(":")
+
+    def load() -> Record:
+        return load_records([file], resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)[0]
+
+    if kind == "can" and address:
+        sent = _send(_frames(file, bus_map, load), address, speed)
+    elif kind == "modbus" and address:
+        registers, pages = _pages(file, bus_map, load)
+        sent = _serve(registers, pages, address, speed, linger)
+    else:
+        raise BadInput(f"--to {to!r}: must be can:INTERFACE:CHANNEL or modbus:HOST:PORT")
+    what = "frames" if kind == "can" else "pages"
+    report(
+        {"file": str(file), "to": to, "sent": sent, "kind": what}, f"{file.name}: {sent} {what} replayed to {to}", as_json=as_json
+    )
+
+
+def _frames(file: Path, bus_map: str | None, load: Callable[[], Record]) -> list[TimedFrame]:
+    if file.suffix.lower() in CAN_LOGS:
+        return list(read_can_log(file))
+    if file.suffix.lower() == TRACE:
+        raise BadInput(f"{file.name}: a register trace cannot be sent to a CAN bus")
+    record = load()
+    dbc_files = [map_file(bus_map)] if bus_map else sorted(MAPS.glob("*.dbc"))
+    for dbc in dbc_files:
+        read_dbc(dbc)
+    return list(record_frames(record, layout_for(record, dbc_files)))
+
+
+def _pages(file: Path, bus_map: str | None, load: Callable[[], Record]) -> tuple[RegisterMap, list[TracedPage]]:
+    if file.suffix.lower() == TRACE:
+        registers, pages = read_trace(file)
+        return registers, list(pages)
+    if file.suffix.lower() in CAN_LOGS:
+        raise BadInput(f"{file.name}: a CAN log cannot be offered as a Modbus device")
+    record = load()
+    for map_path in [map_file(bus_map)] if bus_map else sorted(MAPS.glob("*.yaml")):
+        registers = read_register_map(map_path)
+        try:
+            name, stream = stream_for(record, registers)
+        except BadInput:
+            continue
+        return registers, list(record_pages(record, name, stream))
+    raise BadInput(f"{file.name}: no register map carries {', '.join(record.names)}; name one with --bus-map")
+
+
+def _send(frames: list[TimedFrame], channel: str, speed: float) -> int:
+    try:
+        bus = open_bus(channel)
+    except (OSError, ValueError, can.CanError) as error:
+        raise BadInput(f"--to can:{channel}: cannot open the bus: {error}") from None
+    try:
+        return replay_to_can(frames, bus, speed)
+    except (OSError, can.CanError) as error:
+        raise BadInput(f"--to can:{channel}: cannot send: {error}") from None
+    finally:
+        bus.close()
+
+
+def _serve(registers: RegisterMap, pages: list[TracedPage], address: str, speed: float, linger: float) -> int:
+    host, colon, port = address.rpartition(":")
+    if not (host and colon and port.isdecimal() and int(port) <= 65535):
+        raise BadInput(f"--to modbus:{address}: must be modbus:HOST:PORT")
+
+    def ready(at: int) -> None:
+        progress(f"waiting for a reader on {host}:{at}")
+        sys.stderr.flush()
+
+    try:
+        return asyncio.run(replay_to_modbus(registers, pages, (host, int(port)), speed, linger, ready))
+    except OSError as error:
+        raise BadInput(f"--to modbus:{address}: {error}") from None

@@ -1,0 +1,72 @@
+"""`residuum score`: what a diagnoser says of records."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.finding import Verdict
+from residuum.identification.errors import BadInput
+from residuum.service.commands.diagnoser_options import (
+    DiagnoserName,
+    Hertz,
+    Orders,
+    SpeedRpm,
+    bearing_settings,
+    diagnoser_class,
+    new_diagnoser,
+)
+from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.report import AsJson, report
+
+app = typer.Typer(add_completion=False)
+_WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
+
+
+@app.command()
+def score(
+    diagnoser: DiagnoserName,
+    records: RecordFiles,
+    baseline: Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")] = None,
+    channel_map: ChannelMap = None,
+    resample: Resample = False,
+    sample_time: SampleTime = None,
+    unit: Units = None,
+    speed_rpm: SpeedRpm = None,
+    orders: Orders = None,
+    hertz: Hertz = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
+    judge = _judge(diagnoser, baseline, bearing_settings(speed_rpm, orders, hertz))
+    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
+    findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
+    worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
+    result = findings[0] if len(findings) == 1 else worst | {"findings": findings}
+    report(result, "\n".join(_sentence(finding) for finding in findings), as_json=as_json)
+
+
+def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagnoser:
+    if baseline is None:
+        return new_diagnoser(name, settings)
+    if not baseline.is_file():
+        raise BadInput(f"{baseline}: no such baseline file")
+    judge = diagnoser_class(name).load(baseline)
+    return judge.with_settings(**settings) if settings else judge
+
+
+def _sentence(finding: dict[str, Any]) -> str:
+    kind = f" ({finding['class']})" if finding["class"] else ""
+    said = f"{finding['record']}: {finding['verdict']}{kind}" + (f": {finding['reason']}" if finding["reason"] else "")
+    numbers = [_indicator(finding, name, value) for name, value in finding["indicators"].items() if value is not None]
+    return "\n  ".join([said, *numbers])
+
+
+def _indicator(finding: dict[str, Any], name: str, value: Any) -> str:
+    unit = finding["units"].get(name, "")
+    limit = finding["thresholds"].get(name)
+    shown = f"{value:.4g}" if isinstance(value, int | float) else str(value)
+    return f"{name} = {shown}{' ' + unit if unit else ''}" + (
+        f" (threshold {limit:.4g})" if isinstance(limit, int | float) else ""
+    )

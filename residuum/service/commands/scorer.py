@@ -1,0 +1,47 @@
+"""`residuum scorer`: judges windows that gateways send over MQTT."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.commands.until_interrupted import until_interrupted
+from residuum.service.logs import set_up_logs
+from residuum.service.notifications import Notifications
+from residuum.service.settings import broker_address, load_settings
+from residuum.service.storage import DiskStore
+from residuum.service.window_queue.scorer import Scorer
+from residuum.service.worker_pool import WorkerPool
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def scorer(
+    part: Annotated[
+        str, typer.Option(metavar="K/N", help="Which of how many scorers this is; each has its share of machines.")
+    ] = ("1/1"),
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, shared with the service.")] = None,
+) -> None:
+    """Take windows from the broker of the settings, judge them, store each once, and tell its gateway, until interrupted."""
+    settings = load_settings(database=database, data=data)
+    if not settings.mqtt:
+        raise BadInput("setting mqtt: is empty; a scorer needs the broker that its windows come from")
+    number, _, many = part.partition("/")
+    if not (number.isdecimal() and many.isdecimal()):
+        raise BadInput(f"--part {part!r}: must be K/N, for example 1/2")
+    set_up_logs(settings)
+    notifications = Notifications(settings)
+    store = DiskStore(settings.data, settings.database_url, notifications.tell, settings.alarm_rule)
+    pool = WorkerPool(1)
+    try:
+        consumer = Scorer(broker_address(settings.mqtt), int(number), int(many), pool, store, settings.data)
+        consumer.start()
+        until_interrupted(f"Scorer {part} takes windows.")
+        consumer.stop()
+    finally:
+        pool.terminate()
+        notifications.stop()
+        store.close()

@@ -1,0 +1,99 @@
+"""`residuum serve`: the service, with `--demo` together with its simulated machines."""
+
+import asyncio
+import socket
+import ssl
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import uvicorn
+
+from residuum.identification.errors import BadInput
+from residuum.service.app import create_app
+from residuum.service.large_arrays import give_back_large_arrays
+from residuum.service.settings import Settings, is_loopback, load_settings
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+_STOP_WITHIN = 5
+
+
+@app.command()
+def serve(
+    demo: Annotated[bool | None, typer.Option("--demo", help="Start the simulated machines and watch them.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on; any but this machine's own needs API keys.")] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")] = None,
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
+) -> None:
+    """Run the service until it is interrupted."""
+    settings = load_settings(demo=demo or None, host=host, port=port, database=database, data=data)
+    _check_certificate(settings)
+    give_back_large_arrays()
+    with _listening(settings.host, settings.port) as sockets:
+        config = uvicorn.Config(
+            create_app(settings),
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            timeout_graceful_shutdown=_STOP_WITHIN,
+            h11_max_incomplete_event_size=settings.header_limit,
+            ssl_certfile=settings.tls_certificate,
+            ssl_keyfile=settings.tls_key,
+        )
+        asyncio.run(_serve(uvicorn.Server(config), sockets, settings))
+
+
+async def _serve(server: uvicorn.Server, sockets: list[socket.socket], settings: Settings) -> None:
+    running = asyncio.create_task(server.serve(sockets))
+    while not server.started and not running.done():
+        await asyncio.sleep(0.02)
+    if server.started:
+        sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
+        sys.stdout.flush()
+    await running
+
+
+def _greeting(settings: Settings, port: int) -> str:
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    scheme = "http" if settings.tls_certificate is None else "https"
+    lines = [f"Residuum is at {scheme}://{host}:{port}/"]
+    if is_loopback(settings.host):
+        lines.append("It listens on this machine only.")
+    if settings.demo:
+        lines.append(
+            "Demo: three simulated machines; their diagnosers are being trained. Switch a fault on the page, or in another shell:"
+        )
+        lines.append(f"  residuum fault process-plant sensor-offset --url {scheme}://{host}:{port}")
+    return "\n".join(lines) + "\n"
+
+
+def _check_certificate(settings: Settings) -> None:
+    """BadInput in one line, rather than a failure at the start, for files that are no certificate with its key."""
+    if settings.tls_certificate is None:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_certificate, settings.tls_key)
+    except (OSError, ssl.SSLError) as error:
+        raise BadInput(f"settings tls_certificate, tls_key: {settings.tls_certificate}: {error}") from None
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[list[socket.socket]]:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen(512)
+    except OSError as error:
+        listening.close()
+        raise BadInput(f"--host {host} --port {port}: cannot listen there: {error.strerror or error}") from None
+    try:
+        yield [listening]
+    finally:
+        listening.close()

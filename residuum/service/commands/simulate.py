@@ -1,0 +1,134 @@
+"""`residuum simulate`: a record of a virtual machine, with hidden effects and faults, as a file."""
+
+import inspect
+from pathlib import Path
+from typing import Annotated, Any
+
+import orjson
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.identification.record_formats import WRITERS, write_record
+from residuum.service.commands.report import AsJson, report, to_plain
+from residuum.simulation import MACHINES, BadSetting, Machine, Signals
+from residuum.simulation.machine import SIZES
+
+app = typer.Typer(add_completion=False)
+_MOST_SAMPLES = 50_000_000
+_COMMON = ("self", "seed", "effects", "faults", "exemplar")
+
+
+@app.command()
+def simulate(
+    machine: Annotated[str, typer.Argument(help=f"One of {', '.join(MACHINES)}.")],
+    out: Annotated[Path, typer.Option(help=f"Record file to write; the ending says the format ({', '.join(WRITERS)}).")],
+    effect: Annotated[list[str] | None, typer.Option(help="Hidden effect ID, ID:small|medium|large or ID:par=value,…")] = None,
+    fault: Annotated[list[str] | None, typer.Option(help="Fault ID or ID:size.")] = None,
+    event: Annotated[list[str] | None, typer.Option(help="Operating event ID or ID:size, at the next occasion.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of the record [s].")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of noise, disturbances and start values.")] = 0,
+    exemplar: Annotated[int, typer.Option(help="Which specimen; 0 is the nominal one.")] = 0,
+    profile: Annotated[str | None, typer.Option(help="Input profile, for machines that have several.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Sampling rate [Hz], for machines that offer it.")] = None,
+    noise_color: Annotated[float | None, typer.Option(help="Correlation of the noise from sample to sample, 0 … 1.")] = None,
+    setting: Annotated[list[str] | None, typer.Option("--set", help="Any other setting of the machine, NAME=VALUE.")] = None,
+    reveal: Annotated[bool, typer.Option("--reveal", help="Write the truth into the file's notes.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a record of a simulated machine. The file does not say what is hidden in it, the report does."""
+    if machine not in MACHINES:
+        raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
+    given = {"profile": profile, "rate": rate, "noise_color": noise_color, **dict(map(_setting, setting or []))}
+    settings = _settings(MACHINES[machine], {name: value for name, value in given.items() if value is not None})
+    try:
+        built = MACHINES[machine](seed, dict(map(_effect, effect or [])), dict(map(_fault, fault or [])), exemplar, **settings)
+        for id, size in map(_fault, event or []):
+            built.trigger(id, size)
+        duration = _length(built, duration)
+        signals = built.simulate(duration)
+    except BadSetting as refused:
+        raise BadInput(str(refused)) from None
+    truth = to_plain(built.truth)
+    write_record(_record(machine, signals, seed, truth if reveal else None), out)
+    result = {"file": str(out), "samples": signals.n, "sample_time": signals.sample_time, "channels": dict(signals.units)}
+    report({**result, "truth": truth}, _human(result, truth), as_json=as_json)
+
+
+def _length(machine: Machine, duration: float | None) -> float:
+    duration = machine.record_duration if duration is None else duration
+    if duration / machine.sample_time > _MOST_SAMPLES:
+        raise BadInput(f"duration {duration:g} s: is {duration / machine.sample_time:.3g} samples; at most {_MOST_SAMPLES:.0e}")
+    return duration
+
+
+def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
+    """The machine's own settings, text turned into the type of their default value."""
+    known = {name: p.default for name, p in inspect.signature(machine.__init__).parameters.items() if name not in _COMMON}
+    for name, value in given.items():
+        if name not in known:
+            raise BadInput(f"{machine.name}: has no setting {name!r}; known are {', '.join(known) or 'none'}")
+        given[name] = _typed(value, known[name], f"{machine.name}: setting {name!r}")
+    return given
+
+
+def _typed(value: Any, like: Any, what: str) -> Any:
+    if isinstance(like, bool):
+        if str(value).lower() not in ("true", "false"):
+            raise BadInput(f"{what} is {value!r}; must be true or false")
+        return str(value).lower() == "true"
+    return value if isinstance(like, str) else _number(value, what)
+
+
+def _setting(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise BadInput(f"--set {text!r}: must be NAME=VALUE")
+    return name.replace("-", "_"), value
+
+
+def _effect(text: str) -> tuple[str, dict[str, float] | str]:
+    """`id`, `id:large` or `id:par=value,…`."""
+    id, _, rest = text.partition(":")
+    if rest in SIZES:
+        return id, rest
+    parts = [part.partition("=") for part in rest.split(",")] if rest else []
+    if wrong := [name for name, equals, _ in parts if not equals]:
+        raise BadInput(f"--effect {text!r}: {wrong[0]!r} must be par=value, or one of {', '.join(SIZES)}")
+    return id, {name: _number(value, f"--effect {text!r}, {name!r}") for name, _, value in parts}
+
+
+def _fault(text: str) -> tuple[str, float | None]:
+    """`id` or `id:size`."""
+    id, colon, size = text.partition(":")
+    return id, _number(size, f"{text!r}") if colon else None
+
+
+def _number(text: Any, what: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise BadInput(f"{what}: {text!r} is not a number") from None
+
+
+def _record(machine: str, signals: Signals, seed: int, truth: Any) -> Record:
+    notes = [f"simulated {machine}, seed {seed}", *signals.notes]
+    if truth is not None:
+        notes.append(f"truth: {orjson.dumps(truth).decode()}")
+    return Record(signals.channels, signals.units, signals.sample_time, signals.t0, tuple(notes), source=f"simulated {machine}")
+
+
+def _human(result: dict[str, Any], truth: dict[str, Any]) -> str:
+    channels = ", ".join(f"{name} [{unit or '-'}]" for name, unit in result["channels"].items())
+    lines = [
+        f"{truth['machine']}: {result['samples']} samples of {result['sample_time']:.6g} s → {result['file']}",
+        f"channels: {channels}",
+        *(f"hidden effect: {id} {_values(parameters)}" for id, parameters in truth["effects"].items()),
+        *(f"fault: {id}, size {size:g}" for id, size in truth["faults"].items()),
+        f"true constants: {_values(truth['constants'])}",
+    ]
+    return "\n".join(lines)
+
+
+def _values(parameters: dict[str, Any]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())

@@ -1,0 +1,65 @@
+"""`residuum train`: records → a stored, trained diagnoser."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.commands.diagnoser_options import DiagnoserName, Hertz, Orders, SpeedRpm, bearing_settings, new_diagnoser
+from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.report import AsJson, report
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def train(
+    diagnoser: DiagnoserName,
+    records: RecordFiles,
+    out: Annotated[Path, typer.Option(help="File for the trained diagnoser.")],
+    labels: Annotated[Path | None, typer.Option(help="CSV of `record,label`; without it every record is healthy.")] = None,
+    channel_map: ChannelMap = None,
+    resample: Resample = False,
+    sample_time: SampleTime = None,
+    unit: Units = None,
+    speed_rpm: SpeedRpm = None,
+    orders: Orders = None,
+    hertz: Hertz = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train a diagnoser on records and store it for `score --baseline`."""
+    untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz))
+    names = read_labels(labels, records) if labels else None
+    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
+    if not out.parent.is_dir():
+        raise BadInput(f"{out}: folder {str(out.parent)!r} does not exist")
+    untrained.fit(loaded, names).save(out)
+    seconds = sum(record.duration for record in loaded)
+    result = {
+        "diagnoser": diagnoser,
+        "records": [str(file) for file in records],
+        "labels": names,
+        "seconds_of_data": seconds,
+        "file": str(out),
+    }
+    report(result, f"{diagnoser}: trained on {len(loaded)} records, {seconds:.4g} s of data → {out}", as_json=as_json)
+
+
+def read_labels(file: Path, records: Sequence[Path]) -> list[str]:
+    """The label of each record from a CSV of `record,label` (record by file name or path)."""
+    try:
+        with file.open(encoding="utf-8", newline="") as rows:
+            table = [[cell.strip() for cell in row] for row in csv.reader(rows) if row and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInput(f"{file}: cannot be read as CSV: {error}") from None
+    if wrong := [number for number, row in enumerate(table, start=1) if len(row) != 2]:
+        raise BadInput(f"{file}, row {wrong[0]}: must be record,label")
+    known = {name: label for name, label in table if (name, label) != ("record", "label")}
+    labels = [known.get(str(record), known.get(record.name)) for record in records]
+    for record, label in zip(records, labels, strict=True):
+        if label is None:
+            raise BadInput(f"{file}: has no label for {record}")
+    return [label for label in labels if label is not None]

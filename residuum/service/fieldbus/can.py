@@ -1,0 +1,224 @@
+"""CanSource: streams of samples from a CAN bus, decoded in blocks after a DBC file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.block import Block, StreamFormat
+from residuum.service.fieldbus.frame_layout import FrameLayout
+from residuum.service.fieldbus.frames import FrameBatch, FrameBatchBuilder, FrameBus
+from residuum.service.fieldbus.sequence import SequenceCounter
+from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+from residuum.service.fieldbus.udp_multicast import MulticastFrames
+
+_MULTICAST_PORT = 43113
+_POLL = 0.1
+_GATHER = 0.01
+_MOST_IN_ONE_READ = 2048
+_BUS_OFF = 0x40
+COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
+
+
+class PythonCanFrames:
+    """Any bus that python-can opens (`socketcan`, `virtual`, adapters), read in batches."""
+
+    def __init__(self, interface: str, channel: str) -> None:
+        self._bus = can.Bus(interface=interface, channel=channel, fd=True, receive_own_messages=False)
+        self._off = False
+
+    def read(self, timeout: float) -> FrameBatch:
+        """Frames that came within `timeout` seconds; raises can.CanOperationError once a bus-off has been reported."""
+        if self._off:
+            raise can.CanOperationError("bus-off")
+        grouped: dict[tuple[int, int], list[bytes]] = {}
+        batch = FrameBatchBuilder()
+        for number in range(_MOST_IN_ONE_READ):
+            message = None if self._off else self._bus.recv(0 if number else timeout)
+            if message is None:
+                break
+            if message.is_error_frame:
+                self._off = bool(message.arbitration_id & _BUS_OFF)
+                batch.errors += not self._off  # a bus-off is counted when it ends the connection
+            elif not message.is_remote_frame:
+                grouped.setdefault((message.arbitration_id, len(message.data)), []).append(bytes(message.data))
+        for (frame_id, length), frames in grouped.items():
+            batch.add(frame_id, np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), length))
+        return batch.batch()
+
+    def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
+        """Send one frame."""
+        extended = frame_id > 0x7FF
+        self._bus.send(
+            can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended, is_fd=is_fd, bitrate_switch=is_fd),
+            timeout=0.2,
+        )
+
+    def send_many(self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False) -> None:
+        """Send frames of one message, shape (n, length), in order."""
+        for data in frames:
+            self.send(frame_id, data.tobytes(), is_fd=is_fd)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._bus.shutdown()
+
+
+def open_bus(channel: str) -> FrameBus:
+    """Open `interface:channel`, for example `socketcan:can0`, `virtual:bench`, `udp_multicast:239.74.163.2:43113`.
+
+    Raises BadInput for an address that is none, OSError or can.CanError when the bus cannot be opened.
+    """
+    interface, colon, rest = channel.partition(":")
+    if not (interface and colon and rest):
+        raise BadInput(f"CAN channel {channel!r}: must be interface:channel, for example socketcan:can0")
+    if interface != "udp_multicast":
+        return PythonCanFrames(interface, rest)
+    group, port, hops = multicast_address(rest)
+    return MulticastFrames(group, port, hops)
+
+
+def multicast_address(text: str) -> tuple[str, int, int]:
+    """Group, port and hops of `GROUP[:PORT][/HOPS]`; an IPv6 group with a port stands in brackets.
+
+    >>> multicast_address("239.1.2.3:5000/1"), multicast_address("[ff15::1]:5000")
+    (('239.1.2.3', 5000, 1), ('ff15::1', 5000, 0))
+    """
+    address, _, hops = text.partition("/")
+    if address.startswith("["):
+        group, _, port = address[1:].partition("]")
+        port = port.removeprefix(":")
+    elif address.count(":") > 1:
+        group, port = address, ""
+    else:
+        group, _, port = address.partition(":")
+    try:
+        return group, int(port or _MULTICAST_PORT), int(hops or 0)
+    except ValueError:
+        raise BadInput(f"CAN channel {text!r}: must be GROUP[:PORT][/HOPS] with whole numbers") from None
+
+
+class CanSource(Source):
+    """Streams from the CAN frames that a DBC file describes.
+
+    Parameters
+    ----------
+    channel : str
+        Bus address, see `open_bus`.
+    layouts : mapping of message name to FrameLayout
+        Messages with a counter become streams; `FAULT_COMMAND` and `FAULT_STATE` switch the faults of simulated machines.
+    sink : callable
+    """
+
+    def __init__(self, channel: str, layouts: Mapping[str, FrameLayout], sink: Sink) -> None:
+        super().__init__(channel, sink)
+        self.channel = channel
+        self._layouts = {layout.frame_id: layout for layout in layouts.values() if layout.counter_bits}
+        self._command, self._state = layouts.get(COMMAND), layouts.get(STATE)
+        self._faults = {name: number for number, name in (self._state.choices["fault"] if self._state else {}).items()}
+        self._sizes: dict[str, float] = {}
+        self._counters = {frame_id: SequenceCounter(layout.counter_bits) for frame_id, layout in self._layouts.items()}
+        self._last_seen: dict[int, float] = {}
+        self._was_empty = False
+        self._clock = time.monotonic
+        self._bus: FrameBus | None = None
+
+    @property
+    def streams(self) -> Sequence[StreamFormat]:
+        """One stream a message with a counter."""
+        return [layout.format for layout in self._layouts.values()]
+
+    @property
+    def fault_ids(self) -> Sequence[str]:
+        """The faults that the DBC file names."""
+        return list(self._faults)
+
+    @property
+    def fault_sizes(self) -> Mapping[str, float]:
+        """Faults that the last `FAULT_STATE` frames said are on."""
+        return {fault: size for fault, size in self._sizes.items() if size}
+
+    def switch_fault(self, fault: str, size: float) -> None:
+        """Send a `FAULT_COMMAND` frame."""
+        if self._command is None or self._bus is None or fault not in self._faults:
+            raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
+        frame = self._command.encode([0], {"fault": [self._faults[fault]], "size": [size]})
+        try:
+            self._bus.send(self._command.frame_id, frame[0].tobytes())
+        except (OSError, can.CanError) as error:
+            raise FaultsUnavailable(f"{self.name}: cannot send the command: {error}") from error
+
+    def _run(self) -> None:
+        backoff, opened_before = Backoff(), False
+        while not self._stopped.is_set():
+            try:
+                self._bus = open_bus(self.channel)
+                if opened_before:
+                    self.health.count("reconnects")
+                opened_before = True
+                self._read_while_it_works(backoff)
+            except (OSError, can.CanError, ValueError) as error:
+                self.health.count("bus_errors", 1, f"{type(error).__name__}: {error}")
+                self._stopped.wait(backoff.next())
+            finally:
+                self._close()
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+
+    def _read_while_it_works(self, backoff: Backoff) -> None:
+        while not self._stopped.is_set() and self._bus is not None:
+            batch = self._bus.read(_POLL)
+            if batch.empty:
+                self._was_empty = True
+                continue
+            self._take(batch)
+            backoff.reset()
+            self._was_empty = False
+            self._stopped.wait(_GATHER)
+
+    def _take(self, batch: FrameBatch) -> None:
+        if batch.errors:
+            self.health.count("bus_errors", batch.errors, "error frame on the bus")
+        if batch.undecodable:
+            self.health.count("undecodable", batch.undecodable, "a frame that cannot be unpacked")
+        for frame_id, arrays in batch.frames.items():
+            for frames in arrays:
+                if frame_id in self._layouts:
+                    self._take_samples(self._layouts[frame_id], frames)
+                elif self._state is not None and frame_id == self._state.frame_id and frames.shape[1] == self._state.length:
+                    self._take_state(self._state, frames)
+
+    def _take_samples(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
+        if frames.shape[1] != layout.length:
+            self.health.count("undecodable", len(frames), f"{layout.name}: {frames.shape[1]} bytes, not {layout.length}")
+            return
+        now = self._clock()
+        silence = now - self._last_seen.get(layout.frame_id, now) if self._was_empty else 0.0
+        self._last_seen[layout.frame_id] = now
+        counter, channels = layout.decode(frames)
+        rate = 1.0 / (layout.sample_time * layout.samples)
+        placed = self._counters[layout.frame_id].place(counter, silence, rate)
+        for name, times in (("lost", placed.lost), ("duplicated", placed.duplicated), ("reordered", placed.reordered)):
+            if times:
+                self.health.count(name, times, f"{layout.name}: frames {name}")
+        if placed.jumps:
+            self.health.count("counter_jumps", placed.jumps, f"{layout.name}: the sequence counter jumped")
+        keep = np.repeat(placed.keep, layout.samples)
+        number = (placed.number[:, None] * layout.samples + np.arange(layout.samples)).reshape(-1)
+        block = Block(layout.name, number[keep], {name: values[keep] for name, values in channels.items()})
+        self._deliver(block, len(frames))
+
+    def _take_state(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
+        _, values = layout.decode(frames)
+        for number, size in zip(values["fault"], values["size"], strict=True):
+            if fault := layout.choices["fault"].get(int(number)):
+                self._sizes[fault] = float(size)

@@ -1,0 +1,238 @@
+"""ModbusSource: streams of samples from the holding registers of a Modbus TCP device, after a register map."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import TimeoutError as WaitTimeout
+from typing import Any
+
+import numpy as np
+
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.block import Block, StreamFormat
+from residuum.service.fieldbus.modbus_client import BadReply, DeviceRefused, StrictModbusClient
+from residuum.service.fieldbus.register_map import (
+    Pages,
+    RegisterMap,
+    StreamRegisters,
+    float_registers,
+    read_page,
+    registers_float,
+)
+from residuum.service.fieldbus.sequence import BREAK
+from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+
+_LEAST_PERIOD = 0.1
+_STATE_PERIOD = 1.0
+_SPARE_PAGES = 2
+_SWITCH_TIMEOUT = 3.0
+_SWITCH_AGAIN = 0.1
+
+
+class ModbusSource(Source):
+    """Streams that a register map describes, read from one device.
+
+    Parameters
+    ----------
+    host, port : str, int
+    registers : RegisterMap
+    sink : callable
+    timeout : float
+        For each reply [s].
+    """
+
+    def __init__(self, host: str, port: int, registers: RegisterMap, sink: Sink, timeout: float = 1.0) -> None:
+        super().__init__(f"modbus:{host}:{port}", sink)
+        self._host, self._port, self._timeout = host, port, timeout
+        self._map = registers
+        self._readers = [_stream_reader(name, stream, self) for name, stream in registers.streams.items()]
+        self._sizes: dict[str, float] = {}
+        self._backoff = Backoff(first=0.05)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._client: StrictModbusClient | None = None
+
+    @property
+    def streams(self) -> Sequence[StreamFormat]:
+        """The streams of the register map."""
+        return [stream.format(name) for name, stream in self._map.streams.items()]
+
+    @property
+    def fault_ids(self) -> Sequence[str]:
+        """The faults of the register map."""
+        return self._map.faults.ids if self._map.faults else []
+
+    @property
+    def fault_sizes(self) -> Mapping[str, float]:
+        """Faults whose state registers are not zero."""
+        return {fault: size for fault, size in self._sizes.items() if size}
+
+    def switch_fault(self, fault: str, size: float) -> None:
+        """Write the command registers; tried again for some seconds, because the connection may be just coming back."""
+        faults = self._map.faults
+        if faults is None or fault not in faults.ids:
+            raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
+        command = [faults.ids.index(fault) + 1, *float_registers(size)]
+        end = time.monotonic() + _SWITCH_TIMEOUT
+        while (said := self._write(faults.command, command)) is not None:
+            if time.monotonic() > end or self._stopped.wait(_SWITCH_AGAIN):
+                raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}: {said}")
+
+    def _write(self, address: int, registers: list[int]) -> str | None:
+        """Write registers from any thread; what went wrong, None when nothing did."""
+        client, loop = self._client, self._loop
+        if client is None or loop is None:
+            return "the device is not connected"
+        waiting = asyncio.run_coroutine_threadsafe(client.write(address, registers), loop)
+        try:
+            waiting.result(_SWITCH_TIMEOUT)
+        except (BadReply, DeviceRefused, TimeoutError, WaitTimeout, RuntimeError) as error:
+            waiting.cancel()
+            return f"the device did not take the command: {error}"
+        return None
+
+    def deliver(self, block: Block, pages: int) -> None:
+        """Hand on samples that were read (called by the stream readers)."""
+        self._backoff.reset()
+        self._deliver(block, pages)
+
+    def _run(self) -> None:
+        asyncio.run(self._keep_reading())
+
+    async def _keep_reading(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._protocol_failed)
+        opened_before = False
+        while not self._stopped.is_set():
+            client = StrictModbusClient(self._host, self._port, self._map.unit_id, self._timeout, self.health)
+            try:
+                if not await client.connect():
+                    raise BadReply("bus_errors", "nobody answers at this address")
+                if opened_before:
+                    self.health.count("reconnects")
+                opened_before, self._client = True, client
+                await self._read_while_it_works(client)
+            except BadReply as error:
+                self.health.count(error.counter, 1, str(error))
+            except TimeoutError as error:
+                self.health.count("timeouts", 1, str(error))
+            except OSError as error:
+                self.health.count("bus_errors", 1, str(error))
+            finally:
+                self._client = None
+                client.close()
+            await self._pause(self._backoff.next())
+
+    def _protocol_failed(self, _loop: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
+        """A reply so malformed that the decoder broke; asyncio has closed the connection, the read times out."""
+        self.health.count("undecodable", 1, str(context.get("exception") or context.get("message")))
+
+    async def _read_while_it_works(self, client: StrictModbusClient) -> None:
+        period = min(reader.period for reader in self._readers)
+        state_due, due = 0.0, time.monotonic()
+        while not self._stopped.is_set():
+            try:
+                for reader in self._readers:
+                    await reader.read(client)
+                if (now := time.monotonic()) >= state_due:
+                    await self._read_state(client)
+                    state_due = now + _STATE_PERIOD
+            except DeviceRefused as error:
+                self.health.count("modbus_exceptions", 1, str(error))
+            due = max(due + period, time.monotonic() - period)
+            await self._pause(due - time.monotonic())
+
+    async def _read_state(self, client: StrictModbusClient) -> None:
+        if faults := self._map.faults:
+            words = await client.read(faults.state, 2 * len(faults.ids))
+            sizes = [registers_float(words[2 * k], words[2 * k + 1]) for k in range(len(faults.ids))]
+            self._sizes = dict(zip(faults.ids, sizes, strict=True))
+
+    async def _pause(self, seconds: float) -> None:
+        """Wait in steps short enough to stop soon."""
+        end = time.monotonic() + seconds
+        while not self._stopped.is_set() and (left := end - time.monotonic()) > 0:
+            await asyncio.sleep(min(left, 0.1))
+
+
+class _PagedReader:
+    """Reads the pages of one stream in turn, from the oldest that the ring holds."""
+
+    def __init__(self, name: str, stream: StreamRegisters, pages: Pages, source: ModbusSource) -> None:
+        self.period = max(_LEAST_PERIOD, stream.sample_time * pages.samples)
+        self._name, self._stream, self._pages, self._source = name, stream, pages, source
+        self._next: int | None = None
+        self._base = 0
+
+    async def read(self, client: StrictModbusClient) -> None:
+        """Deliver every page that is complete and not read yet."""
+        newest = await self._newest(client)
+        if self._next is not None and newest < self._next:
+            newest = await self._confirm_restart(client, newest)
+        oldest = max(0, newest - self._pages.count + _SPARE_PAGES)
+        if self._next is None:
+            self._next = oldest
+        elif self._next < oldest:
+            self._source.health.count("lost", oldest - self._next, f"{self._name}: the ring went round before it was read")
+            self._next = oldest
+        while self._next < newest:
+            channels = await self._page(client, self._next)
+            number = self._base + self._next * self._stream.samples + np.arange(self._stream.samples, dtype=np.int64)
+            self._next += 1
+            self._source.deliver(Block(self._name, number, channels), 1)
+
+    async def _newest(self, client: StrictModbusClient) -> int:
+        high, low = await client.read(self._pages.newest, 2)
+        return high << 16 | low
+
+    async def _confirm_restart(self, client: StrictModbusClient, newest: int) -> int:
+        """The device counts from 0 again; asked twice, because this number alone has no checksum."""
+        again = await self._newest(client)
+        if self._next is None or not newest <= again < self._next:
+            raise BadReply("corrupt_replies", f"{self._name}: page numbers {newest} and {again} cannot both be right")
+        self._source.health.count("counter_jumps", 1, f"{self._name}: the device began to count anew")
+        self._base += BREAK
+        self._next = None
+        return again
+
+    async def _page(self, client: StrictModbusClient, number: int) -> dict[str, Any]:
+        address = self._pages.address + self._pages.stride * (number % self._pages.count)
+        page = read_page(await client.read(address, self._stream.page_registers))
+        if page is None:
+            raise BadReply("corrupt_replies", f"{self._name}, page {number}: the checksum is wrong")
+        if page.number != number:
+            raise BadReply("corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for")
+        return self._stream.decode(page.registers)
+
+
+class _PolledReader:
+    """Reads plain registers once a sample time, on the reader's clock; a read that is late leaves a hole."""
+
+    def __init__(self, name: str, stream: StreamRegisters, address: int, source: ModbusSource) -> None:
+        self.period = stream.sample_time
+        self._name, self._stream, self._address, self._source = name, stream, address, source
+        self._started: float | None = None
+        self._last = -1
+
+    async def read(self, client: StrictModbusClient) -> None:
+        """Deliver one sample when its time has come."""
+        now = time.monotonic()
+        if self._started is None:
+            self._started = now
+        number = round((now - self._started) / self.period)
+        if number <= self._last:
+            return
+        words = await client.read(self._address, self._stream.page_registers)
+        if self._last >= 0 and number > self._last + 1:
+            self._source.health.count("lost", number - self._last - 1, f"{self._name}: the device was polled too late")
+        self._last = number
+        self._source.deliver(Block(self._name, np.array([number], np.int64), self._stream.decode(words)), 1)
+
+
+def _stream_reader(name: str, stream: StreamRegisters, source: ModbusSource) -> _PagedReader | _PolledReader:
+    if stream.pages:
+        return _PagedReader(name, stream, stream.pages, source)
+    if stream.poll is None:
+        raise ValueError(f"stream {name}: neither pages nor poll")
+    return _PolledReader(name, stream, stream.poll.address, source)

@@ -1,0 +1,73 @@
+"""What is to be watched: machines, the buses that carry their signals, and how windows are cut."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from residuum.service.alarm_rules import AlarmRule
+
+MAPS = Path(__file__).parent / "maps"
+
+
+def map_file(name: str) -> Path:
+    """The DBC file or register map of this name: one that comes with Residuum, or a file."""
+    built_in = MAPS / name
+    return built_in if "/" not in name and built_in.is_file() else Path(name)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SourceSettings(_Strict):
+    """One bus connection.
+
+    `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`) and a DBC file; `modbus`
+    needs `host`, `port` and a register map. `map` is a file, or the name of one that comes with Residuum.
+    """
+
+    kind: Literal["can", "modbus"]
+    map: str
+    channel: str = ""
+    host: str = "127.0.0.1"
+    port: int = Field(default=502, ge=1, le=65535)
+
+    @model_validator(mode="after")
+    def _complete(self) -> SourceSettings:
+        if self.kind == "can" and not self.channel:
+            raise ValueError("a CAN source needs a channel, for example socketcan:can0")
+        return self
+
+    @property
+    def map_file(self) -> Path:
+        """The DBC file or register map."""
+        return map_file(self.map)
+
+
+class WindowSettings(_Strict):
+    """How the streams are cut into windows.
+
+    `movement`: from the phase signal's leaving 0 to its return. `round`: from the first of four indicator pulses to the next
+    one like it.
+    `sliding`: `length` seconds every `step` seconds.
+    """
+
+    cut: Literal["movement", "round", "sliding"]
+    length: float = Field(default=60.0, gt=0, le=3600, description="Length of a sliding window [s].")
+    step: float = Field(default=10.0, gt=0, le=3600, description="From one sliding window to the next [s].")
+
+
+class MachineSettings(_Strict):
+    """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and alarm rule."""
+
+    asset: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    diagnoser: str
+    window: WindowSettings
+    sources: list[SourceSettings] = Field(min_length=1)
+    baseline: str | None = Field(default=None, description="Name of the trained baseline; None: the asset's own.")
+    alarms: AlarmRule | None = Field(
+        default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
+    )

@@ -1,0 +1,155 @@
+"""Where a fleet's records are: a folder, a bucket or archive by its URL, or the windows that a service has stored."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol
+
+from sqlalchemy import select
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.identification.record_formats import READERS, read_record
+from residuum.service.storage.blocks import Blocks, BrokenBlock
+from residuum.service.storage.database import Database, newest_revision, sqlite_file
+from residuum.service.storage.tables import windows
+
+_DATABASES = ("sqlite", "postgresql")
+
+
+class FleetSource(Protocol):
+    """Names of records, and the records themselves; travels to worker processes."""
+
+    def items(self) -> list[str]:
+        """All names, in an order that is always the same."""
+
+    def read(self, item: str) -> Record:
+        """The record of a name; BadInput when it cannot be read."""
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Record files below a folder, at any depth; a name is the file's path."""
+
+    folder: str = "."
+
+    def items(self) -> list[str]:
+        """Paths of the files, sorted."""
+        return sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in READERS)
+
+    def read(self, item: str) -> Record:
+        """The record of a file."""
+        return read_record(item)
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """Record files below a URL that fsspec opens: `s3://bucket/plant`, `file:///srv`, `zip::file:///srv/plant.zip`.
+
+    Who may read it is said by the environment, as the library of its protocol wants it (for s3 the AWS variables).
+    """
+
+    url: str
+
+    def items(self) -> list[str]:
+        """Keys of the files, sorted."""
+        try:
+            files, root = _file_system(self.url)
+            found = files.find(root)
+        except (OSError, ValueError, ImportError) as error:
+            raise BadInput(f"{self.url}: cannot be listed: {type(error).__name__} {error}") from None
+        return sorted(str(key) for key in found if PurePosixPath(key).suffix.lower() in READERS)
+
+    def read(self, item: str) -> Record:
+        """The record of a file, copied here first because readers want files."""
+        files, _ = _file_system(self.url)
+        with tempfile.TemporaryDirectory() as folder:
+            here = Path(folder) / PurePosixPath(item).name
+            try:
+                with files.open(item, "rb") as there, here.open("wb") as copy:
+                    shutil.copyfileobj(there, copy)
+                return _named(read_record(here), item)
+            except BadInput as error:
+                raise BadInput(str(error).replace(str(here), item)) from None
+            except OSError as error:
+                raise BadInput(f"{item}: cannot be read: {error}") from None
+
+
+@dataclass(frozen=True)
+class StoredWindows:
+    """Windows in a service's database whose signals are still kept; a name is `ASSET/NUMBER`. Nothing is changed.
+
+    Parameters
+    ----------
+    url : str
+        SQLAlchemy URL of the database.
+    data : str
+        The service's data folder, which has the signal blocks.
+    """
+
+    url: str
+    data: str
+
+    def items(self) -> list[str]:
+        """Names of the windows, by asset, oldest first."""
+        if (file := sqlite_file(self.url)) is not None and not file.is_file():
+            raise BadInput(f"{self.url}: there is no such database")
+        database, _ = _store(self.url, self.data)
+        if database.revision() != newest_revision():
+            raise BadInput(f"{self.url}: is no database of this version of the service; start the service on it once")
+        query = select(windows.c.asset_id, windows.c.id).where(windows.c.signal_let_go_at.is_(None))
+        with database.read() as connection:
+            rows = connection.execute(query.order_by(windows.c.asset_id, windows.c.id)).all()
+        return [f"{row.asset_id}/{row.id}" for row in rows]
+
+    def read(self, item: str) -> Record:
+        """The signals of a window, verified."""
+        database, blocks = _store(self.url, self.data)
+        asset, _, number = item.rpartition("/")
+        query = select(windows.c.block_path).where(windows.c.asset_id == asset, windows.c.id == int(number))
+        with database.read() as connection:
+            path = connection.execute(query).scalar_one_or_none()
+        try:
+            if path is None:
+                raise BadInput(f"window {item}: was let go meanwhile")
+            return blocks.read(path)
+        except BrokenBlock as error:
+            raise BadInput(f"window {item}: {error}") from None
+
+
+def fleet_source(text: str, data: Path | None) -> FleetSource:
+    """What a command's argument names; BadInput for a folder that is none and a database without its data folder."""
+    scheme = text.split("://", maxsplit=1)[0].split("+", maxsplit=1)[0] if "://" in text else ""
+    if scheme in _DATABASES:
+        if data is None or not data.is_dir():
+            raise BadInput(f"{text}: the signals of a database are in the service's data folder; give it with --data")
+        return StoredWindows(text, str(data.resolve()))
+    if scheme:
+        return Bucket(text)
+    if not Path(text).is_dir():
+        raise BadInput(f"{text}: is not a folder")
+    return Folder(text)
+
+
+@lru_cache(maxsize=4)
+def _file_system(url: str) -> tuple[Any, str]:
+    try:
+        fsspec: Any = import_module("fsspec.core")  # optional: the extra `fleet`
+    except ImportError:
+        raise BadInput(f"{url}: needs the extra 'fleet'") from None
+    files, root = fsspec.url_to_fs(url)
+    return files, root
+
+
+@lru_cache(maxsize=4)
+def _store(url: str, data: str) -> tuple[Database, Blocks]:
+    return Database(url), Blocks(Path(data) / "blocks")
+
+
+def _named(record: Record, source: str) -> Record:
+    return Record(record.channels, record.units, record.sample_time, t0=record.t0, notes=record.notes, source=source)

@@ -1,0 +1,231 @@
+"""Jobs: long work in processes of its own, with progress, that can be cancelled at any moment."""
+
+from __future__ import annotations
+
+import multiprocessing
+import secrets
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from multiprocessing.connection import Connection
+from typing import Any
+
+import structlog
+
+from residuum.identification.errors import BadInput
+from residuum.service.store import NotFound
+
+log = structlog.get_logger()
+
+Progress = Callable[[float, str], None]
+"""Told by the work how far it is: (share done 0 … 1, what it is doing)."""
+Work = Callable[..., Mapping[str, Any]]
+"""A function of a module: `work(progress, *arguments)`; arguments and result travel between processes."""
+Then = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+Announce = Callable[[str, Mapping[str, Any]], None]
+
+_SPAWN = multiprocessing.get_context("spawn")  # a fork would take the threads' locks along
+_MOST_KEPT = 500
+
+
+class JobState(StrEnum):
+    """How far a job is."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    REFUSED = "refused"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+OVER = (JobState.DONE, JobState.REFUSED, JobState.FAILED, JobState.CANCELLED)
+
+
+class TooManyJobs(BadInput):
+    """The queue of jobs is full; ask again later."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One job: `refused` is bad input (the message says which), `failed` a fault of ours."""
+
+    id: str
+    kind: str
+    state: JobState
+    progress: float
+    doing: str
+    created_at: datetime
+    finished_at: datetime | None = None
+    result: Mapping[str, Any] | None = None
+    error: str | None = None
+
+    def to_json(self, *, with_result: bool = True) -> dict[str, Any]:
+        """The job as plain values."""
+        plain = asdict(self)
+        if not with_result:
+            del plain["result"]
+        return plain
+
+
+class Jobs:
+    """Runs jobs, a few at a time, each in a worker process; cancelling one ends its process.
+
+    Workers stay warm between jobs (a fresh one costs the imports). A worker that dies takes only its own job along.
+    """
+
+    def __init__(self, announce: Announce, at_once: int = 2, queued: int = 64) -> None:
+        self._announce = announce
+        self._jobs: dict[str, Job] = {}
+        self._running: dict[str, _Worker] = {}
+        self._idle: list[_Worker] = []
+        self._lock = threading.RLock()
+        self._slots = threading.Semaphore(at_once)
+        self._most = at_once + queued
+        self._closed = False
+
+    def submit(self, kind: str, work: Work, *arguments: Any, then: Then = dict) -> Job:
+        """Queue a job; `then` makes its result of what the work returned, in this process. TooManyJobs when the queue is full."""
+        job = Job(secrets.token_hex(8), kind, JobState.QUEUED, 0.0, "waiting", datetime.now(UTC))
+        with self._lock:
+            if sum(other.state not in OVER for other in self._jobs.values()) >= self._most:
+                raise TooManyJobs(f"job {kind!r}: {self._most} are waiting or running; try again later")
+            self._forget_oldest()
+            self._jobs[job.id] = job
+        threading.Thread(target=self._run, args=(job.id, work, arguments, then), name=f"job-{job.id}", daemon=True).start()
+        return job
+
+    def get(self, job: str) -> Job:
+        """One job; NotFound when it is unknown or forgotten."""
+        with self._lock:
+            if job not in self._jobs:
+                raise NotFound(f"job {job[:40]!r}: there is none of this name")
+            return self._jobs[job]
+
+    def list(self) -> Sequence[Job]:
+        """All jobs that are remembered, newest first."""
+        with self._lock:
+            return list(self._jobs.values())[::-1]
+
+    def cancel(self, job: str) -> Job:
+        """End a job now; one that is over stays as it is."""
+        with self._lock:
+            if self.get(job).state in OVER:
+                return self._jobs[job]
+            changed = self._update(job, state=JobState.CANCELLED, doing="cancelled", finished_at=datetime.now(UTC))
+            if worker := self._running.get(job):
+                worker.kill()
+        return changed
+
+    def close(self) -> None:
+        """Cancel everything and end the workers."""
+        with self._lock:
+            self._closed = True
+            for job in [job.id for job in self._jobs.values() if job.state not in OVER]:
+                self.cancel(job)
+            for worker in self._idle:
+                worker.kill()
+
+    def _run(self, job: str, work: Work, arguments: tuple[Any, ...], then: Then) -> None:
+        with self._slots:
+            with self._lock:
+                if self._jobs[job].state in OVER or self._closed:
+                    return
+                worker = self._idle.pop() if self._idle else _Worker()
+                self._running[job] = worker
+                self._update(job, state=JobState.RUNNING, doing="starting")
+            try:
+                state, outcome = self._follow(job, worker, (work, arguments))
+            finally:  # before the job is over: whoever sees it over finds its worker idle
+                with self._lock:
+                    del self._running[job]
+                    if worker.alive and not self._closed:
+                        self._idle.append(worker)
+            self._conclude(job, state, outcome, then)
+
+    def _follow(self, job: str, worker: _Worker, order: tuple[Work, tuple[Any, ...]]) -> tuple[JobState, Any]:
+        """The state that the work ended in, and its result or what it said."""
+        try:
+            worker.channel.send(order)
+            while True:
+                said, *rest = worker.channel.recv()
+                if said != "progress":
+                    return JobState(said), rest[0]
+                self._update(job, progress=min(1.0, max(0.0, float(rest[0]))), doing=str(rest[1]))
+        except (EOFError, OSError):  # the process is gone: cancelled, or it died
+            worker.kill()
+            return JobState.FAILED, "the worker process ended unexpectedly (out of memory?)"
+        except Exception as error:  # what cannot travel to the worker: the job has failed, it must not stay running
+            worker.kill()
+            return JobState.FAILED, f"{type(error).__name__}: {error}"
+
+    def _conclude(self, job: str, state: JobState, outcome: Any, then: Then) -> None:
+        if state is JobState.DONE:
+            try:
+                outcome = then(outcome)
+            except BadInput as error:
+                state, outcome = JobState.REFUSED, str(error)
+            except Exception as error:  # what was computed cannot be kept: the job has failed, and says why
+                state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
+        self._finish(job, state, outcome)
+
+    def _finish(self, job: str, state: JobState, outcome: Any) -> None:
+        done = state is JobState.DONE
+        told = outcome if done else (str(outcome).strip().splitlines() or [state.value])[-1]
+        fields = {"result": told, "progress": 1.0} if done else {"error": told}
+        self._update(job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields)
+        if state is JobState.FAILED:  # said last: a log that cannot be written must not leave the job running
+            log.error("job failed", job=job, reason=outcome)
+
+    def _update(self, job: str, **fields: Any) -> Job:
+        with self._lock:
+            if self._jobs[job].state in OVER:
+                return self._jobs[job]
+            changed = self._jobs[job] = replace(self._jobs[job], **fields)
+        self._announce("job", changed.to_json(with_result=False))
+        return changed
+
+    def _forget_oldest(self) -> None:
+        over = [job.id for job in self._jobs.values() if job.state in OVER]
+        for job in over[: max(0, len(self._jobs) - _MOST_KEPT)]:
+            del self._jobs[job]
+
+
+class _Worker:
+    """A process that works on one job after the other."""
+
+    def __init__(self) -> None:
+        self.channel, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(target=_work_on, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.alive = True
+
+    def kill(self) -> None:
+        """End the process at once."""
+        self.alive = False
+        self._process.kill()
+        self._process.join(5)
+
+
+def _work_on(channel: Connection[Any, Any]) -> None:
+    """The worker process: take jobs until the service closes the channel."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when a job ends
+
+    def progress(share: float, doing: str) -> None:
+        channel.send(("progress", share, doing))
+
+    with suppress(EOFError, OSError):
+        while True:
+            work, arguments = channel.recv()
+            try:
+                channel.send((JobState.DONE.value, dict(work(progress, *arguments))))
+            except BadInput as error:
+                channel.send((JobState.REFUSED.value, " ".join(str(error).split())))
+            except Exception:
+                channel.send((JobState.FAILED.value, traceback.format_exc()))

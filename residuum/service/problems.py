@@ -1,0 +1,105 @@
+"""Every refusal as an RFC 9457 problem document, with one line that says what, where and which rule."""
+
+from __future__ import annotations
+
+import re
+from http import HTTPStatus
+from typing import Any
+
+import orjson
+import structlog
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from residuum.identification.errors import BadInput
+from residuum.service.alarm_states import IllegalTransition
+from residuum.service.jobs import TooManyJobs
+from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
+
+log = structlog.get_logger()
+
+
+class BadBody(BadInput):
+    """The body of a request is not what its content type says (malformed JSON, no array, wrong length)."""
+
+
+class UnsupportedBody(BadInput):
+    """The content type of a request is none that the route reads."""
+
+
+class TooLarge(BadInput):
+    """The body of a request, or what it declares to hold, is larger than the limit."""
+
+
+_STATUS: dict[type[Exception], int] = {
+    NotFound: 404,
+    SignalLetGo: 410,
+    Conflict: 409,
+    IllegalTransition: 409,
+    BadBody: 400,
+    UnsupportedBody: 415,
+    TooLarge: 413,
+    TooManyJobs: 429,
+    BadInput: 422,
+}
+_MOST_SHOWN = 500
+
+
+def problem(status: int, detail: str, kind: str | None = None, headers: dict[str, str] | None = None, **more: Any) -> Response:
+    """A problem document. `kind` names the rule that was broken, for programs; `detail` is one line for people."""
+    body = {
+        "type": f"urn:residuum:problem:{kind}" if kind else "about:blank",
+        "title": _title(status),
+        "status": status,
+        "detail": _line(detail),
+        **more,
+    }
+    return Response(orjson.dumps(body), status, media_type="application/problem+json", headers=headers)
+
+
+def install(app: FastAPI) -> None:
+    """Answer every exception of this app with a problem document."""
+
+    @app.exception_handler(BadInput)
+    async def _bad_input(_request: Request, error: BadInput) -> Response:
+        status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
+        return problem(status, str(error), _kebab(type(error).__name__), {"Retry-After": "5"} if status == 429 else None)
+
+    @app.exception_handler(RequestValidationError)
+    async def _not_valid(_request: Request, error: RequestValidationError) -> Response:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        malformed = first["type"] == "json_invalid"
+        says = f"{first['msg']}: {first['ctx']['error']}" if malformed else first["msg"]
+        return problem(400 if malformed else 422, f"{where}: {says}", "bad-body" if malformed else "bad-request")
+
+    @app.exception_handler(HTTPException)
+    async def _http(_request: Request, error: HTTPException) -> Response:
+        return problem(error.status_code, str(error.detail), headers=dict(error.headers or {}))
+
+    @app.exception_handler(StorageUnavailable)
+    async def _storage(_request: Request, error: StorageUnavailable) -> Response:
+        log.error("storage unavailable", reason=str(error))
+        return problem(507 if error.full else 503, str(error), "storage-unavailable", {"Retry-After": "5"})
+
+    @app.exception_handler(Exception)
+    async def _ours(_request: Request, error: Exception) -> Response:
+        return problem(500, f"a fault of ours: {type(error).__name__}; the log has the details", "internal")
+
+
+def _title(status: int) -> str:
+    try:
+        return HTTPStatus(status).phrase
+    except ValueError:
+        return "Error"
+
+
+def _line(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _MOST_SHOWN else line[:_MOST_SHOWN] + "…"
+
+
+def _kebab(name: str) -> str:
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", name).lower()

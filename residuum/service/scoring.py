@@ -1,0 +1,53 @@
+"""Scoring in a worker process: a diagnoser is loaded once from its baseline file and judges the windows that are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+
+
+class PlainRecord(NamedTuple):
+    """A record as it travels between processes."""
+
+    channels: Mapping[str, npt.NDArray[np.floating[Any]]]
+    units: Mapping[str, str]
+    sample_time: float
+    t0: float
+    source: str
+
+    @classmethod
+    def of(cls, record: Record) -> PlainRecord:
+        """The record's content."""
+        return cls(dict(record.channels), dict(record.units), record.sample_time, record.t0, record.source)
+
+    def record(self) -> Record:
+        """The record again."""
+        return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
+
+
+def score_window(diagnoser: str, baseline: str, window: PlainRecord) -> Finding:
+    """Judge one window with the diagnoser stored in the file `baseline`; with none (an empty name) by absolute indicators.
+
+    Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit) is not assessable.
+    """
+    judge = _loaded(diagnoser, baseline, Path(baseline).stat().st_mtime_ns if baseline else 0)
+    try:
+        return judge.score(window.record())
+    except BadInput as error:
+        return Finding.not_assessable(diagnoser, str(error))
+
+
+@lru_cache(maxsize=64)
+def _loaded(diagnoser: str, baseline: str, _changed: int) -> Diagnoser:
+    return DIAGNOSERS[diagnoser].load(baseline) if baseline else DIAGNOSERS[diagnoser]()

@@ -1,0 +1,193 @@
+"""Settings of the service: from the command line, the environment (`RESIDUUM_…`) and one YAML file."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+from urllib.parse import urlsplit
+
+from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, YamlConfigSettingsSource
+
+from residuum.identification.errors import BadInput
+from residuum.service.alarm_rules import AlarmRule
+from residuum.service.fieldbus.settings import MachineSettings
+
+SETTINGS_FILE = "RESIDUUM_SETTINGS"
+"""Environment variable that names the YAML file."""
+
+
+_RATE_LIMIT = 200.0
+"""Requests a second a client may make of a service that other machines can reach."""
+
+
+class BadSettings(BadInput):
+    """A setting is unknown, malformed or unsafe; the message names it and the rule."""
+
+
+class Settings(BaseSettings):
+    """Everything that can be set, with its default.
+
+    Precedence: arguments, then environment variables (`RESIDUUM_PORT=9000`, nested by `__`), then the YAML file
+    that `RESIDUUM_SETTINGS` names. Unknown keys are refused. Use `load_settings` for one-line messages.
+    """
+
+    model_config = SettingsConfigDict(env_prefix="RESIDUUM_", env_nested_delimiter="__", extra="forbid", frozen=True)
+
+    host: str = Field("127.0.0.1", description="Address to listen on. Any but a loopback address needs `api_keys`.")
+    port: int = Field(8000, ge=0, le=65535, description="TCP port; 0 takes a free one.")
+    data: Path = Field(Path("var"), description="Folder of signal blocks, baselines and the default database.")
+    database: str = Field("", description="SQLAlchemy URL (sqlite:///…, postgresql+psycopg://…); empty: SQLite in `data`.")
+    demo: bool = Field(False, description="Start the simulated machines and watch them.")
+    demo_speed: float = Field(1.0, ge=0.01, le=100, description="How many times faster than real time the demo's machines live.")
+    machines: list[MachineSettings] = Field([], description="Machines to watch: sources, windows, diagnoser.")
+    api_keys: Path | None = Field(None, description="File of API keys, a line each: name role SHA-256-of-the-key.")
+    oidc_issuer: AnyHttpUrl | None = Field(
+        None, description="OpenID Connect issuer whose bearer tokens are taken beside API keys; its https address."
+    )
+    oidc_audience: str = Field("residuum", min_length=1, description="Audience that a bearer token must be for.")
+    oidc_role_claim: str = Field(
+        "residuum_role", description="Claim of a token with its roles: viewer, operator, engineer, admin."
+    )
+    oidc_site_claim: str = Field("residuum_sites", description="Claim with the sites of its caller; without it: all.")
+    tls_certificate: Path | None = Field(None, description="PEM file of the certificate (chain); with `tls_key`: HTTPS.")
+    tls_key: Path | None = Field(None, description="PEM file of the certificate's private key.")
+    webhooks: list[AnyHttpUrl] = Field([], description="Addresses to which every change of an alarm is posted as JSON.")
+    mqtt: str = Field("", description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix]; empty: none.")
+    workers: int = Field(
+        default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)), ge=1, description="Processes that run diagnosers."
+    )
+    keep_days: float = Field(30.0, gt=0, description="Days for which signals of windows are kept; findings stay (inf: for ever).")
+    keep_bytes: int = Field(
+        2**30, ge=0, description="Bytes of windows' signals that are kept at most; the oldest go first, findings stay."
+    )
+    keep_rows: int = Field(
+        200_000, ge=100, description="Windows whose rows and findings are kept at most; older ones are folded into hours."
+    )
+    keep_row_days: float = Field(365.0, gt=0, description="Days for which rows and findings are kept; then they are hours.")
+    alarms: AlarmRule = Field(
+        AlarmRule(), description="Deadband, delays and latch of alarms: deadband, on_delay, off_delay, latch."
+    )
+    body_limit: int = Field(64 * 2**20, ge=1024, description="Largest request body [bytes].")
+    rate_limit: float | None = Field(
+        None, gt=0, description="Requests a second that a client may make; default: 200, and no limit on a loopback address."
+    )
+    upload_memory: int = Field(512 * 2**20, ge=2**28, description="Memory in which an uploaded file must be readable [bytes].")
+    upload_seconds: int = Field(10, ge=1, description="Processor time in which an uploaded file must be readable [s].")
+    header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least severe log line that is kept.")
+    log_format: Literal["console", "json"] = Field("console", description="Log lines for people or for machines.")
+
+    @property
+    def database_url(self) -> str:
+        """The database's URL, with the default filled in."""
+        return self.database or f"sqlite:///{(self.data / 'residuum.db').resolve()}"
+
+    def alarm_rule(self, asset: str) -> AlarmRule:
+        """The rule of a machine's alarms: its own, or that of the service."""
+        own = (machine.alarms for machine in self.machines if machine.asset == asset)
+        return next(own, None) or self.alarms
+
+    @property
+    def requests_per_second(self) -> float | None:
+        """The rate limit of a client, with the default filled in; None: no limit."""
+        return _RATE_LIMIT if self.rate_limit is None and not is_loopback(self.host) else self.rate_limit
+
+    @model_validator(mode="after")
+    def _refuse_an_open_door(self) -> Settings:
+        if not is_loopback(self.host) and self.api_keys is None and self.oidc_issuer is None:
+            raise ValueError(f"host {self.host!r} can be reached from other machines; set api_keys first, or listen on 127.0.0.1")
+        return self
+
+    @model_validator(mode="after")
+    def _issuer_by_tls(self) -> Settings:
+        issuer = self.oidc_issuer
+        if issuer is not None and issuer.scheme != "https" and not is_loopback(str(issuer.host)):
+            raise ValueError(f"oidc_issuer {str(issuer)!r}: its keys decide who may in, so it must be an https address")
+        return self
+
+    @model_validator(mode="after")
+    def _certificate_and_key(self) -> Settings:
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("tls_certificate and tls_key: one of them is not enough")
+        return self
+
+    @field_validator("mqtt")
+    @classmethod
+    def _broker(cls, value: str) -> str:
+        if value:
+            broker_address(value)
+        return value
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Arguments before environment before file (pydantic-settings asks for this)."""
+        file = YamlConfigSettingsSource(settings_cls, yaml_file=os.environ.get(SETTINGS_FILE))
+        return init_settings, env_settings, file
+
+
+class BrokerAddress(NamedTuple):
+    """Where an MQTT broker is, and what topics begin with."""
+
+    host: str
+    port: int
+    user: str | None
+    password: str | None
+    prefix: str
+
+
+def broker_address(url: str) -> BrokerAddress:
+    """The parts of `mqtt://[user:password@]host[:port][/prefix]`; ValueError when it is none.
+
+    >>> broker_address("mqtt://broker/plant-7").port, broker_address("mqtt://broker/plant-7").prefix
+    (1883, 'plant-7')
+    """
+    parts = urlsplit(url)
+    if parts.scheme != "mqtt" or not parts.hostname or set(url) & set("#?") or "+" in parts.path:
+        raise ValueError("must be mqtt://[user:password@]host[:port][/prefix]")
+    return BrokerAddress(parts.hostname, parts.port or 1883, parts.username, parts.password, parts.path.strip("/") or "residuum")
+
+
+@lru_cache(maxsize=64)
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach an address.
+
+    >>> is_loopback("127.0.0.1"), is_loopback("::1"), is_loopback("0.0.0.0")
+    (True, True, False)
+    """
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def load_settings(**arguments: Any) -> Settings:
+    """Settings from all sources; arguments that are None count as not given.
+
+    Raises BadSettings with one line: which setting, what it is, which rule.
+    """
+    if (file := os.environ.get(SETTINGS_FILE)) and not Path(file).is_file():
+        raise BadSettings(f"{SETTINGS_FILE}: no such file: {file}")
+    try:
+        return Settings(**{name: value for name, value in arguments.items() if value is not None})
+    except ValidationError as error:
+        raise BadSettings(_one_line(error)) from None
+
+
+def _one_line(error: ValidationError) -> str:
+    first = error.errors(include_url=False)[0]
+    where = ".".join(map(str, first["loc"]))
+    says = first["msg"].removeprefix("Value error, ")
+    return f"settings: {says}" if not where else f"setting {where}: {first['input']!r}: {says}"

@@ -1,0 +1,82 @@
+"""Audit trail: what was done, by whom, each entry chained to the one before, so that an edit or a deletion shows.
+
+digest_k = SHA-256(digest_{k−1} ‖ number, time, who, action, subject, detail), digest_0 = 0; the head row keeps the last number
+and digest. Who can write the database and knows this page can forge a whole new chain: the head that `residuum doctor` prints,
+noted elsewhere, shows that too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import orjson
+from sqlalchemy import Connection, Row, insert, select, update
+
+from residuum.service.storage import paging
+from residuum.service.storage.tables import audit, audit_head
+from residuum.service.store import AuditEntry, Page
+
+_BEGIN = "0" * 64
+_AT_ONCE = 1000
+
+
+class BrokenAudit(Exception):
+    """The trail is not what was written; the message names the first entry that does not fit."""
+
+
+@dataclass(frozen=True)
+class AuditHead:
+    """The end of the trail: how many entries, and the digest over all of them."""
+
+    entries: int
+    digest: str
+
+
+def append(
+    connection: Connection, action: str, subject: str, *, by: str | None, now: datetime, detail: Mapping[str, Any] | None = None
+) -> None:
+    """Add an entry in the transaction of what it tells of."""
+    head = connection.execute(select(audit_head).with_for_update()).one()
+    told = orjson.dumps(dict(detail or {}), option=orjson.OPT_SORT_KEYS).decode()
+    number = head.entries + 1
+    digest = _digest(head.digest, number, now, by, action, subject, told)
+    entry = {"number": number, "at": now, "by": by, "action": action, "subject": subject, "detail": told, "digest": digest}
+    connection.execute(insert(audit).values(entry))
+    connection.execute(update(audit_head).values(entries=number, digest=digest))
+
+
+def verify(connection: Connection) -> AuditHead:
+    """The head of a trail that is whole; BrokenAudit where it is not."""
+    number, digest = 0, _BEGIN
+    for row in connection.execute(select(audit).order_by(audit.c.number).execution_options(yield_per=_AT_ONCE)):
+        number += 1
+        if row.number != number:
+            raise BrokenAudit(f"audit: entry {number} is missing")
+        digest = _digest(digest, row.number, row.at, row.by, row.action, row.subject, row.detail)
+        if row.digest != digest:
+            raise BrokenAudit(f"audit: entry {number} or the one before it was changed")
+    heads = connection.execute(select(audit_head)).all()
+    if [(head.entries, head.digest) for head in heads] != [(number, digest)]:
+        raise BrokenAudit(f"audit: its head does not fit the last entry, {number}: entries at the end were removed or added")
+    return AuditHead(number, digest)
+
+
+def page(connection: Connection, cursor: str | None, limit: int) -> Page[AuditEntry]:
+    """Entries, newest first."""
+    query = select(audit).order_by(audit.c.number.desc()).limit(limit + 1)
+    if cursor:
+        query = query.where(audit.c.number < paging.decode_number(cursor))
+    return paging.page(connection.execute(query).all(), limit, "number", _entry)
+
+
+def _digest(before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str) -> str:
+    told = orjson.dumps([number, at.isoformat(), by, action, subject, detail])
+    return hashlib.sha256(before.encode() + told).hexdigest()
+
+
+def _entry(row: Row[Any]) -> AuditEntry:
+    return AuditEntry(row.number, row.at, row.by, row.action, row.subject, orjson.loads(row.detail), row.digest)

@@ -1,0 +1,186 @@
+"""Signal blocks: one file a record, self-describing, with checksums, on disk before anybody is told so."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import math
+import os
+import time
+import uuid
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from residuum.identification.record import Record
+from residuum.service.store import StorageUnavailable
+
+MAGIC = b"RESIDUUM-BLOCK-1\n"
+_ALIGNMENT = 64
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class BrokenBlock(Exception):
+    """A block's content does not match its checksum, or it is no block; the message names the file."""
+
+
+@dataclass(frozen=True)
+class BlockReference:
+    """What a row keeps of a block: its path below the folder, the SHA-256 of the file, its size."""
+
+    path: str
+    checksum: str
+    size_bytes: int
+
+
+class Blocks:
+    """The folder of signal blocks.
+
+    A file is: magic line, length of the header (8 bytes, little endian), header as JSON, then each channel's samples
+    (little endian, contiguous, aligned to 64 bytes). The header carries a CRC-32 of every channel, so one channel of
+    a long record can be read and verified alone. Names are ours (date and UUID), never a user's.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, record: Record, day: str) -> BlockReference:
+        """Write a block and return only when the file and its folder entry are on disk.
+
+        Raises StorageUnavailable when the disk is full or cannot be written.
+        """
+        parts = list(_parts(record))
+        name = f"{uuid.uuid4().hex}.block"
+        try:
+            folder = self._day_folder(day)
+            with open(folder / name, "xb", buffering=0) as file:
+                digest = _write_all(file.fileno(), parts)
+                os.fsync(file.fileno())
+            sync_folder(folder)
+        except OSError as error:
+            (self.folder / day / name).unlink(missing_ok=True)
+            raise StorageUnavailable(f"signal block: {error.strerror}", full=error.errno in _FULL) from error
+        return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))
+
+    def read(self, path: str, channels: Sequence[str] | None = None) -> Record:
+        """The record of a block, or some of its channels, verified by the channels' checksums."""
+        file = self.folder / path
+        try:
+            header, start = _header(file)
+            wanted = header["channels"] if channels is None else [_entry(header, name) for name in channels]
+            arrays = {entry["name"]: _array(file, entry, start, header["n"]) for entry in wanted}
+        except (OSError, ValueError, KeyError) as error:
+            raise BrokenBlock(f"signal block {path}: {error}") from error
+        units = {entry["name"]: entry["unit"] for entry in wanted}
+        return Record(
+            arrays, units, header["sample_time"], header["t0"], notes=tuple(header["notes"]), source=str(header["source"])
+        )
+
+    def verify(self, reference: BlockReference) -> None:
+        """Raise BrokenBlock when the file differs from what was written."""
+        try:
+            content = (self.folder / reference.path).read_bytes()
+        except OSError as error:
+            raise BrokenBlock(f"signal block {reference.path}: {error.strerror}") from error
+        if hashlib.sha256(content).hexdigest() != reference.checksum:
+            raise BrokenBlock(f"signal block {reference.path}: content differs from its checksum")
+
+    def remove(self, path: str) -> None:
+        """Remove a block that no row points to."""
+        (self.folder / path).unlink(missing_ok=True)
+
+    def paths(self, settled: float = 0.0) -> list[str]:
+        """All blocks there are that were written at least `settled` seconds ago."""
+        latest = time.time() - settled
+        return sorted(str(file.relative_to(self.folder)) for file in self.folder.glob("*/*.block") if _written(file) <= latest)
+
+    def _day_folder(self, day: str) -> Path:
+        folder = self.folder / day
+        if not folder.is_dir():
+            folder.mkdir(exist_ok=True)
+            sync_folder(self.folder)
+        return folder
+
+
+def _written(file: Path) -> float:
+    """When a file was last written [s]; never, when it has gone meanwhile."""
+    try:
+        return file.stat().st_mtime
+    except FileNotFoundError:
+        return math.inf
+
+
+def _parts(record: Record) -> list[bytes | memoryview]:
+    """Header and padded sample arrays, in file order."""
+    entries: list[dict[str, Any]] = []
+    bodies: list[bytes | memoryview] = []
+    offset = 0
+    for name, signal in record.channels.items():
+        little = np.ascontiguousarray(signal, dtype=signal.dtype.newbyteorder("<"))
+        body = little.view(np.uint8).data
+        entries.append(
+            {"name": name, "unit": record.units[name], "dtype": little.dtype.str, "offset": offset, "crc32": zlib.crc32(body)}
+        )
+        padding = -len(body) % _ALIGNMENT
+        bodies += [body, bytes(padding)]
+        offset += len(body) + padding
+    described = {
+        "sample_time": record.sample_time,
+        "t0": record.t0,
+        "n": record.n,
+        "notes": list(record.notes),
+        "source": record.source,
+        "channels": entries,
+    }
+    header = orjson.dumps(described)
+    header += b" " * (-(len(MAGIC) + 8 + len(header)) % _ALIGNMENT)
+    return [MAGIC, len(header).to_bytes(8, "little"), header, *bodies]
+
+
+def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+        rest = memoryview(part)
+        while rest:
+            rest = rest[os.write(descriptor, rest) :]
+    return digest.hexdigest()
+
+
+def sync_folder(folder: Path) -> None:
+    """Return when the entries of a folder are on disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _header(file: Path) -> tuple[dict[str, Any], int]:
+    """(header, where the samples start)."""
+    with open(file, "rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise ValueError("is not a signal block")
+        length = int.from_bytes(stream.read(8), "little")
+        return orjson.loads(stream.read(length)), len(MAGIC) + 8 + length
+
+
+def _entry(header: dict[str, Any], name: str) -> dict[str, Any]:
+    for entry in header["channels"]:
+        if entry["name"] == name:
+            found: dict[str, Any] = entry
+            return found
+    raise KeyError(f"no channel {name!r}")
+
+
+def _array(file: Path, entry: dict[str, Any], start: int, n: int) -> np.ndarray[Any, Any]:
+    array = np.fromfile(file, dtype=np.dtype(entry["dtype"]), count=n, offset=start + entry["offset"])
+    if array.shape[0] != n or zlib.crc32(array.view(np.uint8).data) != entry["crc32"]:
+        raise ValueError(f"channel {entry['name']!r} differs from its checksum")
+    return array

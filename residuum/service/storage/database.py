@@ -1,0 +1,145 @@
+"""The database connection: SQLite (WAL, synchronous=FULL) or PostgreSQL by URL, and its schema migrations."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from alembic import command
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, DatabaseError, DBAPIError, NoSuchModuleError, OperationalError
+
+from residuum.service.settings import BadSettings
+from residuum.service.store import StorageUnavailable
+
+_MIGRATIONS = Path(__file__).parent / "migrations"
+_PATIENCE = 30.0
+"""How long a writer waits for another process's lock [s]."""
+
+
+class Database:
+    """One database; `read()` and `write()` give a connection in a transaction.
+
+    SQLite writers are queued by a lock of ours, and a write takes the database's lock at its start, so that two never
+    meet half-way; readers go on beside it (WAL). `synchronous=FULL`: a commit that returned survives a power cut.
+
+    Raises BadSettings when the URL names no usable database, StorageUnavailable when it cannot be reached or written.
+    """
+
+    def __init__(self, url: str) -> None:
+        try:
+            self.url = make_url(url)
+            self.engine = _engine(self.url)
+        except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
+            raise BadSettings(f"database {_without_password(url)!r}: {str(error).splitlines()[0]}") from None
+        self._writing = threading.Lock()
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A connection to read from."""
+        with _storage_errors(), self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def snapshot(self) -> Iterator[Connection]:
+        """A connection that sees one moment, however long it reads."""
+        level = {} if self.url.get_backend_name() == "sqlite" else {"isolation_level": "REPEATABLE READ"}
+        with _storage_errors(), self.engine.connect() as connection:
+            yield connection.execution_options(**level)
+
+    @contextmanager
+    def write(self) -> Iterator[Connection]:
+        """A connection to write through; committed, and on disk, when the block ends without an exception."""
+        with self._writing, _storage_errors(), self.engine.connect() as connection:
+            connection = connection.execution_options(residuum_write=True)
+            with connection.begin():
+                yield connection
+
+    def migrate(self, revision: str = "head") -> None:
+        """Bring the schema to a revision, up or down."""
+        with self.write() as connection:
+            config = _alembic()
+            config.attributes["connection"] = connection
+            down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
+            (command.downgrade if down else command.upgrade)(config, revision)
+
+    def revision(self) -> str | None:
+        """The schema's revision; None when there are no tables yet."""
+        with self.read() as connection:
+            return MigrationContext.configure(connection).get_current_revision()
+
+    def close(self) -> None:
+        """Close all connections."""
+        self.engine.dispose()
+
+
+def sqlite_file(url: str) -> Path | None:
+    """The file of a SQLite database, None for a database of another kind."""
+    kind, _, file = url.partition(":///")
+    return Path(file) if kind.startswith("sqlite") else None
+
+
+def newest_revision() -> str:
+    """The revision that this program's migrations lead to."""
+    return str(ScriptDirectory.from_config(_alembic()).get_current_head())
+
+
+def known_revisions() -> list[str]:
+    """All revisions that this program can migrate from, newest first."""
+    return [script.revision for script in ScriptDirectory.from_config(_alembic()).walk_revisions()]
+
+
+def _alembic() -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(_MIGRATIONS))
+    config.set_main_option("path_separator", "os")
+    return config
+
+
+def _engine(url: URL) -> Engine:
+    if url.get_backend_name() != "sqlite":
+        return create_engine(url, pool_pre_ping=True)
+    if url.database and url.database != ":memory:":
+        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
+    engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
+
+    @event.listens_for(engine, "connect")
+    def _set_up(connection: Any, _record: Any) -> None:
+        connection.isolation_level = None  # transactions are begun by us, below
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        write = connection.get_execution_options().get("residuum_write", False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+    return engine
+
+
+@contextmanager
+def _storage_errors() -> Iterator[None]:
+    """Failures of the disk or the server, as StorageUnavailable; mistakes of ours stay what they are."""
+    try:
+        yield
+    except OperationalError as error:
+        says = str(error.orig).splitlines()[0]
+        raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
+    except DBAPIError as error:
+        if type(error) is DatabaseError:  # the bare class: SQLite's word for a file that is damaged or no database
+            raise StorageUnavailable(f"database: {error.orig}") from error
+        if error.connection_invalidated:
+            raise StorageUnavailable("database: the connection was lost") from error
+        raise
+
+
+def _without_password(url: str) -> str:
+    head, at, tail = url.rpartition("@")
+    return f"{head.split('://')[0]}://…@{tail}" if at else url

@@ -1,0 +1,349 @@
+"""The store on disk: rows in a database, signals in blocks, joined so that what was acknowledged is there after a crash."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Row
+from sqlalchemy.exc import IntegrityError
+
+from residuum.diagnosis.finding import Finding
+from residuum.identification.record import Record
+from residuum.service.alarm_rules import AlarmRule
+from residuum.service.alarm_states import AlarmEvent
+from residuum.service.storage import (
+    alarm_rates,
+    alarms,
+    assets,
+    audit,
+    block_rows,
+    finding_hours,
+    models,
+    records,
+    retention,
+    windows,
+)
+from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
+from residuum.service.storage.database import Database
+from residuum.service.storage.retention import Retention
+from residuum.service.store import (
+    Alarm,
+    AlarmEntry,
+    AlarmRates,
+    Asset,
+    AuditEntry,
+    FindingHour,
+    IndicatorHistory,
+    ModelVersion,
+    Page,
+    SignalLetGo,
+    StoredFinding,
+    StoredRecord,
+    StoredWindow,
+)
+
+Announce = Callable[[str, Mapping[str, Any]], None]
+"""Told what changed, after it is on disk: (event kind, payload)."""
+
+
+def _silent(_kind: str, _payload: Mapping[str, Any]) -> None:
+    """Announce to nobody."""
+
+
+def _plain(_asset: str) -> AlarmRule:
+    """No deadband, no delay, no latch."""
+    return AlarmRule()
+
+
+class DiskStore:
+    """`residuum.service.store.Store` in a folder and a database.
+
+    Order of a write: the signal block, fsync of file and folder, then one transaction with the rows (window, finding,
+    asset, alarms); only after its commit does the call return and the change get announced. A crash in between
+    leaves at most a block without a row, which `sweep` removes.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the signal blocks (`data/blocks`).
+    database_url : str
+        SQLAlchemy URL; the schema is brought up to date at once.
+    announce : callable
+        Called as `announce(kind, payload)` after every commit that listeners care about.
+    rule_of : callable
+        Gives the alarm rule of an asset.
+    """
+
+    def __init__(
+        self, data: Path, database_url: str, announce: Announce = _silent, rule_of: Callable[[str], AlarmRule] = _plain
+    ) -> None:
+        self._database = Database(database_url)
+        self._database.migrate()
+        self._blocks = Blocks(data / "blocks")
+        self._announce = announce
+        self._rule_of = rule_of
+
+    def close(self) -> None:
+        """Close the database."""
+        self._database.close()
+
+    def check(self) -> None:
+        """Raise StorageUnavailable when the store cannot be written to."""
+        with self._database.write() as connection:
+            expired = alarms.unshelve_expired(connection, _now())
+        for alarm in expired:
+            self._announce("alarm", alarm.to_json())
+
+    def add_window(
+        self, asset: str, record: Record, finding: Finding, idempotency_key: str | None = None, digest: str | None = None
+    ) -> int:
+        """Keep a window and its finding; returns the window's id only when both are on disk.
+
+        A second call with the same `idempotency_key` stores nothing and returns the first one's id; Conflict when its
+        `digest` (of the content) differs.
+        """
+        now = _now()
+        if idempotency_key is not None and (known := self.window_with_key(asset, idempotency_key, digest)) is not None:
+            return known
+        block = self._blocks.write(record, _day(now))
+        try:
+            return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
+        except IntegrityError:  # another request with the same key was faster
+            self._blocks.remove(block.path)
+            known = None if idempotency_key is None else self.window_with_key(asset, idempotency_key, digest)
+            if known is None:
+                raise
+            return known
+        except BaseException:
+            self._blocks.remove(block.path)
+            raise
+
+    def _add_rows(
+        self,
+        asset: str,
+        record: Record,
+        finding: Finding,
+        block: BlockReference,
+        *,
+        now: datetime,
+        idempotency_key: str | None,
+        digest: str | None,
+    ) -> int:
+        with self._database.write() as connection:
+            assets.ensure(connection, asset, None, finding.diagnoser, now)
+            window = windows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
+            number = assets.add_finding(connection, asset, window, finding, now)
+            changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset))
+        self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
+        for alarm in changed:
+            self._announce("alarm", alarm.to_json())
+        return window
+
+    def window_with_key(self, asset: str, idempotency_key: str, digest: str | None) -> int | None:
+        """The window stored under a key before, None when there is none; Conflict when its content differed."""
+        with self._database.read() as connection:
+            return windows.with_key(connection, asset, idempotency_key, digest)
+
+    def ensure_asset(self, asset: str, title: str | None = None, diagnoser: str | None = None) -> None:
+        """Make an asset known, or update its title and diagnoser."""
+        with self._database.write() as connection:
+            assets.ensure(connection, asset, title, diagnoser, _now())
+
+    def assets(self, cursor: str | None = None, limit: int = 100, sites: Collection[str] | None = None) -> Page[Asset]:
+        """Assets by name, of some sites or of all."""
+        with self._database.read() as connection:
+            return assets.page(connection, cursor, limit, sites)
+
+    def asset(self, asset: str) -> Asset:
+        """One asset."""
+        with self._database.read() as connection:
+            return assets.get(connection, asset)
+
+    def findings(self, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None) -> Page[StoredFinding]:
+        """Findings of an asset, newest first."""
+        with self._database.read() as connection:
+            return assets.findings_page(connection, asset, cursor, limit, verdict)
+
+    def finding_of(self, window: int) -> StoredFinding:
+        """The latest finding on a window."""
+        with self._database.read() as connection:
+            return assets.finding_of(connection, window)
+
+    def indicators(self, asset: str, limit: int = 500) -> IndicatorHistory:
+        """Indicators and thresholds of the newest findings, oldest first."""
+        with self._database.read() as connection:
+            return assets.indicators(connection, asset, limit)
+
+    def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
+        """Hourly history of the findings whose rows were let go, oldest first."""
+        with self._database.read() as connection:
+            return finding_hours.newest(connection, asset, limit)
+
+    def windows(self, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
+        """Windows of an asset, newest first."""
+        with self._database.read() as connection:
+            return windows.page(connection, asset, cursor, limit)
+
+    def window(self, asset: str, window: int) -> StoredWindow:
+        """One window."""
+        with self._database.read() as connection:
+            return windows.get(connection, asset, window)
+
+    def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
+        """The samples of a window (of some channels), verified; SignalLetGo when the retention rule has removed them."""
+        try:
+            return self._blocks.read(self._held(asset, window).block_path, channels)
+        except BrokenBlock:
+            self._held(asset, window)  # it may have been let go between the row and the block
+            raise
+
+    def _held(self, asset: str, window: int) -> Row[Any]:
+        with self._database.read() as connection:
+            row = windows.row_of(connection, asset, window)
+        if row.signal_let_go_at is not None:
+            gone = row.signal_let_go_at.isoformat(" ", "seconds")
+            raise SignalLetGo(f"asset {asset!r}, window {window}: its signal was let go at {gone} by the retention rule")
+        return row
+
+    def alarms(
+        self,
+        asset: str | None = None,
+        active: bool = True,
+        cursor: str | None = None,
+        limit: int = 100,
+        sites: Collection[str] | None = None,
+    ) -> Page[Alarm]:
+        """Alarms of some sites or of all; `active` leaves out those in state normal."""
+        with self._database.read() as connection:
+            return alarms.page(connection, asset, active, cursor, limit, sites)
+
+    def alarm(self, alarm: int) -> Alarm:
+        """One alarm."""
+        with self._database.read() as connection:
+            return alarms.get(connection, alarm)
+
+    def alarm_journal(self, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
+        """What happened to an alarm, newest first."""
+        with self._database.read() as connection:
+            return alarms.journal(connection, alarm, limit)
+
+    def operate_alarm(
+        self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
+    ) -> Alarm:
+        """What an operator asks of an alarm; IllegalTransition when its state does not allow it."""
+        with self._database.write() as connection:
+            changed = alarms.operate(connection, alarm, event, by=by, comment=comment, until=until, now=_now())
+        self._announce("alarm", changed.to_json())
+        return changed
+
+    def alarm_rates(self) -> AlarmRates:
+        """How many alarms were raised of late."""
+        with self._database.read() as connection:
+            return alarm_rates.rates(connection, _now())
+
+    def audit(self, cursor: str | None = None, limit: int = 100) -> Page[AuditEntry]:
+        """The audit trail, newest first."""
+        with self._database.read() as connection:
+            return audit.page(connection, cursor, limit)
+
+    def add_record(self, name: str, record: Record) -> int:
+        """Keep an uploaded record; returns its id when it is on disk."""
+        now = _now()
+        block = self._blocks.write(record, _day(now))
+        try:
+            with self._database.write() as connection:
+                return records.add(connection, name, record, block, now)
+        except BaseException:
+            self._blocks.remove(block.path)
+            raise
+
+    def records(self, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:
+        """Uploaded records, newest first."""
+        with self._database.read() as connection:
+            return records.page(connection, cursor, limit)
+
+    def record(self, record: int) -> StoredRecord:
+        """One uploaded record."""
+        with self._database.read() as connection:
+            return records.get(connection, record)
+
+    def record_samples(self, record: int, channels: Sequence[str] | None = None) -> Record:
+        """The samples of an uploaded record, verified."""
+        with self._database.read() as connection:
+            row = records.row_of(connection, record)
+        return self._blocks.read(row.block_path, channels)
+
+    def remove_record(self, record: int) -> None:
+        """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
+        with self._database.write() as connection:
+            path = records.remove(connection, record)
+        self._blocks.remove(path)
+
+    def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
+        """Keep a new version of a model; the first makes the model."""
+        with self._database.write() as connection:
+            version = models.add_version(connection, model, kind, content, note=note, by=by, now=_now())
+            told = {"kind": kind, "number": version.number, "checksum": version.checksum}
+            audit.append(connection, "model version", f"model {model}", by=by, now=version.created_at, detail=told)
+        self._announce("model", version.to_json())
+        return version
+
+    def models(self, kind: str | None = None, cursor: str | None = None, limit: int = 100) -> Page[ModelVersion]:
+        """The newest version of every model, by name."""
+        with self._database.read() as connection:
+            return models.page(connection, kind, cursor, limit)
+
+    def model_versions(self, model: str) -> Sequence[ModelVersion]:
+        """All versions of a model, newest first."""
+        with self._database.read() as connection:
+            return models.versions(connection, model)
+
+    def model_content(self, model: str, number: int | None = None) -> bytes:
+        """The file of one version (default: the newest)."""
+        with self._database.read() as connection:
+            return models.content(connection, model, number)
+
+    def retain(self, rule: Retention) -> int:
+        """Remove the signals, and then the rows, that the retention rule no longer keeps; returns how many signals.
+
+        The rows say so before the files go: a crash in between leaves files that `sweep` removes.
+        """
+        count = 0
+        while True:
+            with self._database.write() as connection:
+                paths = retention.let_go(connection, rule, _now())
+            for path in paths:
+                self._blocks.remove(path)
+            count += len(paths)
+            if not paths:
+                break
+        while self._forget(rule):
+            pass
+        return count
+
+    def _forget(self, rule: Retention) -> int:
+        with self._database.write() as connection:
+            return retention.forget(connection, rule, _now())
+
+    def sweep(self, settled: float = 0.0) -> int:
+        """Remove blocks that no row points to (left by a crash) and that are older than `settled` seconds; returns how many.
+
+        While something else may be writing, `settled` must exceed the time from a block to its row.
+        """
+        orphans = set(self._blocks.paths(settled))
+        with self._database.read() as connection:
+            orphans -= {block.path for block in block_rows.references(connection)}
+        for path in orphans:
+            self._blocks.remove(path)
+        return len(orphans)
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
+
+
+def _day(moment: datetime) -> str:
+    return moment.strftime("%Y-%m-%d")

@@ -1,0 +1,208 @@
+"""The tables: rows point to signal blocks, times are UTC."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    DateTime,
+    Dialect,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+)
+from sqlalchemy.dialects.postgresql import JSONB
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """A moment, stored as UTC without zone, so that both databases keep microseconds and order alike."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        """Aware datetime to naive UTC."""
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> datetime | None:
+        """Naive UTC to aware datetime."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+Identity = BigInteger().with_variant(Integer, "sqlite")
+Document = JSON().with_variant(JSONB, "postgresql")
+
+metadata = MetaData(
+    naming_convention={
+        "pk": "pk_%(table_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_name)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    }
+)
+
+assets = Table(
+    "assets",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("title", String(200), nullable=False),
+    Column("diagnoser", String(64)),
+    Column("created_at", UtcDateTime, nullable=False),
+    Column("windows", BigInteger, nullable=False, default=0),
+    Column("last_finding_id", BigInteger),
+)
+
+windows = Table(
+    "windows",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("asset_id", ForeignKey("assets.id"), nullable=False),
+    Column("received_at", UtcDateTime, nullable=False),
+    Column("t0", Float, nullable=False),
+    Column("sample_time", Float, nullable=False),
+    Column("n", BigInteger, nullable=False),
+    Column("units", Document, nullable=False),
+    Column("source", Text, nullable=False),
+    Column("block_path", String(200), nullable=False, unique=True),
+    Column("block_checksum", String(64), nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("idempotency_key", String(200)),
+    Column("digest", String(64)),
+    Column("signal_let_go_at", UtcDateTime),
+    UniqueConstraint("asset_id", "idempotency_key"),
+    Index(None, "asset_id", "id"),
+    Index(None, "signal_let_go_at", "id"),
+)
+
+findings = Table(
+    "findings",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("asset_id", ForeignKey("assets.id"), nullable=False),
+    Column("window_id", ForeignKey("windows.id"), nullable=False, index=True),
+    Column("at", UtcDateTime, nullable=False),
+    Column("diagnoser", String(64), nullable=False),
+    Column("verdict", String(20), nullable=False),
+    Column("fault_class", String(64)),
+    Column("indicators", Document, nullable=False),
+    Column("thresholds", Document, nullable=False),
+    Column("units", Document, nullable=False),
+    Column("evidence", Document, nullable=False),
+    Column("reason", Text),
+    Index(None, "asset_id", "id"),
+)
+
+finding_hours = Table(
+    "finding_hours",
+    metadata,
+    Column("asset_id", ForeignKey("assets.id"), primary_key=True),
+    Column("hour", UtcDateTime, primary_key=True),
+    Column("windows", BigInteger, nullable=False),
+    Column("verdicts", Document, nullable=False),
+    Column("indicators", Document, nullable=False),
+)
+
+alarms = Table(
+    "alarms",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("asset_id", ForeignKey("assets.id"), nullable=False),
+    Column("kind", String(20), nullable=False),
+    Column("state", String(30), nullable=False),
+    Column("condition", Boolean, nullable=False),
+    Column("message", Text, nullable=False),
+    Column("occurrences", Integer, nullable=False),
+    Column("raised_at", UtcDateTime),
+    Column("cleared_at", UtcDateTime),
+    Column("pending_since", UtcDateTime),
+    Column("acknowledged_at", UtcDateTime),
+    Column("acknowledged_by", String(64)),
+    Column("shelved_until", UtcDateTime),
+    Column("comment", Text),
+    Column("window_id", ForeignKey("windows.id")),
+    UniqueConstraint("asset_id", "kind"),
+)
+
+alarm_journal = Table(
+    "alarm_journal",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("alarm_id", ForeignKey("alarms.id"), nullable=False, index=True),
+    Column("at", UtcDateTime, nullable=False),
+    Column("event", String(20), nullable=False),
+    Column("state", String(30), nullable=False),
+    Column("by", String(64)),
+    Column("comment", Text),
+    Index(None, "at"),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("at", UtcDateTime, nullable=False),
+    Column("by", String(64)),
+    Column("action", String(40), nullable=False),
+    Column("subject", String(120), nullable=False),
+    Column("detail", Text, nullable=False),
+    Column("digest", String(64), nullable=False),
+)
+
+audit_head = Table(
+    "audit_head",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("entries", BigInteger, nullable=False),
+    Column("digest", String(64), nullable=False),
+)
+
+records = Table(
+    "records",
+    metadata,
+    Column("id", Identity, primary_key=True, autoincrement=True),
+    Column("name", String(200), nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    Column("t0", Float, nullable=False),
+    Column("sample_time", Float, nullable=False),
+    Column("n", BigInteger, nullable=False),
+    Column("units", Document, nullable=False),
+    Column("notes", Document, nullable=False),
+    Column("block_path", String(200), nullable=False, unique=True),
+    Column("block_checksum", String(64), nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+)
+
+models = Table(
+    "models",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("kind", String(20), nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    Column("last_number", Integer, nullable=False),
+)
+
+model_versions = Table(
+    "model_versions",
+    metadata,
+    Column("model_id", ForeignKey("models.id"), primary_key=True),
+    Column("number", Integer, primary_key=True),
+    Column("created_at", UtcDateTime, nullable=False),
+    Column("created_by", String(64)),
+    Column("note", Text, nullable=False),
+    Column("content", LargeBinary, nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("checksum", String(64), nullable=False),
+)

@@ -1,0 +1,68 @@
+"""The page: plain HTML, ES modules and CSS beside this file, and Plotly from the installed package."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
+
+_HERE = Path(__file__).parent
+_HOUR = "public, max-age=3600"
+
+
+def web_routes() -> list[BaseRoute]:
+    """The page at /, its assets under /web, Plotly under /vendor."""
+    return [
+        Route("/", _page),
+        Route("/vendor/plotly.min.js", _plotly),
+        Mount("/web", _Assets(directory=_HERE / "assets")),
+    ]
+
+
+class _Assets(StaticFiles):
+    """Files that the browser asks about every time (they are small), so a new version shows at once; packed on the way."""
+
+    def file_response(
+        self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
+    ) -> Response:
+        """The file, to be revalidated."""
+        response = super().file_response(full_path, stat_result, scope, status_code)
+        response.headers["Cache-Control"] = "no-cache"
+        if not isinstance(response, FileResponse) or "gzip" not in Headers(scope=scope).get("accept-encoding", ""):
+            return response
+        kept = {name: response.headers[name] for name in ("etag", "last-modified", "cache-control")}
+        headers = {**kept, "Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
+        return Response(_packed(str(full_path), stat_result.st_mtime_ns), status_code, headers, response.media_type)
+
+
+@lru_cache(maxsize=128)
+def _packed(file: str, _changed: int) -> bytes:
+    return gzip.compress(Path(file).read_bytes(), 6)
+
+
+async def _page(_request: Request) -> Response:
+    return FileResponse(_HERE / "index.html", headers={"Cache-Control": "no-cache"})
+
+
+def _plotly(request: Request) -> Response:
+    plain, packed = _plotly_files()
+    if "gzip" not in request.headers.get("accept-encoding", ""):
+        return Response(plain, media_type="text/javascript", headers={"Cache-Control": _HOUR})
+    headers = {"Cache-Control": _HOUR, "Content-Encoding": "gzip", "Vary": "Accept-Encoding"}
+    return Response(packed, media_type="text/javascript", headers=headers)
+
+
+@lru_cache(maxsize=1)
+def _plotly_files() -> tuple[bytes, bytes]:
+    """Plotly as it is installed, and packed."""
+    plain = files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
+    return plain, gzip.compress(plain, 5)

@@ -1,0 +1,50 @@
+// Switching faults of the demo's machines.
+
+import { call, path } from "./api.js";
+import { h, notify, panel, show } from "./dom.js";
+import { number, title } from "./format.js";
+
+// The order goes over the machine's own bus; the machine reports back a moment later [ms].
+const REPORTS_BACK = [400, 800, 1600];
+
+export async function faultPanel(machine) {
+  const address = path("demo", "machines", machine, "fault");
+  let state;
+  try {
+    state = await call(address);
+  } catch (problem) {
+    if (problem.status !== 404) notify(problem.message);
+    return null;
+  }
+  const place = h("div", { class: "faults" });
+  const draw = () => show(place, state.faults.map((fault) => row(fault, set)));
+  const read = async () => {
+    state = await call(address);
+    draw();
+  };
+  const set = async (fault, size) => {
+    try {
+      state = await call(address, { method: "POST", body: { fault, size } });
+      draw();
+      for (const wait of REPORTS_BACK) {
+        await new Promise((resume) => setTimeout(resume, wait));
+        await read();
+      }
+    } catch (problem) {
+      notify(problem.message);
+    }
+  };
+  draw();
+  return panel("Faults of this simulated machine", null, place);
+}
+
+function row({ id, on, size, unit = "", default_size: defaultSize, meaning }, set) {
+  const input = h("input", { type: "number", min: 0, step: "any", value: on ? size : defaultSize ?? "", "data-key": `size-${id}`, disabled: on });
+  const button = h("button", { type: "button", class: on ? "" : "quiet", "aria-pressed": String(on), "data-key": `fault-${id}`,
+    onclick: () => set(id, on ? 0 : input.value === "" ? null : Number(input.value)) }, on ? "Switch off" : "Switch on");
+  return h("div", { class: "fault" },
+    h("span", { class: "name" }, title(id), on ? h("strong", { class: "above" }, ` is on, ${number(size)} ${unit}`) : null),
+    h("label", {}, "size", input, unit),
+    button,
+    meaning ? h("span", { class: "meaning muted small" }, meaning) : null);
+}

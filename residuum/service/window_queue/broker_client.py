@@ -1,0 +1,60 @@
+"""A connection to the MQTT broker that comes back by itself."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import structlog
+
+from residuum.identification.errors import BadInput
+from residuum.service.settings import BrokerAddress
+
+log = structlog.get_logger()
+
+_LONGEST_PAUSE = 10
+_KEEP_ALIVE = 20
+
+Take = Callable[[Any, Any], None]
+
+
+def broker_client(
+    address: BrokerAddress, client_id: str, topics: Sequence[str], take: Take, connected: Callable[[], None], *, kept: bool
+) -> Any:
+    """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages acknowledged by hand.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+    client_id : str
+        One connection a name: a second one of the same name ends the first.
+    topics : sequence of str
+    take : callable
+        Told of every message as (client, message), in the network thread.
+    connected : callable
+        Told of every new connection, before any message of it.
+    kept : bool
+        Whether the broker keeps messages for this client while it is away.
+    """
+    try:
+        mqtt: Any = importlib.import_module("paho.mqtt.client")  # optional: the extra `mqtt`
+    except ImportError:
+        raise BadInput("setting mqtt: needs the extra 'mqtt'") from None
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=not kept, manual_ack=True)
+    if address.user:
+        client.username_pw_set(address.user, address.password)
+    client.reconnect_delay_set(1, _LONGEST_PAUSE)
+
+    def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            log.warning("the broker refuses us", broker=f"{address.host}:{address.port}", reason=str(reason))
+            return
+        connected()
+        client.subscribe([(topic, 1) for topic in topics])
+
+    client.on_connect = on_connect
+    client.on_message = lambda client, _data, message: take(client, message)
+    client.connect_async(address.host, address.port, keepalive=_KEEP_ALIVE)
+    client.loop_start()
+    return client

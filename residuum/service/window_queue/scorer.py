@@ -1,0 +1,155 @@
+"""Scorer: takes windows from the broker, has them judged, stores them once, and only then says so."""
+
+from __future__ import annotations
+
+import hashlib
+import queue
+import threading
+import time
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import orjson
+import structlog
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
+from residuum.service.baseline_files import baseline_file
+from residuum.service.scoring import score_window
+from residuum.service.settings import BrokerAddress
+from residuum.service.store import NotFound, StorageUnavailable, Store
+from residuum.service.window_queue.broker_client import broker_client
+from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, windows_of_part
+from residuum.service.window_queue.window_message import WindowMessage
+from residuum.service.worker_pool import WorkerPool
+
+log = structlog.get_logger()
+
+_LOOK_FOR_BASELINE = 2.0
+_STORAGE_RETRY = 2.0
+_WAIT = 0.2
+_LAST_WINDOW = 4.0
+
+
+class Scorer:
+    """One of several consumers of the window queue; each has its share of the machines.
+
+    At least once: the broker and the gateway are told of a window after it is on disk. Once: the key under which it was sent
+    is the store's idempotency key. A window whose judging ends its process again and again is stored as not assessable.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+    part, parts : int
+        Which of how many scorers this is, from 1. Two with the same part end each other's connection.
+    pool : WorkerPool
+    store : Store
+    data : Path
+        Folder for baselines.
+    """
+
+    def __init__(self, address: BrokerAddress, part: int, parts: int, pool: WorkerPool, store: Store, data: Path) -> None:
+        if not 1 <= part <= parts <= PARTITIONS:
+            raise BadInput(f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1")
+        self._address, self._part, self._parts = address, part, parts
+        self._pool, self._store, self._data = pool, store, data
+        self._baselines: dict[str, tuple[float, str]] = {}
+        self._came: queue.Queue[tuple[int, Any]] = queue.Queue()
+        self._connection = 0
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._score_all, name=f"scorer {part}/{parts}", daemon=True)
+        self.stored = self.seen_before = self.refused = 0
+
+    def start(self) -> None:
+        """Begin to take windows; returns at once."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; the window that is being judged is finished if that takes no longer than some seconds, else it comes again."""
+        self._stopped.set()
+        if self._thread.ident is not None:
+            self._thread.join(_LAST_WINDOW)
+
+    def _score_all(self) -> None:
+        topics = windows_of_part(self._address.prefix, self._part, self._parts)
+        name = f"residuum-scorer-{self._address.prefix}-{self._part}-of-{self._parts}"
+        client = broker_client(self._address, name, topics, self._queue, self._reconnected, kept=True)
+        try:
+            while not self._stopped.is_set():
+                try:
+                    connection, message = self._came.get(timeout=_WAIT)
+                except queue.Empty:
+                    continue
+                if connection == self._connection:  # else it comes again over the new connection
+                    self._take(client, message)
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+    def _reconnected(self) -> None:
+        self._connection += 1
+
+    def _queue(self, _client: Any, message: Any) -> None:
+        self._came.put((self._connection, message))
+
+    def _take(self, client: Any, message: Any) -> None:
+        *_, gateway, key = message.topic.split("/")
+        refused = None
+        try:
+            if not self._store_once(key, message.payload):
+                return
+        except BadInput as error:
+            refused = str(error)
+            self.refused += 1
+            log.error("window refused", gateway=gateway, reason=refused)
+        except Exception:  # one window must not end the scorer; it is not acknowledged, so it comes again
+            log.exception("window not scored", gateway=gateway)
+            self._stopped.wait(_STORAGE_RETRY)
+            return
+        client.publish(receipt_topic(self._address.prefix, gateway), orjson.dumps({"key": key, "refused": refused}), qos=1)
+        client.ack(message.mid, message.qos)
+
+    def _store_once(self, key: str, payload: bytes) -> bool:
+        """Whether the window is on disk; False when the scorer was stopped before."""
+        digest = hashlib.sha256(payload).hexdigest()
+        message = WindowMessage.unpack(payload)
+        if message.diagnoser not in DIAGNOSERS:
+            raise BadInput(f"diagnoser {message.diagnoser[:60]!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+        record = message.window.record()
+        finding: Finding | None = None
+        while not self._stopped.is_set():
+            try:
+                if self._store.window_with_key(message.asset, key, digest) is not None:
+                    self.seen_before += 1
+                    return True
+                finding = finding or self._judge(message)
+                self._store.add_window(message.asset, record, finding, key, digest)
+                self.stored += 1
+                return True
+            except StorageUnavailable as error:
+                log.error("window not stored, trying again", machine=message.asset, reason=str(error))
+                self._stopped.wait(_STORAGE_RETRY)
+        return False
+
+    def _judge(self, message: WindowMessage) -> Finding:
+        try:
+            return self._pool.call(score_window, message.diagnoser, self._baseline(message.baseline), message.window)
+        except BrokenProcessPool:
+            if self._stopped.is_set():
+                raise
+            return Finding.not_assessable(message.diagnoser, "judging it ended its process several times")
+
+    def _baseline(self, name: str) -> str:
+        """The file of the newest version of a baseline; empty when there is none."""
+        looked, file = self._baselines.get(name, (float("-inf"), ""))
+        if time.monotonic() - looked < _LOOK_FOR_BASELINE:
+            return file
+        try:
+            newest = self._store.model_versions(name)[0]
+            file = baseline_file(self._data, self._store.model_content(name, newest.number))
+        except NotFound:
+            file = ""
+        self._baselines[name] = time.monotonic(), file
+        return file

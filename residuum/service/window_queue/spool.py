@@ -1,0 +1,90 @@
+"""Spool: a gateway's windows on its disk, until each of them is known to be stored elsewhere."""
+
+from __future__ import annotations
+
+import os
+import threading
+import uuid
+from pathlib import Path
+
+_ENDING = ".window"
+
+
+class Spool:
+    """Files in a folder, in the order in which they came; safe to use from any thread.
+
+    A message is on disk when `put` returns. What was there at a crash is there at the next start, under the same keys.
+
+    Parameters
+    ----------
+    folder : Path
+    most_bytes : int
+        When more would be kept, the oldest go, and are counted in `dropped`.
+    """
+
+    def __init__(self, folder: Path, most_bytes: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._most = folder, most_bytes
+        self._lock = threading.Lock()
+        for unfinished in folder.glob("*.part"):
+            unfinished.unlink()
+        files = sorted(folder.glob(f"*{_ENDING}"))
+        self._files = {file.stem.split("-", maxsplit=1)[1]: file for file in files}
+        self._sizes = {key: file.stat().st_size for key, file in self._files.items()}
+        self._bytes = sum(self._sizes.values())
+        self._next = int(files[-1].stem.split("-", maxsplit=1)[0]) + 1 if files else 0
+        self.dropped = 0
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._files)
+
+    def put(self, payload: bytes) -> str:
+        """Keep a message; returns its key once it is on disk. OSError when it cannot be written."""
+        key = uuid.uuid4().hex
+        with self._lock:
+            file = self._folder / f"{self._next:012d}-{key}{_ENDING}"
+            self._next += 1
+            part = file.with_suffix(".part")
+            with part.open("wb") as opened:
+                opened.write(payload)
+                opened.flush()
+                os.fsync(opened.fileno())
+            part.replace(file)
+            self._sync_folder()
+            self._files[key], self._sizes[key] = file, len(payload)
+            self._bytes += len(payload)
+            while self._bytes > self._most and len(self._files) > 1:
+                self._forget(next(iter(self._files)))
+                self.dropped += 1
+        return key
+
+    def oldest(self, count: int) -> list[str]:
+        """Keys of the first messages, in order."""
+        with self._lock:
+            return [key for key, _ in zip(self._files, range(count), strict=False)]
+
+    def read(self, key: str) -> bytes | None:
+        """A message; None when it is gone."""
+        with self._lock:
+            file = self._files.get(key)
+            return None if file is None else file.read_bytes()
+
+    def remove(self, key: str) -> bool:
+        """Let a message go; False when it had gone before."""
+        with self._lock:
+            if key not in self._files:
+                return False
+            self._forget(key)
+            return True
+
+    def _forget(self, key: str) -> None:
+        self._files.pop(key).unlink(missing_ok=True)
+        self._bytes -= self._sizes.pop(key)
+
+    def _sync_folder(self) -> None:
+        handle = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
