@@ -1,0 +1,96 @@
+"""Comparing the gate drive with records of a simulated one: a true model, wrong friction, coloured noise."""
+
+import numpy as np
+import pytest
+
+from residuum.identification.discrepancy.compare import compare
+from residuum.identification.discrepancy.noise_floor import noise_floor
+from residuum.identification.errors import BadRecord
+from residuum.identification.physics import load_model, read_model
+from residuum.identification.record import Record
+from residuum.simulation.gate_drive import GateDrive
+
+MODEL = load_model("gate-drive")
+
+
+def record(**settings):
+    signals = GateDrive(seed=3, deviation=0.0, **settings).simulate(12.0)
+    return Record(signals.channels, signals.units, signals.sample_time)
+
+
+@pytest.fixture(scope="module")
+def with_friction():
+    return compare(MODEL, [record(effects={"coulomb-friction": "medium"}, profile="rich")])
+
+
+def test_a_true_model_has_only_noise_even_when_the_noise_is_coloured():
+    found = compare(MODEL, [record(noise_color=0.9, profile="rich")])
+    assert found.p_value > 0.01 and found.where == ()
+    for name, output in found.outputs.items():
+        assert output.noise_floor == pytest.approx(output.rmse, rel=0.05), name
+        assert output.fit_percent > 90
+
+
+def test_a_missing_friction_is_seen_and_sized(with_friction):
+    assert with_friction.p_value < 1e-6 and with_friction.share > 0.5
+    speed = with_friction.outputs["speed"]
+    assert speed.rmse > 3 * speed.noise_floor
+    assert speed.k_step[1] < speed.k_step[100] < 3 * speed.rmse
+    assert with_friction.balances["shaft"].relative_percent > 2 * with_friction.balances["winding"].relative_percent
+
+
+def test_the_missing_term_draws_the_friction_curve(with_friction):
+    smoothed = with_friction.smoothed[0]
+    speed = smoothed.X[:, 1]
+    term = smoothed.missing["shaft"]
+    running = np.abs(speed) > 30
+    true = -0.02 * np.sign(speed[running])  # the simulated drive's medium Coulomb friction [N·m]
+    assert np.corrcoef(term.value[running], true)[0, 1] > 0.9
+    assert np.mean(term.value[running] * np.sign(true)) == pytest.approx(0.02, rel=0.2)
+
+
+def test_it_says_where(with_friction):
+    assert with_friction.where
+    scores = [region.score for region in with_friction.where]
+    assert scores == sorted(scores, reverse=True)
+    assert all(region.times_noise > 1 and 0 < region.share <= 1 for region in with_friction.where)
+
+
+def test_a_resonance_beside_its_place_is_no_noise():
+    """The error of a stiffness that is 8 % off rings as noise through the same resonance would."""
+    n, h, rng = 3000, 0.005, np.random.default_rng(1)
+    force = np.repeat(rng.normal(0.0, 50.0, n // 10), 10)
+    x, v, seen = 0.0, 0.0, np.zeros(n)
+    for k in range(n):
+        seen[k] = x
+        for _ in range(20):
+            v += h / 20 * (force[k] - 4000.0 * x - 8.0 * v) / 2.0
+            x += h / 20 * v
+    noise = 2e-5 * rng.standard_normal(n)
+    text = """name: rig
+inputs: {force: N}
+states: {x: {unit: m, rate: v}, v: {unit: m/s}}
+parameters: {M: {value: 2, unit: kg, fixed: true}, d: {value: 8, unit: N*s/m, lower: 0}, k: {value: 4320, unit: N/m, lower: 0}}
+balances:
+  mass: {kind: force, storage: M * der(v), terms: {shaker: force, spring: -k * x, damper: -d * v}, position: x, velocity: v}
+outputs: {x: {value: x, unit: m}}
+"""
+    found = compare(read_model(text), [Record({"force": force, "x": seen + noise}, {"force": "N", "x": "m"}, h)])
+    assert found.p_value < 1e-4 and found.share > 0.9
+    assert found.outputs["x"].rmse > 5 * found.outputs["x"].noise_floor
+
+
+def test_a_record_without_the_input_is_refused():
+    with pytest.raises(BadRecord, match="input 'voltage' is missing"):
+        compare(MODEL, [record(profile="rich").select(["speed", "current"])])
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_noise_floor_reads_coloured_noise_under_a_slow_error(rho):
+    rng = np.random.default_rng(5)
+    v = np.zeros(20_000)
+    e = rng.normal(size=v.size)
+    for k in range(1, v.size):
+        v[k] = rho * v[k - 1] + np.sqrt(1 - rho**2) * e[k]
+    slow = 10 * np.sin(2 * np.pi * np.arange(v.size) / 4000)
+    assert noise_floor([v + slow]) == pytest.approx(1.0, rel=0.15)

@@ -1,0 +1,206 @@
+"""Explain and improve on records whose missing physics is known; the machines share no code with the models."""
+
+import numpy as np
+import pytest
+
+from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.held_out import split
+from residuum.identification.discrepancy.improve import improve
+from residuum.identification.discrepancy.linear_response import linear_response
+from residuum.identification.errors import BadModel
+from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
+from residuum.identification.physics.composition import missing_name
+from residuum.identification.record import Record
+from residuum.simulation import MACHINES
+
+TANK = """
+name: rain barrel
+inputs:      {tap: V}
+states:      {x: {unit: m}}
+parameters:  {A: {value: 0.5, unit: m**2, fixed: true}, g: {value: 0.9e-3, unit: m**3/s/V, lower: 0}}
+balances:
+  barrel:    {kind: volume, storage: A * der(x), terms: {tap: g * tap}, level: x}
+outputs:     {depth: {value: x, unit: m}}
+"""
+
+
+PLATE = """
+name: plate
+inputs:      {u: V}
+states:      {x: {unit: degC}}
+parameters:  {C: {value: 100, unit: J/K, fixed: true}, P: {value: 5, unit: W/V, lower: 0}, h: {value: 1, unit: W/K, lower: 0},
+              T_a: {value: 20, unit: degC, fixed: true}}
+balances:
+  plate:     {kind: heat, storage: C * der(x), terms: {lamp: P * u, loss: -h * (x - T_a)}, temperature: x, ambient: T_a}
+outputs:     {T: {value: x, unit: degC}}
+"""
+
+
+def drive(effects=None, seed=3, duration=15.0, rate=200.0, **settings):
+    machine = MACHINES["gate-drive"](seed=seed, effects=effects, rate=rate, **settings)
+    s = machine.simulate(duration)
+    return Record(s.channels, s.units, s.sample_time, notes=s.notes, source="drive.csv")
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    return drive({"coulomb-friction": {"tau_c": 0.02}})
+
+
+@pytest.fixture(scope="module")
+def rubbing_explained(rubbing):
+    return explain(load_model("gate-drive"), [rubbing])
+
+
+def test_hidden_friction_is_named_and_measured(rubbing_explained):
+    assert rubbing_explained.verdict == "missing-effect"
+    first = rubbing_explained.candidates[0]
+    assert (first.effect, first.balance) == ("coulomb-friction", "shaft")
+    tau_c = first.parameters["tau_c"]
+    assert tau_c.value == pytest.approx(0.02, abs=max(4 * tau_c.std, 2e-4))
+    assert tau_c.unit == "N*m"
+    assert first.error_after < 0.5 * first.error_before
+    assert first.within_bounds
+
+
+def test_probabilities_share_one(rubbing_explained):
+    first_step = [c.probability for c in rubbing_explained.candidates if c.step == 0]
+    assert all(p >= 0 for p in first_step)
+    total = sum(first_step) + rubbing_explained.probability_none + rubbing_explained.probability_unknown
+    assert total == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_would_have_been_seen_is_smaller_than_what_was_hidden_elsewhere(rubbing_explained):
+    """The inductance-free drive at this noise shows a load of a few mN·m; the bound must say so, in its unit."""
+    found = {(u.effect, u.balance): u for u in rubbing_explained.undetectable}
+    load = found["constant-load", "shaft"]
+    assert load.unit == "N*m"
+    assert 1e-5 < load.smallest_visible["tau_0"] < 0.02
+    assert ("coulomb-friction", "shaft") not in found
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.95])
+def test_a_complete_model_is_adequate_whatever_the_noise_colour(rho):
+    explanation = explain(load_model("gate-drive"), [drive(noise_color=rho, seed=5)])
+    assert explanation.verdict == "adequate"
+    assert explanation.probability_none > 0.5
+
+
+def test_physics_outside_the_catalogue_is_not_claimed():
+    record = drive({"x-speed-resonance": "large"}, profile="rich", duration=20.0)
+    explanation = explain(load_model("gate-drive"), [record], effects=["coulomb-friction", "input-offset", "constant-load"])
+    assert explanation.verdict == "unknown-effect"
+    assert explanation.free.balance == "shaft"
+    assert explanation.free.axis == "velocity"
+    resonance = np.abs(explanation.free.at[np.argmax(np.abs(explanation.free.value - np.median(explanation.free.value)))])
+    assert resonance == pytest.approx(210.0, abs=40.0)
+
+
+def test_a_load_that_walks_at_random_is_not_taken_for_an_effect():
+    """It has a mean, as a constant load and an off-centre spring have; only its wandering tells it apart."""
+    walk = explain(load_model("gate-drive"), [drive({"x-random-walk-load": "medium"}, profile="rich", seed=1)])
+    constant = explain(load_model("gate-drive"), [drive({"constant-load": "medium"}, profile="rich", seed=1)])
+    assert walk.verdict != "missing-effect"
+    assert (constant.verdict, constant.candidates[0].effect) == ("missing-effect", "constant-load")
+
+
+def test_a_friction_with_three_parameters_is_followed_to_its_optimum():
+    """Stopped half-way, its remaining error would invite a second effect that is not there."""
+    explanation = explain(load_model("gate-drive"), [drive({"stribeck-friction": "medium"}, rate=500.0, seed=1)])
+    assert explanation.search.accepted == [("stribeck-friction", "shaft")]
+    found = explanation.candidates[0].parameters
+    assert found["tau_c"].value == pytest.approx(0.02, rel=0.05)
+    assert found["tau_s"].value == pytest.approx(0.03, rel=0.2)
+    assert explanation.candidates[0].held_out
+
+
+def test_a_contact_that_nothing_leads_to_is_reached_from_its_special_case():
+    """Play is found from the spring that fits best, a stop where the measured speed says that the gate was."""
+    play = explain(load_model("gate-drive"), [drive({"backlash": "medium"}, duration=30.0, rate=500.0, profile="rich", seed=0)])
+    assert play.candidates[0].effect == "backlash"
+    assert play.candidates[0].parameters["gap"].value == pytest.approx(1.5, rel=0.02)
+    stopped = explain(load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)])
+    assert stopped.candidates[0].effect == "end-stop"
+    assert stopped.search.best.rmse[0] == pytest.approx(0.3, rel=0.1)  # the noise alone; it was a hundred times that
+
+
+def oven(effect):
+    machine = MACHINES["oven"](seed=0, effects={effect: "medium"}, configuration="lumped")
+    s = machine.simulate(24 * 3600.0)
+    return Record(s.channels, s.units, s.sample_time)
+
+
+def test_a_second_store_and_a_power_law_are_found_behind_a_lagging_sensor():
+    """The thermocouple's lag is less than a sample: it is timing, however much likelihood it wins."""
+    store = explain(load_model("oven"), [oven("second-heat-store")])
+    assert store.search.accepted == [("second-heat-store", "chamber")]
+    assert store.candidates[0].parameters["C_2"].value == pytest.approx(6e4, rel=0.2)
+    law = explain(load_model("oven"), [oven("heater-nonlinearity")])
+    assert law.search.accepted == [("heater-nonlinearity", "chamber")]
+    assert law.candidates[0].parameters["gamma"].value == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_plate_with_two_stores_of_heat_is_not_called_complete():
+    """Nearly noiseless: integrated noise could swallow the whole error; the catalogue is kept from naming the second store."""
+    n, h = 800, 2.0
+    power = np.repeat(np.random.default_rng(2).uniform(0.0, 10.0, 20), n // 20)
+    T, inner, seen = 20.0, 20.0, np.zeros(n)
+    for k in range(n):
+        seen[k] = T
+        for _ in range(20):
+            flow = 2.0 * (inner - T)
+            inner += h / 20 * (power[k] * 8.0 - flow) / 60.0
+            T += h / 20 * (flow - 1.5 * (T - 20.0)) / 90.0
+    noise = 0.02 * np.random.default_rng(5).standard_normal(n)
+    record = Record({"u": power, "T": seen + noise}, {"u": "V", "T": "degC"}, h)
+    explanation = explain(read_model(PLATE), [record], effects=["door-opening", "radiation"])
+    assert explanation.verdict == "unknown-effect"
+
+
+def test_a_model_of_ones_own_with_other_names():
+    """A leaking barrel, integrated here with an explicit scheme a hundred times finer than the record."""
+    n, h = 1500, 2.0
+    rng = np.random.default_rng(4)
+    tap = np.repeat(rng.uniform(0.0, 2.0, 30), n // 30)
+    x, depth = 0.4, np.zeros(n)
+    for k in range(n):
+        depth[k] = x
+        for _ in range(100):
+            x += h / 100 * (1e-3 * tap[k] - 1.6e-3 * x) / 0.5
+    record = Record({"tap": tap, "depth": depth + 1e-3 * rng.standard_normal(n)}, {"tap": "V", "depth": "m"}, h)
+    explanation = explain(read_model(TANK), [record])
+    assert explanation.verdict == "missing-effect"
+    assert "leak" in {explanation.candidates[0].effect, *explanation.candidates[0].indistinguishable_from}
+
+
+def test_linear_response_to_a_constant_is_the_kernels_own_derivative(rubbing):
+    model, (experiment,) = match(load_model("gate-drive"), [rubbing])
+    simulator = Simulator(model)
+    x0, name = np.array([0.0, 5.0]), missing_name("shaft")
+    exact = simulator.run_vectors(experiment, x0, simulator.p(), slopes=[name], substeps=1).dY[:, :, 0]
+    response = linear_response(model, experiment, x0, 1).to("shaft", np.ones((experiment.n, 1)))[:, :, 0]
+    np.testing.assert_allclose(response, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+def test_auto_adds_the_effect_and_lowers_the_error_on_data_it_never_saw(rubbing):
+    improvement = improve(load_model("gate-drive"), [rubbing, drive({"coulomb-friction": {"tau_c": 0.02}}, seed=8)])
+    assert [step.added for step in improvement.history] == [None, "coulomb-friction"]
+    assert improvement.history[1].error < 0.5 * improvement.history[0].error
+    assert improvement.verdict == "adequate"
+    again = read_model(write_model(improvement.model))
+    (use,) = again.effects
+    assert use.provenance["error_after"] == pytest.approx(improvement.history[1].error)
+    assert use.parameters["tau_c"].value == pytest.approx(0.02, rel=0.05)
+
+
+def test_add_that_fits_several_places_must_say_which(rubbing):
+    with pytest.raises(BadModel, match=r"'output-offset': fits speed, current; say which, as output-offset@speed"):
+        improve(load_model("gate-drive"), [rubbing], add=["output-offset"])
+
+
+@pytest.mark.parametrize(("note", "share"), [("", 0.7), ("split: 0.5", 0.5)])
+def test_one_record_is_split_where_its_note_says(note, share):
+    record = Record({"y": np.arange(100.0)}, {"y": "m"}, 1.0, notes=(note,) if note else ())
+    parts = split([record])
+    assert parts.training[0].n == round(100 * share)
+    assert parts.testing[0][1] == round(100 * share)

@@ -1,0 +1,74 @@
+"""Coloured, heavy-tailed noise: coefficients recovered beside outliers, memory limited, likelihood in its right place."""
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+from scipy.stats import t
+
+from residuum.identification.discrepancy.coloured_noise import ColouredNoise
+from residuum.identification.discrepancy.innovations import FREEDOM, fit_noises, log_density, pointwise_log_likelihood, scale
+
+
+def coloured(n, rho, seed=0):
+    return lfilter([1.0], [1.0, -rho], np.random.default_rng(seed).standard_normal(n))
+
+
+def test_coefficient_survives_outliers_that_ruin_the_variance():
+    e = np.random.default_rng(0).standard_normal(5000)
+    e[::250] += 40.0
+    (noise,) = fit_noises([lfilter([1.0], [1.0, -0.8], e)[:, None]], order=1)
+    assert noise.a[0] == pytest.approx(-0.8, abs=0.03)
+    assert noise.innovation_variance < 2.0 < np.var(e)
+
+
+def test_density_is_that_of_the_t_distribution():
+    e = np.linspace(-8.0, 8.0, 41)
+    np.testing.assert_allclose(log_density(e, 1.7), t.logpdf(e, FREEDOM, scale=1.7), rtol=1e-12)
+
+
+def test_scale_maximises_the_likelihood():
+    e = 3.0 * np.random.default_rng(1).standard_t(FREEDOM, 20_000)
+    s = scale(e)
+    assert s == pytest.approx(3.0, rel=0.03)
+    assert log_density(e, s).sum() > max(log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum())
+
+
+def test_an_unmeasured_output_has_no_noise_and_a_gap_no_likelihood():
+    v = coloured(400, 0.5)[:, None]
+    v[100:110] = np.nan
+    both = np.column_stack([v, np.full(400, np.nan)])
+    noises = fit_noises([both], order=2)
+    assert noises[1] is None
+    pointwise = pointwise_log_likelihood([both], noises)
+    assert np.count_nonzero(pointwise == 0.0) == 12  # the gap, and the two samples that look back into it
+    assert np.all(np.isfinite(pointwise))
+
+
+def test_a_slow_error_is_not_called_noise():
+    """A drift over the whole record may not be whitened away by poles at one."""
+    drift = np.cumsum(np.cumsum(np.random.default_rng(2).standard_normal(3000)))[:, None]
+    (noise,) = fit_noises([drift])
+    assert np.abs(np.roots(np.r_[1.0, noise.a])).max() <= np.exp(-1.0 / 100.0) + 1e-9
+
+
+def test_the_first_samples_have_the_density_of_the_noise_itself():
+    """Innovations and their spreads are those of a Cholesky factor of the covariance, got here from the impulse response."""
+    A = np.poly([0.95, 0.5, -0.3 + 0.4j, -0.3 - 0.4j]).real
+    noise, n = ColouredNoise(A[1:], 2.0), 12
+    h = lfilter([1.0], A, np.r_[1.0, np.zeros(4000)])
+    covariance = 2.0 * toeplitz([np.sum(h[: len(h) - k] * h[k:]) for k in range(n)])
+    factor = np.linalg.cholesky(covariance) / np.sqrt(2.0)
+    x = np.random.default_rng(3).standard_normal(n)
+    np.testing.assert_allclose(noise.innovations(x), np.linalg.solve(factor, x), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(noise.log_spreads(n), np.log(np.diag(factor)), atol=1e-12)
+    np.testing.assert_allclose(noise.innovations(x[:2]), noise.innovations(x)[:2], rtol=1e-12)
+
+
+def test_a_transient_that_decays_as_the_noise_does_is_not_free():
+    """Conditional on its first sample it would leave no innovation, whatever its size: an initial state would be lost."""
+    noises = (ColouredNoise(np.array([-0.9]), 1.0),)
+    v = coloured(500, 0.9)
+    transient = 100.0 * 0.9 ** np.arange(500)
+    likelihood = [pointwise_log_likelihood([x[:, None]], noises).sum() for x in (v, v + transient)]
+    assert likelihood[0] - likelihood[1] > 100.0

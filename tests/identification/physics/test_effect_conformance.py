@@ -1,0 +1,86 @@
+"""Every effect of the catalogue passes the same tests on its own examples."""
+
+import numpy as np
+import pytest
+
+from residuum.identification.physics import (
+    Experiment,
+    Simulator,
+    balance_variables,
+    conditions_at,
+    read_model,
+    write_model,
+)
+from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.units import parse_unit
+
+
+def excitation(example):
+    n = round(example.duration / example.sample_time)
+    t = np.arange(n) / n
+    if example.profile == "steps":
+        return example.amplitude * (np.sin(2 * np.pi * 3.3 * t) > 0)
+    return example.amplitude * np.sin(2 * np.pi * 4 * t) * np.clip(2 * np.sin(2 * np.pi * t * 1.5), -1, 1)
+
+
+def placed(effect, example):
+    """The example's model, its experiment, a place that the effect fits, and the operating conditions there."""
+    model = read_model(example.model)
+    U = excitation(example)[:, None]
+    hold = np.ones(1) if example.profile == "sweep" else np.zeros(1)
+    experiment = Experiment(U, np.full((len(U), len(model.outputs)), np.nan), hold, example.sample_time)
+    places = [*model.balances, *model.inputs, *model.outputs]
+    target = next(place for place in places if effect.fits(model.site(place, effect)))
+    run = Simulator(model).run(experiment)
+    return model, experiment, target, conditions_at(model, effect, target, experiment, run.X)
+
+
+CASES = [pytest.param(e, x, id=f"{i}-{k}") for i, e in EFFECTS.items() for k, x in enumerate(e.examples())]
+
+
+@pytest.mark.parametrize(("effect", "example"), CASES)
+def test_effect_in_its_examples(effect, example):
+    model, experiment, target, conditions = placed(effect, example)
+    base = Simulator(model).run(experiment)
+    starts = effect.starts(conditions)
+    assert starts
+    with_it = model.with_effect(effect.id, target, starts[0])
+    use = with_it.effects[0]
+    run = Simulator(with_it).run(experiment)
+    assert run.finite
+    assert not np.allclose(run.Y, base.Y, rtol=1e-6, atol=1e-12), "the effect changes nothing"
+    if target in model.balances:
+        variables = balance_variables(Simulator(with_it), with_it.balances[target], experiment, run.X)
+        values = {name: parameter.value for name, parameter in use.parameters.items()}
+        assert effect.obeys_physics(variables[f"term:{effect.id}"], variables, values)
+    for start in starts:
+        assert set(start) == set(use.parameters)
+    if effect.vanishes:
+        none = model.with_effect(effect.id, target, {**starts[0], **dict.fromkeys(effect.sizes, 0.0)})
+        np.testing.assert_allclose(Simulator(none).run(experiment).Y, base.Y, rtol=1e-9, atol=1e-12)
+    assert read_model(write_model(with_it)) == with_it
+    for parameter in use.parameters.values():
+        parse_unit(parameter.unit)
+        assert parameter.meaning
+
+
+@pytest.mark.parametrize(("effect", "example"), CASES)
+def test_sensitivities_are_the_derivatives_of_the_outputs(effect, example):
+    """Central differences agree where the effect is smooth along the trajectory; set-valued friction in the bulk of samples."""
+    model, experiment, target, conditions = placed(effect, example)
+    start = effect.starts(conditions)[0]
+    with_it = model.with_effect(effect.id, target, {name: 0.97 * value for name, value in start.items()})
+    simulator = Simulator(with_it)
+    steps = simulator.substeps(experiment, simulator.x0(), simulator.p())
+    names = [name for name in with_it.all_parameters if "@" in name and not with_it.all_parameters[name].fixed]
+    exact = simulator.run(experiment, slopes=names, substeps=steps).dY
+    for column, name in enumerate(names):
+        value = with_it.values[name]
+        step = 1e-6 * (abs(value) or 1e-3)
+        up, down = (simulator.run(experiment, values={name: value + s}, substeps=steps).Y for s in (step, -step))
+        numeric = (up - down) / (2 * step)
+        error = np.abs(exact[:, :, column] - numeric)
+        scale = np.max(np.abs(exact[:, :, column])) or 1.0
+        if effect.id == "output-quantisation":
+            continue
+        assert np.quantile(error, 0.95) <= 1e-3 * scale, (name, np.quantile(error, 0.95), scale)

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+from scipy import signal
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.multivariable import identify_multivariable
+from residuum.identification.record import Record
+
+UNITS = {"valve": "%", "heater": "kW", "level": "m", "temperature": "K"}
+
+
+def plant(seed, n=1500, mixing=0.8):
+    """Two correlated inputs, two outputs; the valve does not act on the temperature."""
+    rng = np.random.default_rng(seed)
+    valve = rng.standard_normal(n)
+    heater = mixing * valve + np.sqrt(1 - mixing**2) * rng.standard_normal(n)
+    level = signal.lfilter([0, 1.0], [1, -0.8], valve) + signal.lfilter([0, -0.2], [1, -0.5], heater)
+    temperature = 20 + signal.lfilter([0, 0.5], [1, -0.9], heater)
+    noise = rng.standard_normal((2, n)) * [[0.2], [0.1]]
+    channels = {"valve": valve, "heater": heater, "level": level + noise[0], "temperature": temperature + noise[1]}
+    return Record(channels, UNITS, 2.0)
+
+
+@pytest.mark.parametrize("kernel", ["tc", "dc"])
+def test_correlated_inputs_are_told_apart(kernel):
+    model = identify_multivariable(plant(0), ["valve", "heater"], ["level", "temperature"], kernel=kernel, order=40)
+    k = np.arange(40)
+    truth = [[0.8**k, -0.2 * 0.5**k], [0.0 * k, 0.5 * 0.9**k]]
+    for row, responses in zip(model.models, truth, strict=True):
+        for path, response in zip(row, responses, strict=True):
+            assert np.abs(path.impulse_response - response).max() < 0.05
+    assert model.models[1][1].offset == pytest.approx(20, abs=0.1)
+    assert (model.inputs, model.outputs) == (("valve", "heater"), ("level", "temperature"))
+
+
+def test_joint_samples_carry_the_correlation_between_paths():
+    model = identify_multivariable(plant(1), ["valve", "heater"], ["level"], order=15)
+    drawn = model.sample(6000, seed=2)[:, 0].reshape(6000, 30)
+    np.testing.assert_allclose(np.cov(drawn.T), model.covariances[0], atol=0.06 * np.abs(model.covariances[0]).max())
+    assert np.corrcoef(drawn[:, 0], drawn[:, 15])[0, 1] < -0.3  # the inputs agree, so the paths trade off
+
+
+def test_simulation_adds_the_paths():
+    record = plant(2)
+    model = identify_multivariable(record, ["valve", "heater"], ["level", "temperature"], order=60)
+    for name, simulated in model.simulate(record).items():
+        residual = (record[name] - simulated)[60:]
+        assert np.std(residual) < 0.3 * np.std(record[name])
+        assert abs(residual.mean()) < 0.05
+
+
+def test_response_has_one_entry_a_path():
+    model = identify_multivariable(plant(3), ["valve", "heater"], ["level", "temperature"], order=40)
+    response = model.frequency_response([0.0, 0.1])
+    assert response.shape == (2, 2, 2)
+    np.testing.assert_allclose(response[0].real, [[5.0, -0.4], [0.0, 5.0]], atol=0.4)
+
+
+def test_a_channel_may_be_used_once():
+    with pytest.raises(BadRecord, match="may be used once"):
+        identify_multivariable(plant(4), ["valve", "valve"], ["level"])

@@ -1,0 +1,52 @@
+"""Record: what it accepts, refuses and keeps."""
+
+import numpy as np
+import pytest
+
+from residuum.identification.errors import BadRecord, BadUnit
+from residuum.identification.record import Record
+
+
+def test_channels_are_read_only_and_keep_float32():
+    record = Record({"a": np.zeros(4, dtype=np.float32)}, {"a": "g"}, 0.1)
+    assert record["a"].dtype == np.float32
+    with pytest.raises(ValueError, match="read-only"):
+        record["a"][0] = 1
+
+
+def test_units_convert_by_name():
+    record = Record({"n": [60.0], "T": [20.0]}, {"n": "rpm", "T": "°C"}, 1.0)
+    assert record.in_unit("n", "rad/s")[0] == pytest.approx(2 * np.pi)
+    assert record.in_unit("T", "K")[0] == pytest.approx(293.15)
+    with pytest.raises(BadUnit, match="cannot be converted"):
+        record.in_unit("n", "V")
+
+
+@pytest.mark.parametrize(
+    ("channels", "units", "sample_time", "rule"),
+    [
+        ({}, {}, 1.0, "at least one"),
+        ({"a": [1.0, np.inf]}, {"a": "V"}, 1.0, "sample 1: is infinite"),
+        ({"a": [1.0], "b": [1.0, 2.0]}, {"a": "V", "b": "V"}, 1.0, "all must be equal"),
+        ({"a": [1.0]}, {}, 1.0, "has no unit"),
+        ({"a": [1.0]}, {"a": "V"}, 0.0, "positive"),
+        ({"a": [[1.0]]}, {"a": "V"}, 1.0, "one-dimensional"),
+        ({"a": ["x"]}, {"a": "V"}, 1.0, "not an array of numbers"),
+    ],
+)
+def test_bad_records_are_refused(channels, units, sample_time, rule):
+    with pytest.raises(BadRecord, match=rule):
+        Record(channels, units, sample_time)
+
+
+def test_unknown_unit_is_refused():
+    with pytest.raises(BadUnit, match="florps"):
+        Record({"a": [1.0]}, {"a": "florps"}, 1.0)
+
+
+def test_window_keeps_the_clock_and_missing_samples():
+    record = Record({"a": [0.0, np.nan, 2.0, 3.0]}, {"a": "V"}, 0.5, t0=10.0, notes=("split: 0.7",))
+    part = record.window(1, 3)
+    assert part.t0 == 10.5
+    assert part.missing("a").tolist() == [True, False]
+    assert record.split == 0.7

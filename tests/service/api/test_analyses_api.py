@@ -1,0 +1,177 @@
+"""Analyses over HTTP are jobs whose results are those of the console program."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from scipy import signal
+from typer.testing import CliRunner
+
+from residuum.identification.physics import Experiment, Simulator, load_model, read_model
+from residuum.identification.record import Record
+from residuum.identification.record_formats import write_record
+from residuum.service.commands.compare import app as compare_command
+
+
+@pytest.fixture(scope="module")
+def plant():
+    """Records of y = 0.3 / (z - 0.7) u + noise, the second with a sensor offset in its second half."""
+    rng = np.random.default_rng(5)
+    found = []
+    for offset in (0.0, 3.0):
+        u = rng.normal(size=1500)
+        y = signal.lfilter([0, 0.3], [1, -0.7], u) + 0.05 * rng.normal(size=1500)
+        y[750:] += offset
+        found.append(Record({"u": u, "y": y}, {"u": "V", "y": "V"}, 0.1))
+    return found
+
+
+def upload(client, record, path):
+    write_record(record, path)
+    answer = client.post("/api/v1/records", params={"filename": path.name}, content=path.read_bytes())
+    assert answer.status_code == 201, answer.text
+    return answer.json()["id"]
+
+
+def result(client, answer):
+    assert answer.status_code == 202, answer.text
+    end = time.monotonic() + 300
+    while (job := client.get(answer.headers["location"]).json())["state"] in ("queued", "running"):
+        assert time.monotonic() < end, job
+        time.sleep(0.05)
+    return job
+
+
+def test_identify_then_residuals(client, plant, tmp_path):
+    healthy, faulty = (upload(client, record, tmp_path / f"{number}.csv") for number, record in enumerate(plant))
+    asked = {"records": [healthy], "input": "u", "output": "y", "order": 30, "delay": 1, "save_as": "plant"}
+    job = result(client, client.post("/api/v1/identify", json=asked))
+    assert job["state"] == "done", job
+    g = np.array(job["result"]["impulse_response"])
+    np.testing.assert_allclose(g[:10], 0.3 * 0.7 ** np.arange(10), atol=0.02)
+    assert job["result"]["stored"] == {"model": "plant", "version": 1}
+    asked = {"model": "plant", "healthy": [healthy], "records": [healthy, faulty]}
+    job = result(client, client.post("/api/v1/residuals", json=asked))
+    assert job["state"] == "done", job
+    assert [run["alarm"] for run in job["result"]["runs"]] == [False, True]
+    assert job["result"]["runs"][1]["first_alarm_time"] == pytest.approx(75, abs=3)
+    assert job["result"]["runs"][1]["record"] == faulty
+
+
+def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault(client, refused, plant, tmp_path):
+    healthy, faulty = (upload(client, record, tmp_path / f"{number}.csv") for number, record in enumerate(plant))
+    asked = {"records": [healthy], "input": "u", "output": "y", "order": 30, "delay": 1, "save_as": "trusted"}
+    assert result(client, client.post("/api/v1/identify", json=asked))["state"] == "done"
+    found = client.get("/api/v1/models/trusted/uncertainty", params={"samples": 20}).json()
+    samples, weight = np.array(found["samples"]), np.array(found["weight"])
+    assert samples.shape == (20, len(found["frequency"])) and found["n_samples"] > 100
+    assert np.mean(samples <= weight) > 0.99 and np.max(samples) > 0.3 * np.max(weight)
+    asked = {"healthy": [healthy], "record": faulty, "offset": 0.2}
+    job = result(client, client.post("/api/v1/models/trusted/residual-views", json=asked))
+    assert job["state"] == "done", job
+    view = job["result"]
+    assert view["alarm_time"] == pytest.approx(75, abs=3) and view["unit"] == "V"
+    assert len(view["time"]) == len(view["statistic"]) == len(view["threshold"]) == len(view["lowest"])
+    false, hit = np.array(view["roc"]["false_alarms"]), np.array(view["roc"]["detections"])
+    assert 0.9 < view["roc"]["area"] <= 1 and np.all(np.diff(false) >= 0) and np.all(np.diff(hit) >= 0)
+    assert refused("GET", "/api/v1/models/none/uncertainty")[0] == 404
+    assert refused("POST", "/api/v1/models/trusted/residual-views", json=asked | {"offset": 0})[0] == 422
+
+
+def test_a_controller_is_designed_for_a_stored_model(client, plant, tmp_path):
+    number = upload(client, plant[0], tmp_path / "a.csv")
+    asked = {"records": [number], "input": "u", "output": "y", "method": "oe", "order": 1, "delay": 1, "save_as": "controlled"}
+    assert result(client, client.post("/api/v1/identify", json=asked))["state"] == "done"
+    job = result(client, client.post("/api/v1/control-designs", json={"models": ["controlled"]}))
+    assert job["state"] == "done", job
+    assert isinstance(job["result"]["file"], dict)
+
+
+def test_compare_gives_what_the_command_gives(client, tmp_path):
+    rng = np.random.default_rng(2)
+    force = rng.normal(size=800) * 20
+    velocity = np.cumsum(force - 8 * np.sign(force)) * 1e-3 / 95
+    record = Record({"force": force, "velocity": velocity}, {"force": "N", "velocity": "m/s"}, 1e-3)
+    number = upload(client, record, tmp_path / "axis.npz")
+    job = result(client, client.post("/api/v1/models/linear-axis/compare", json={"records": [number]}))
+    assert job["state"] == "done", job
+    printed = CliRunner().invoke(compare_command, ["linear-axis", str(tmp_path / "axis.npz"), "--json"])
+    expected = json.loads(printed.stdout)
+    assert job["result"]["outputs"] == expected["outputs"]
+    asked = {"records": [number], "effects": ["coulomb-friction"]}
+    explained = result(client, client.post("/api/v1/models/linear-axis/explain", json=asked))
+    assert explained["state"] == "done", explained
+    assert explained["result"]["outputs"] == expected["outputs"]
+    assert explained["result"]["verdict"] in ("missing-effect", "adequate", "unknown-effect")
+    assert (job["result"]["model"], job["result"]["records"]) == ("linear-axis", [f"record-{number}.npz"])
+
+
+@pytest.fixture(scope="module")
+def axis_with_friction(client, tmp_path_factory):
+    """Number of a record of the linear axis with Coulomb friction of 20 N, and white noise on the position."""
+    rng = np.random.default_rng(8)
+    t = np.arange(3000) * 0.002
+    force = 60 * np.sin(2 * np.pi * 0.7 * t) + 40 * np.sign(np.sin(2 * np.pi * 0.23 * t))
+    truth = load_model("linear-axis").with_effect("coulomb-friction", "axis", {"tau_c": 20.0}).with_values({"M": 80.0})
+    experiment = Experiment(force[:, None], np.full((3000, 2), np.nan), np.zeros(1), 0.002)
+    position = Simulator(truth).run(experiment, {"q": 0.0, "v": 0.0}).Y[:, 0] + 5e-5 * rng.normal(size=3000)
+    record = Record({"force": force, "position": position}, {"force": "N", "position": "m"}, 0.002)
+    return upload(client, record, tmp_path_factory.mktemp("axis") / "axis.npz")
+
+
+def test_improve_adds_what_is_named_and_stores_the_version(client, axis_with_friction):
+    asked = {"records": [axis_with_friction], "add": ["coulomb-friction@axis"], "save_as": "axis-improved"}
+    job = result(client, client.post("/api/v1/models/linear-axis/improve", json=asked))
+    assert job["state"] == "done", job
+    found = job["result"]
+    assert [step["added"] for step in found["history"]] == [None, "coulomb-friction"]
+    assert found["history"][1]["error"] < 0.5 * found["history"][0]["error"] and found["held_out"] is True
+    stored = client.get(found["model_file"])
+    assert found["stored"] == {"model": "axis-improved", "version": 1} and stored.text == found["file"]
+    assert read_model(stored.text).values["coulomb-friction@axis.tau_c"] == pytest.approx(20.0, rel=0.05)
+    newest = client.get("/api/v1/models/axis-improved/versions").json()["items"][0]
+    assert newest["note"] == "improved: coulomb-friction"
+
+
+def test_improve_finds_the_effect_alone(client, axis_with_friction):
+    few = ["coulomb-friction", "linear-spring"]
+    asked = {"records": [axis_with_friction], "auto": True, "effects": few}
+    job = result(client, client.post("/api/v1/models/linear-axis/improve", json=asked))
+    assert job["state"] == "done", job
+    found = job["result"]
+    assert "coulomb-friction" in [step["added"] for step in found["history"]] and found["verdict"] == "adequate"
+    assert found["model_file"] is None and "stored" not in found
+
+
+def test_an_improvement_names_its_effects_or_leaves_them_to_explain(refused, axis_with_friction):
+    path, records = "/api/v1/models/linear-axis/improve", {"records": [axis_with_friction]}
+    for body in ({}, {"add": ["coulomb-friction"], "auto": True}, {"add": ["coulomb-friction,backlash"]}):
+        assert refused("POST", path, json=records | body)[0] == 422
+    assert refused("POST", path, json=records | {"add": ["phlogiston"]})[0] == 404
+    assert refused("POST", path, json=records | {"auto": True, "effects": ["phlogiston"]})[0] == 404
+
+
+def test_what_a_command_refuses_is_the_jobs_one_line(client, plant, tmp_path):
+    number = upload(client, plant[0], tmp_path / "a.csv")
+    job = result(client, client.post("/api/v1/models/linear-axis/compare", json={"records": [number]}))
+    assert job["state"] == "refused" and "force" in job["error"] and "/tmp" not in job["error"]
+
+
+def test_bad_requests_for_analyses(refused, client, plant, tmp_path):
+    number = upload(client, plant[0], tmp_path / "a.csv")
+    assert refused("POST", "/api/v1/models/none/compare", json={"records": [number]})[0] == 404
+    assert refused("POST", "/api/v1/models/oven/compare", json={"records": [10**9]})[0] == 404
+    assert refused("POST", "/api/v1/models/oven/compare", json={"records": []})[0] == 422
+    asked = {"records": [number], "effects": ["phlogiston"]}
+    assert refused("POST", "/api/v1/models/oven/explain", json=asked)[0] == 404
+    assert refused("POST", "/api/v1/control-designs", json={"models": ["none"]})[0] == 404
+    assert refused("POST", "/api/v1/models/etc.passwd/compare", json={"records": [number]})[0] == 404
+    assert (
+        refused("POST", "/api/v1/identify", json={"records": [number], "input": "u", "output": "y", "method": "magic"})[0] == 422
+    )
+
+
+def test_the_catalogue_of_effects_is_listed(client):
+    effects = {each["effect"]: each for each in client.get("/api/v1/effects").json()["items"]}
+    assert {"coulomb-friction", "backlash", "ambient-loss"} <= set(effects) and effects["coulomb-friction"]["equation"]

@@ -1,0 +1,79 @@
+"""The view of a robust design: what is drawn is what the controller does, and what cannot be met is said."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from residuum.identification.identified_model_file import save_identified
+from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.record import Record
+
+A, B = 0.7, 0.3  # y(k) = A y(k−1) + B u(k−1)
+
+
+@pytest.fixture
+def stored(client, tmp_path):
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=1500)
+    y = lfilter([0, B], [1, -A], u) + 0.02 * rng.normal(size=1500)
+    file = tmp_path / "plant.json"
+    record = Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
+    save_identified(identify_impulse_response(record, "u", "y", order=30, delay=1), file)
+    answer = client.post("/api/v1/models", params={"name": "plant", "kind": "identified"}, content=file.read_bytes())
+    assert answer.status_code == 201, answer.text
+    return "plant"
+
+
+def view(client, **asked):
+    answer = client.post("/api/v1/control-designs/views", json=asked)
+    assert answer.status_code == 202, answer.text
+    end = time.monotonic() + 120
+    while (job := client.get(answer.headers["location"]).json())["state"] in ("queued", "running"):
+        assert time.monotonic() < end, job
+        time.sleep(0.05)
+    assert job["state"] == "done", job
+    return job["result"]
+
+
+def closed_loop(b, a, samples):
+    """Step response of the true plant under u(k) = Σ b e(k−i) − Σ a u(k−i)."""
+    e, u, y = np.zeros(samples), np.zeros(samples), np.zeros(samples)
+    for k in range(samples):
+        y[k] = A * y[k - 1] + B * u[k - 1] if k else 0.0
+        e[k] = 1 - y[k]
+        past = range(1, min(k, len(a)) + 1)
+        u[k] = b[0] * e[k] + sum(b[i] * e[k - i] - a[i - 1] * u[k - i] for i in past)
+    return y
+
+
+def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
+    found = view(client, models=[{"model": stored}], aim="robust", structure="pi")
+    assert found["feasible"] and found["wishes"] == ["high_gain_db", "critical_frequency_rad_s"]
+    assert found["input"] == {"name": "u", "unit": "V"} and found["output"] == {"name": "y", "unit": "m"}
+    firsts, seconds = ([point[name] for point in found["points"]] for name in ("first", "second"))
+    assert firsts == sorted(firsts) and seconds == sorted(seconds, reverse=True)  # a front: more of the one, less of the other
+    for point in found["points"]:
+        steps = point["steps"]
+        samples = np.round(np.array(steps["time"]) / 0.1).astype(int)
+        truth = closed_loop(point["b"], point["a"], samples[-1] + 1)[samples]
+        np.testing.assert_allclose(steps["nominal"], truth, atol=0.08)
+        assert np.mean(np.ptp(np.array(steps["drawn"]), axis=0) > 0) > 0.8
+        assert point["cost"] < found["limit"] and max(point["total"]) <= 1.001 * point["cost"]
+        S, T = np.array(point["S"]), np.array(point["T"])
+        assert np.all(S * point["W_S"] < 1.001) and np.all(T * point["W_T"] < 1.001)
+        assert point["robust_stability_norm"] < 1 and point["figures"]["unstable"] == 0
+        assert "RobustController" in point["exports"]["st"] and "double" in point["exports"]["c"]
+
+
+def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refused):
+    asked = {"models": [{"model": stored, "version": 1}], "structure": "pi", "only": "settling-time", "upper": 2.5}
+    made = view(client, **asked)
+    assert made["points"][made["chosen"]]["second"] == min(point["second"] for point in made["points"])
+    assert "2.5" in made["points"][0]["difference_equation"]
+    impossible = view(client, **asked, settling_time=0.3)
+    assert not impossible["feasible"] and "aim" in impossible["reason"] and impossible["uncertainty"]["critical_frequency"] > 0
+    address = "/api/v1/control-designs/views"
+    assert refused("POST", address, json=asked | {"lower": 3})[0] == 422
+    assert refused("POST", address, json={"models": [{"model": "none"}]})[0] == 404

@@ -1,0 +1,123 @@
+"""Who may in: sizes, hosts, origins, keys and roles, and what every answer carries."""
+
+import socket
+
+import httpx
+import pytest
+
+from residuum.service.access import new_key
+from residuum.service.app import create_app
+from residuum.service.pipeline import Pipeline
+from residuum.service.settings import BadSettings, load_settings
+
+
+def test_a_body_over_the_limit_is_refused_before_it_is_read(run_service):
+    service = run_service(body_limit=1_000_000)
+    with socket.create_connection(("127.0.0.1", service.port)) as connection:
+        head = "POST /api/v1/score/bearing HTTP/1.1\r\nHost: localhost\r\nContent-Length: 104857600\r\n\r\n"
+        connection.sendall(head.encode())  # and not one byte of the body
+        connection.settimeout(10)
+        answer = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert answer.startswith(b"HTTP/1.1 413") and b"application/problem+json" in answer and b"at most 1000000" in answer
+
+
+def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
+    service = run_service(body_limit=100_000)
+    with socket.create_connection(("127.0.0.1", service.port)) as connection:
+        connection.settimeout(10)
+        head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
+        connection.sendall(head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3)))
+        assert connection.recv(65536).startswith(b"HTTP/1.1 413")
+
+
+def test_a_large_head_is_refused(client):
+    answer = client.get("/api/v1/assets", headers={"X-Long": "y" * 20_000})
+    assert answer.status_code == 431 and answer.headers["content-type"] == "application/problem+json"
+
+
+def test_foreign_names_and_foreign_pages_are_turned_away(client):
+    assert client.get("/api/v1/assets", headers={"Host": "evil.example"}).status_code == 421
+    assert client.get("/api/v1/assets", headers={"Host": "localhost:8000"}).status_code == 200
+    assert client.get("/api/v1/assets", headers={"Host": "[::1]:8000"}).status_code == 200
+    assert client.put("/api/v1/assets/a", json={}, headers={"Origin": "https://evil.example"}).status_code == 403
+    assert client.put("/api/v1/assets/a", json={}, headers={"Origin": "null"}).status_code == 403
+    assert client.put("/api/v1/assets/a", json={}, headers={"Origin": str(client.base_url).rstrip("/")}).status_code == 200
+
+
+def test_every_answer_forbids_what_a_page_does_not_need(client):
+    for path in ("/", "/web/js/main.js", "/api/v1/assets", "/api/v1/nothing", "/metrics"):
+        headers = client.get(path).headers
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
+        assert headers["x-content-type-options"] == "nosniff"
+
+
+ROLES = {"viewer": (200, 403, 403), "operator": (200, 404, 403), "engineer": (200, 404, 200), "admin": (200, 404, 200)}
+
+
+def test_keys_and_roles(tmp_path, run_service):
+    keys = {role: new_key() for role in ROLES}
+    lines = ["# name role sha256", *(f"{role}-1 {role} {digest}" for role, (_, digest) in keys.items())]
+    (tmp_path / "keys").write_text("\n".join(lines))
+    service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys")
+    with httpx.Client(base_url=service.url, headers={"Host": "plant.example"}) as client:
+        assert client.get("/health/live").status_code == 200
+        assert client.get("/").status_code == 200
+        for key in (None, "wrong", keys["admin"][1]):
+            answer = client.get("/api/v1/assets", headers={"X-API-Key": key} if key else {})
+            assert answer.status_code == 401 and answer.headers["www-authenticate"] == "Bearer"
+        for role, expected in ROLES.items():
+            bearer = {"Authorization": f"Bearer {keys[role][0]}"}
+            found = (
+                client.get("/api/v1/assets", headers=bearer).status_code,
+                client.post("/api/v1/alarms/1/acknowledge", headers=bearer).status_code,
+                client.put("/api/v1/assets/a", json={}, headers=bearer).status_code,
+            )
+            assert found == expected, role
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.7", "plant.example"])
+def test_an_open_address_without_keys_is_refused(host):
+    with pytest.raises(BadSettings, match="api_keys"):
+        load_settings(host=host)
+
+
+def test_settings_are_refused_in_one_line(tmp_path, monkeypatch):
+    with pytest.raises(BadSettings, match="setting port: 70000"):
+        load_settings(port=70000)
+    with pytest.raises(BadSettings, match="colour"):
+        load_settings(colour="red")
+    (tmp_path / "keys").write_text("eva admin tooshort")
+    with pytest.raises(BadSettings, match="line 1"):
+        create_app(load_settings(data=tmp_path, api_keys=tmp_path / "keys"), Pipeline)
+    (tmp_path / "settings.yaml").write_text("port: 9001\nlog_level: error\n")
+    monkeypatch.setenv("RESIDUUM_SETTINGS", str(tmp_path / "settings.yaml"))
+    monkeypatch.setenv("RESIDUUM_LOG_LEVEL", "debug")
+    settings = load_settings(workers=2, host=None)
+    assert (settings.port, settings.log_level, settings.workers, settings.host) == (9001, "debug", 2, "127.0.0.1")
+    monkeypatch.setenv("RESIDUUM_SETTINGS", str(tmp_path / "absent.yaml"))
+    with pytest.raises(BadSettings, match="no such file"):
+        load_settings()
+
+
+def test_a_client_that_asks_too_often_is_told_when_to_come_again(tmp_path, run_service):
+    (key, digest), (other, other_digest) = new_key(), new_key()
+    (tmp_path / "keys").write_text(f"eva engineer {digest}\nudo viewer {other_digest}\n")
+    service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys", rate_limit=0.01)
+    with httpx.Client(base_url=service.url, headers={"X-API-Key": key}) as client:
+        answers = [client.get("/api/v1/assets") for _ in range(3)]
+        assert [answer.status_code for answer in answers] == [200, 429, 429]
+        assert (
+            answers[1].headers["content-type"] == "application/problem+json"
+            and 1 <= int(answers[1].headers["retry-after"]) <= 100
+        )
+        assert client.get("/api/v1/assets", headers={"X-API-Key": other}).status_code == 200
+        assert client.get("/api/v1/assets", headers={"X-API-Key": "guess"}).status_code == 401
+        assert client.get("/api/v1/assets", headers={"X-API-Key": "another guess"}).status_code == 429
+        assert {client.get("/health/live").status_code for _ in range(5)} == {200}
+
+
+def test_the_demo_on_this_machine_has_no_rate_limit_unless_asked_for(tmp_path):
+    assert load_settings().requests_per_second is None
+    assert load_settings(rate_limit=5).requests_per_second == 5
+    assert load_settings(host="0.0.0.0", api_keys=tmp_path).requests_per_second == 200

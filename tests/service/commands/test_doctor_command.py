@@ -1,0 +1,86 @@
+"""`residuum doctor` says of each thing the service needs whether it is well, and changes nothing."""
+
+import json
+import socket
+
+import numpy as np
+import pytest
+
+from residuum.diagnosis.finding import Finding
+from residuum.identification.record import Record
+from residuum.service.cli import run
+from residuum.service.storage import DiskStore
+from residuum.service.storage.database import Database
+
+
+@pytest.fixture
+def data(tmp_path):
+    store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
+    for number in range(3):
+        record = Record({"y": np.arange(100.0) + number}, {"y": "V"}, 1e-3)
+        store.add_window("a", record, Finding("bearing", "healthy", reason="-"))
+    store.close()
+    return tmp_path
+
+
+@pytest.fixture
+def examine(capsys):
+    def examine(data, *more):
+        status = run(["doctor", "--data", str(data), "--json", *more])
+        answer = json.loads(capsys.readouterr().out)
+        assert answer["ok"] == (status == 0) and status in (0, 1)
+        return status, {check["name"]: check["says"] for check in answer["checks"] if not check["ok"]}
+
+    return examine
+
+
+def test_a_healthy_installation(data, examine, capsys):
+    assert examine(data) == (0, {})
+    assert run(["doctor", "--data", str(data)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 7 and all(line.startswith("ok") for line in lines)
+    assert "all 3 are there; 3 compared" in lines[2] and "revision" in lines[0]
+
+
+def test_before_the_first_start_nothing_is_wrong_and_nothing_is_made(tmp_path, examine):
+    assert examine(tmp_path / "new") == (0, {})
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_changed_and_a_missing_block(data, examine):
+    first, second, _ = sorted(data.glob("blocks/*/*.block"))
+    first.write_bytes(first.read_bytes()[:-1] + b"x")
+    status, wrong = examine(data)
+    assert status == 1 and list(wrong) == ["signal blocks"] and first.name in wrong["signal blocks"]
+    second.unlink()
+    assert "1 of 3 are missing" in examine(data)[1]["signal blocks"]
+
+
+def test_a_schema_of_another_version_is_named_and_left_alone(data, examine):
+    database = Database(f"sqlite:///{data / 'residuum.db'}")
+    database.migrate("-1")
+    status, wrong = examine(data)
+    assert status == 1 and "at revision 0003" in wrong["database"]
+    assert database.revision() == "0003"
+    database.close()
+
+
+def test_a_damaged_database(data, examine):
+    (data / "residuum.db").write_bytes(b"no database at all" * 1000)
+    status, wrong = examine(data)
+    assert status == 1 and "not a database" in wrong["database"]
+
+
+def test_a_disk_too_small_for_what_is_to_be_kept(data, examine, monkeypatch):
+    monkeypatch.setenv("RESIDUUM_KEEP_BYTES", str(2**60))
+    assert list(examine(data)[1]) == ["disk"]
+
+
+def test_a_device_that_does_not_answer_and_one_that_does(data, examine, monkeypatch, tmp_path):
+    with socket.socket() as absent, socket.create_server(("127.0.0.1", 0)) as present:
+        absent.bind(("127.0.0.1", 0))  # bound and not listening: connections are refused
+        sources = [{"kind": "modbus", "map": "process_plant.yaml", "port": each.getsockname()[1]} for each in (absent, present)]
+        machine = {"asset": "p", "diagnoser": "process", "window": {"cut": "sliding"}, "sources": sources}
+        monkeypatch.setenv("RESIDUUM_MACHINES", json.dumps([machine]))
+        status, wrong = examine(data)
+    assert status == 1 and list(wrong) == ["modbus bus"] and str(sources[0]["port"]) in wrong["modbus bus"]

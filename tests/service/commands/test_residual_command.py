@@ -1,0 +1,77 @@
+"""`residuum residual design` and `run`: the JSON of the contract, and refusals with exit status 2."""
+
+import json
+
+import numpy as np
+import pytest
+
+from residuum.identification.identified_model_file import save_identified
+from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.record import Record
+from residuum.identification.transfer_function import TransferFunction
+from residuum.service.cli import run
+
+PLANT = TransferFunction([0.5], [1.0, -0.9], 0.1)
+
+
+def write(path, seed, n, offset=0.0, unit="m"):
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(n)
+    y = PLANT.simulate(u) + 0.3 * rng.standard_normal(n) + offset * (np.arange(n) >= n // 2)
+    table = np.column_stack([0.1 * np.arange(n), u, y])
+    np.savetxt(path, table, delimiter=",", header=f"time [s],u [V],y [{unit}]", comments="", fmt="%.9g")
+    return Record({"u": u, "y": y}, {"u": "V", "y": unit}, 0.1, source=str(path))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("residual")
+    save_identified(identify_impulse_response(write(folder / "healthy.csv", 1, 4000), "u", "y", order=60), folder / "model.json")
+    write(folder / "good.csv", 2, 2000)
+    write(folder / "bad.csv", 3, 2000, offset=1.0)
+    assert run(["residual", "design", str(folder / "model.json"), "--out", str(folder / "d")]) == 0
+    return folder
+
+
+def answer(capsys, *arguments):
+    capsys.readouterr()
+    assert run(["residual", *map(str, arguments), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_design_reports_what_it_verified(folder, capsys):
+    result = answer(capsys, "design", folder / "model.json", "--out", folder / "other", "--fault", "actuator")
+    assert result["stable"] and result["gamma_verified"] == pytest.approx(0.1) and result["gamma_on_grid"] <= 0.1 * (1 + 1e-9)
+    assert result["filter_order"] < result["full_order"] and result["healthy_samples"] == 4000
+    assert result["fault"] == "actuator" and not result["structured_error"]["present"]
+
+
+@pytest.mark.parametrize("threshold", ["posterior", "peak", "source", "calibrated"])
+def test_run_answers_in_the_contracts_words(folder, capsys, threshold):
+    common = ["--threshold", threshold, "--false-alarms-per-day", "2"]
+    healthy = answer(capsys, "run", folder / "d", folder / "good.csv", *common)
+    assert healthy["alarm"] is False and healthy["first_alarm_time"] is None and healthy["fault_estimate"] is None
+    assert healthy["exceedances"] == 0 and healthy["threshold_kind"] == threshold and healthy["threshold"] > 0
+    if threshold in ("posterior", "calibrated"):
+        faulty = answer(capsys, "run", folder / "d", folder / "bad.csv", *common)
+        assert faulty["alarm"] is True and 100.0 <= faulty["first_alarm_time"] < 102.0 and faulty["false_alarm_rate"] == 2.0
+        estimate = faulty["fault_estimate"]
+        assert abs(estimate["value"] - 1.0) < 4 * estimate["std"] and abs(estimate["onset_time"] - 100.0) < 1.0
+
+
+def test_bad_input_is_exit_status_two_with_one_line(folder, capsys):
+    write(folder / "kelvin.csv", 4, 500, unit="K")
+    (folder / "nonsense").write_text("nonsense")
+    cases = {
+        "K": ["run", folder / "d", folder / "kelvin.csv"],
+        "not a stored": ["run", folder / "nonsense", folder / "good.csv"],
+        "no such file": ["design", folder / "absent.json", "--out", folder / "x"],
+        "gamma": ["design", folder / "model.json", "--out", folder / "x", "--gamma", "-1"],
+        "false alarms per day": ["run", folder / "d", folder / "good.csv", "--false-alarms-per-day", "0"],
+        "does not exist": ["design", folder / "model.json", "--out", folder / "nowhere" / "x"],
+    }
+    for says, arguments in cases.items():
+        capsys.readouterr()
+        assert run(["residual", *map(str, arguments)]) == 2
+        error = capsys.readouterr().err.strip().splitlines()
+        assert says in error[-1], error

@@ -1,0 +1,136 @@
+"""docker-compose.yml: valid by the schema, hardened, and every command of ours starts as a process on real sockets."""
+
+import json
+import random
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from residuum.service.access import new_key
+from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+OURS = {name: service for name, service in COMPOSE["services"].items() if service["image"] == "residuum"}
+
+
+def test_it_is_valid_by_the_compose_schema():
+    jsonschema.validate(COMPOSE, json.loads(Path(__file__).with_name("compose_schema.json").read_text()))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_our_containers_have_no_more_rights_than_they_need(name):
+    service = OURS[name]
+    assert service["read_only"] and service["cap_drop"] == ["ALL"] and service["user"] != "root"
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert {"cpus", "memory"} <= set(service["deploy"]["resources"]["limits"])
+
+
+def test_what_is_referred_to_is_there():
+    for service in COMPOSE["services"].values():
+        assert set(service.get("networks", [])) <= set(COMPOSE["networks"])
+        assert set(service.get("depends_on", {})) <= set(COMPOSE["services"])
+        assert set(service.get("secrets", [])) <= set(COMPOSE["secrets"])
+        for volume in service.get("volumes", []):
+            source = volume.split(":")[0]
+            assert (ROOT / source).exists() if source.startswith("./") else source in COMPOSE["volumes"]
+
+
+def test_the_services_settings_name_the_machines_of_the_compose_file():
+    machines = Settings(**yaml.safe_load((ROOT / "deploy" / "settings.yaml").read_text())).machines
+    commands = {name: " ".join(service["command"]) for name, service in OURS.items()}
+    for machine in machines:
+        for source in machine.sources:
+            address = source.channel if source.kind == "can" else f":{source.port}"
+            assert address in commands[machine.asset]
+            assert source.kind == "can" or source.host == machine.asset
+            (read_dbc if source.kind == "can" else read_register_map)(source.map_file)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def on_this_machine(command, ports, group):
+    """A container's command with the addresses of containers replaced by those of this machine."""
+    words = []
+    for word in command:
+        for port, ours in ports.items():
+            word = word.replace(f"0.0.0.0:{port}", f"127.0.0.1:{ours}")
+            word = str(ours) if word == port else word
+        word = "127.0.0.1" if word == "0.0.0.0" else word
+        words.append(word.replace("239.74.163.", group).replace("/1", "/0"))
+    return [sys.executable, "-c", "from residuum.service.cli import main; main()", *words[1:]]
+
+
+def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_path):
+    ports = {port: free_port() for port in ("8000", "5020", "5021")}
+    group = f"239.{random.randint(1, 250)}.{random.randint(1, 250)}."
+    settings = (ROOT / "deploy" / "settings.yaml").read_text().replace("239.74.163.", group).replace("/1", "/0")
+    settings = settings.replace("host: gripping-pliers", "host: 127.0.0.1").replace("host: process-plant", "host: 127.0.0.1")
+    for port, ours in ports.items():
+        settings = settings.replace(port, str(ours))
+    (tmp_path / "settings.yaml").write_text(settings)
+    key, digest = new_key()
+    scraper, scraper_digest = new_key()
+    (tmp_path / "api_keys").write_text(f"test engineer {digest}\nprometheus monitor {scraper_digest}\n")
+    environment = dict(OURS["residuum"]["environment"])
+    environment |= {"RESIDUUM_SETTINGS": str(tmp_path / "settings.yaml"), "RESIDUUM_API_KEYS": str(tmp_path / "api_keys")}
+    environment |= {
+        "RESIDUUM_DATA": str(tmp_path / "data"),
+        "RESIDUUM_DATABASE": "",
+        "RESIDUUM_MQTT": "",
+        "PATH": "/usr/bin:/bin",
+    }
+    processes = [
+        subprocess.Popen(on_this_machine(service["command"], ports, group), env=environment, stdout=subprocess.DEVNULL)
+        for service in OURS.values()
+    ]
+    try:
+        sources = wait_for_sources(f"http://127.0.0.1:{ports['8000']}/api/v1/status", key)
+        assert len(sources) == 4
+        assert all(source["samples"] > 0 for source in sources.values())
+        assert all(process.poll() is None for process in processes)
+        assert "residuum_source{" in scrape(f"http://127.0.0.1:{ports['8000']}", scraper)
+    finally:
+        for process in processes:
+            process.terminate()
+        status = [process.wait(120) for process in processes]
+    assert set(status) <= {0, -15}
+
+
+def scrape(service, key):
+    """What Prometheus gets by its settings, with this key in the file that they name."""
+    (job,) = yaml.safe_load((ROOT / "deploy" / "prometheus.yml").read_text())["scrape_configs"]
+    name, port = job["static_configs"][0]["targets"][0].split(":")
+    assert name in OURS and port in OURS[name]["command"]
+    assert Path(job["authorization"]["credentials_file"]).name in COMPOSE["services"]["prometheus"]["secrets"]
+    headers = {"Authorization": f"{job['authorization']['type']} {key}"}
+    with urllib.request.urlopen(urllib.request.Request(service + job["metrics_path"], headers=headers), timeout=30) as answer:
+        return answer.read().decode()
+
+
+def wait_for_sources(url, key):
+    end = time.monotonic() + 300  # what each process compiles at its first start takes long on a busy machine
+    request = urllib.request.Request(url, headers={"X-API-Key": key})
+    while time.monotonic() < end:
+        try:
+            with urllib.request.urlopen(request, timeout=5) as answer:
+                sources = json.load(answer)["sources"]
+        except OSError:
+            sources = {}
+        if sources and all(source["quality"] == "good" for source in sources.values()):
+            return sources
+        time.sleep(0.5)
+    pytest.fail(f"not all sources came: { {name: source['quality'] for name, source in sources.items()} }")

@@ -1,0 +1,165 @@
+"""A fleet's files: the same results however many workers, kills and beginnings; refusals are results."""
+
+import json
+import os
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from benchmarks import fleet as fleet_benchmark
+from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
+from residuum.identification.record_formats import read_record
+from residuum.service.cli import run
+from residuum.service.commands.identify import Request
+from residuum.service.fleet import open_executor, run_fleet
+from residuum.service.fleet_work import Reidentify
+from residuum.service.storage import DiskStore
+from residuum.service.worker_pool import WorkerPool
+
+
+def silent(*_):
+    """Progress that nobody wants to know."""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return fleet_benchmark.write_fleet(tmp_path_factory.mktemp("fleet"), 60, 1024)
+
+
+@pytest.fixture(scope="module")
+def serial(files):
+    return fleet_benchmark.serial(files)
+
+
+def test_killed_workers_change_nothing():
+    found = fleet_benchmark.campaign(jobs=150, kills=3, samples=512, workers=2)
+    assert found["workers killed"] == 3 and found["equal to serial, to the byte"]
+    assert found["refused (damaged files)"] == 1
+
+
+def test_an_unfinished_run_is_gone_on_with_from_where_it_was(files, serial, tmp_path):
+    results = tmp_path / "results.jsonl"
+    lines = serial.splitlines(keepends=True)
+    results.write_bytes(b"".join(lines[20:45]) + lines[50][:17])
+    done = []
+    with open_executor(1, None) as pool:
+        run_fleet(files, fleet_benchmark.WORK, pool, results, workers=1, tell=lambda count, _: done.append(count))
+    assert done[0] > 25 and done[-1] == 60 and results.read_bytes() == serial
+
+
+def test_a_file_that_is_no_results_file_is_left_alone(files, tmp_path):
+    mine = tmp_path / "mine.csv"
+    mine.write_text("time [s],y [V]\n0,1\n")
+    with open_executor(1, None) as pool, pytest.raises(BadInput, match="holds no results"):
+        run_fleet(files, fleet_benchmark.WORK, pool, mine, workers=1, tell=silent)
+    assert mine.read_text() == "time [s],y [V]\n0,1\n"
+
+
+def end_if_it_is_the_bad_one(file):
+    if file == "bad":
+        os._exit(9)
+    return {"length": len(file)}
+
+
+def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkeypatch, tmp_path):
+    monkeypatch.setattr("residuum.service.fleet._ATTEMPTS", 1)
+    pool = WorkerPool(1)
+    found = run_fleet(["one", "bad", "three"], end_if_it_is_the_bad_one, pool, tmp_path / "r", workers=1, tell=silent)
+    pool.terminate()
+    assert [each.get("length") for each in found] == [3, None, 5]
+    assert "ended its worker" in found[1]["refused"]
+
+
+def test_a_dask_cluster_gives_the_same(files, serial, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="the extra 'fleet' is not installed: no cluster was tried")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
+        results = tmp_path / "results.jsonl"
+        with open_executor(1, cluster.scheduler_address) as executor:
+            run_fleet(files, fleet_benchmark.WORK, executor, results, workers=1, tell=silent)
+    assert results.read_bytes() == serial
+
+
+def test_the_commands(files, tmp_path, capsys):
+    folder = os.path.dirname(files[0])
+    assert run(["rescore", "bearing", folder, "--out", str(tmp_path / "r"), "--workers", "1", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["files"], summary["refused"]) == (60, 1)
+    assert summary["healthy"] + summary["faulty"] + summary["not-assessable"] == 59
+    command = ["reidentify", folder, "--input", "speed", "--output", "acceleration", "--order", "5", "--workers", "1"]
+    assert run([*command, "--out", str(tmp_path / "m"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == 60
+    for wrong, says in (
+        (["rescore", "bearing", str(tmp_path / "none"), "--out", "r"], "is not a folder"),
+        (["rescore", "nothing", folder, "--out", "r"], "known are"),
+        (["rescore", "bearing", folder, "--out", "/no/such/r"], "does not exist"),
+        (["reidentify", folder, "--input", "a", "--output", "b", "--method", "x", "--out", "r"], "known are"),
+    ):
+        assert run(wrong) == 2 and says in capsys.readouterr().err
+
+
+def results_of(capsys, out, *arguments):
+    assert run(["rescore", "bearing", *map(str, arguments), "--out", str(out), "--workers", "1", "--json"]) == 0
+    capsys.readouterr()
+    return [json.loads(line) for line in out.read_text().splitlines()]
+
+
+@pytest.mark.parametrize("kind", ["file", "zip"])
+def test_a_bucket_gives_what_the_folder_gives_and_is_gone_on_with(kind, files, serial, tmp_path, capsys):
+    pytest.importorskip("fsspec", reason="the extra 'fleet' is not installed: no bucket was tried")
+    url = f"file://{os.path.dirname(files[0])}"
+    if kind == "zip":
+        with zipfile.ZipFile(tmp_path / "fleet.zip", "w") as archive:
+            for file in files:
+                archive.write(file, f"plant/{os.path.basename(file)}")
+        url = f"zip://plant::file://{tmp_path / 'fleet.zip'}"
+    found = results_of(capsys, tmp_path / "r", url)
+    expected = [json.loads(line) for line in serial.splitlines()]
+    for mine, theirs in zip(found, expected, strict=True):
+        assert os.path.basename(mine["file"]) == os.path.basename(theirs["file"]) and set(mine) == set(theirs)
+        assert mine.get("finding") == theirs.get("finding")
+    (refused,) = (each for each in found if "refused" in each)
+    assert refused["refused"].startswith(f"{refused['file']}: ")
+    whole = (tmp_path / "r").read_bytes()
+    (tmp_path / "r").write_bytes(whole[: len(whole) // 3])
+    assert results_of(capsys, tmp_path / "r", url) == found
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_the_windows_of_a_database_are_judged_again_as_their_files_are(kind, files, serial, tmp_path, capsys, request):
+    url = f"sqlite:///{tmp_path / 'residuum.db'}" if kind == "sqlite" else request.getfixturevalue("new_postgresql_database")()
+    store = DiskStore(tmp_path, url)
+    sound = [json.loads(line) for line in serial.splitlines() if b"refused" not in line][:20]
+    for number, each in enumerate(sound):
+        store.add_window(f"press-{number % 2}", read_record(each["file"]), Finding("bearing", "healthy", reason="-"))
+    store.close()
+    found = results_of(capsys, tmp_path / "r", url, "--data", tmp_path)
+    assert [each["file"] for each in found] == [f"press-{k}/{number + 1}" for k in (0, 1) for number in range(k, 20, 2)]
+    for each in found:
+        assert each["finding"] == sound[int(each["file"].split("/")[1]) - 1]["finding"]
+    next(Path(tmp_path).glob("blocks/*/*")).unlink()
+    again = results_of(capsys, tmp_path / "s", url, "--data", tmp_path)
+    assert sum("refused" in each for each in again) == 1
+
+
+def test_what_holds_no_fleet_is_refused(tmp_path, capsys):
+    (tmp_path / "old.db").touch()
+    for wrong, says in (
+        ((f"sqlite:///{tmp_path / 'none.db'}", "--data", str(tmp_path)), "no such database"),
+        ((f"sqlite:///{tmp_path / 'old.db'}", "--data", str(tmp_path)), "no database of this version"),
+        ((f"sqlite:///{tmp_path / 'old.db'}",), "--data"),
+        (("phlogiston://bucket",), "cannot be listed"),
+        ((f"file://{tmp_path}/empty",), "holds no record"),
+    ):
+        assert run(["rescore", "bearing", *wrong, "--out", str(tmp_path / "r")]) == 2
+        message = capsys.readouterr().err
+        assert says in message and message.count("\n") == 1
+    assert not (tmp_path / "none.db").exists()
+
+
+def test_a_reidentified_model_is_the_identified_one(tmp_path):
+    assert run(["simulate", "process", "--out", str(tmp_path / "a.csv"), "--duration", "60"]) == 0
+    work = Reidentify("arx", Request("u", "y", 2, 1, "tc", "marginal", True))
+    assert len(work(str(tmp_path / "a.csv"))["model"]["impulse_response"]) > 5
+    assert "refused" in work(str(tmp_path / "absent.csv"))

@@ -1,0 +1,184 @@
+"""Windows over a real broker: whatever is killed meanwhile, each is stored, once, and those of a machine in their order."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import msgpack
+import numpy as np
+import pytest
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.service.cli import run
+from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.scoring import PlainRecord
+from residuum.service.settings import broker_address
+from residuum.service.storage import DiskStore
+from residuum.service.window_queue.gateway import Gateway
+from residuum.service.window_queue.spool import Spool
+from residuum.service.window_queue.topics import PARTITIONS, partition_of, window_topic, windows_of_part
+from residuum.service.window_queue.window_message import WindowMessage
+
+PATIENCE = 600
+ASSETS = ("press-1", "press-2", "press-3", "press-4")
+PER_GATEWAY = 40
+
+
+def window(number):
+    """A window that begins at `number` seconds, so that stored ones can be told apart and put in order."""
+    rng = np.random.default_rng(number)
+    return Record({"acceleration": rng.normal(size=500)}, {"acceleration": "m/s²"}, 1e-3, t0=float(number))
+
+
+def machine(asset):
+    source = SourceSettings(kind="modbus", port=1, map="process_plant.yaml")
+    return MachineSettings(asset=asset, diagnoser="bearing", window=WindowSettings(cut="sliding"), sources=[source])
+
+
+def start_scorer(part, mqtt, data):
+    command = [
+        sys.executable,
+        "-c",
+        "from residuum.service.cli import main; main()",
+        "scorer",
+        "--part",
+        part,
+        "--data",
+        str(data),
+    ]
+    environment = {**os.environ, "RESIDUUM_MQTT": mqtt, "RESIDUUM_LOG_LEVEL": "error"}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def wait_for(condition, what):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, what()
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def processes():
+    """Processes that are ended in the end, whatever happened."""
+    started = []
+    yield started
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twice(
+    start_mosquitto, processes, free_port, tmp_path
+):
+    port = free_port()
+    broker = start_mosquitto(port)
+    mqtt, data = f"mqtt://127.0.0.1:{port}/plant-7", tmp_path / "data"
+    DiskStore(data, f"sqlite:///{data / 'residuum.db'}").close()  # so that the scorers need not make it at the same time
+    spools = [Spool(tmp_path / f"spool-{k}", 2**30) for k in (1, 2)]
+    gateways = [Gateway(f"hall-{k}", spool, broker_address(mqtt), resend_after=5.0) for k, spool in enumerate(spools)]
+    for number in range(PER_GATEWAY):
+        for k, gateway in enumerate(gateways):  # two machines a gateway
+            gateway.handle(machine(ASSETS[2 * k + number % 2]), window(number), "", None)
+    for gateway in gateways:
+        gateway.start()
+    try:
+        processes += [start_scorer(f"{k}/2", mqtt, data) for k in (1, 2)]
+        wait_for(lambda: sum(gateway.stored for gateway in gateways) >= 8, lambda: [g.status() for g in gateways])
+        for process in processes:  # all at once, so that whichever has work is killed in the midst of it
+            process.send_signal(signal.SIGKILL)
+        broker.kill()
+        broker.wait()
+        assert any(len(spool) for spool in spools)
+        start_mosquitto(port)
+        processes += [start_scorer(f"{k}/2", mqtt, data) for k in (1, 2)]
+        wait_for(lambda: not any(len(spool) for spool in spools), lambda: [g.status() for g in gateways])
+    finally:
+        for gateway in gateways:
+            gateway.stop()
+    store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
+    for place, asset in enumerate(ASSETS):
+        kept = list(reversed(store.windows(asset, limit=100).items))
+        assert [each.t0 for each in kept] == [float(number) for number in range(PER_GATEWAY) if number % 2 == place % 2]
+        np.testing.assert_array_equal(
+            store.window_record(asset, kept[-1].id)["acceleration"], window(int(kept[-1].t0))["acceleration"]
+        )
+        assert store.finding_of(kept[0].id).finding.diagnoser == "bearing"
+    assert [gateway.status()["dropped"] + gateway.status()["refused"] for gateway in gateways] == [0, 0]
+    store.close()
+
+
+def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mosquitto, processes, free_port, tmp_path):
+    port = free_port()
+    start_mosquitto(port)
+    mqtt = f"mqtt://127.0.0.1:{port}"
+    gateway = Gateway("hall-1", Spool(tmp_path / "spool", 2**30), broker_address(mqtt))
+    unknown = machine("press-1").model_copy(update={"diagnoser": "phlogiston"})
+    gateway.handle(unknown, window(0), "", None)
+    gateway.handle(machine("press-1"), window(1), "", None)
+    gateway.start()
+    try:
+        processes.append(start_scorer("1/1", mqtt, tmp_path / "data"))
+        wait_for(lambda: len(gateway.spool) == 0, gateway.status)
+        assert (gateway.status()["refused"], gateway.status()["stored"]) == (1, 1)
+    finally:
+        gateway.stop()
+
+
+def test_a_spool_keeps_its_messages_over_a_crash_and_lets_the_oldest_go_when_it_is_full(tmp_path):
+    spool = Spool(tmp_path, 1000)
+    keys = [spool.put(bytes([number]) * 300) for number in range(5)]
+    assert (spool.dropped, spool.oldest(9)) == (2, keys[2:])
+    (tmp_path / "000000000009-unfinished.part").write_bytes(b"half")
+    again = Spool(tmp_path, 1000)
+    assert again.oldest(9) == keys[2:] and again.read(keys[3]) == b"\x03" * 300 and len(list(tmp_path.iterdir())) == 3
+    assert again.remove(keys[2]) and not again.remove(keys[2]) and again.read(keys[2]) is None
+    assert again.oldest(9) == [keys[3], keys[4]] and again.put(b"new") == again.oldest(9)[-1]
+
+
+def test_a_message_holds_the_window_to_the_bit():
+    record = Record({"a": np.array([0.1, np.nan], np.float32), "b": np.array([1e-300, -0.0])}, {"a": "g", "b": "V"}, 1e-4, t0=7.5)
+    message = WindowMessage("press-1", "bearing", "press", PlainRecord.of(record))
+    back = WindowMessage.unpack(message.pack())
+    assert (back.asset, back.diagnoser, back.baseline, back.window.t0) == ("press-1", "bearing", "press", 7.5)
+    for name in record.names:
+        assert back.window.record()[name].dtype == record[name].dtype
+        np.testing.assert_array_equal(back.window.record()[name], record[name])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"version": 2}, "is of version 2"),
+        ({"asset": "../etc"}, "is no name of a machine"),
+        ({"channels": {"y": ["|O", b"x" * 8]}}, "known are"),
+        ({"channels": {"y": ["<f8", b"x" * 7]}}, "cannot be read"),
+        ({"channels": 7}, "cannot be read"),
+        ({"sample_time": None}, "cannot be read"),
+    ],
+)
+def test_what_is_no_message_is_refused_in_one_line(change, says):
+    good = msgpack.unpackb(WindowMessage("a", "bearing", "a", PlainRecord.of(window(0))).pack())
+    with pytest.raises(BadInput, match=says) as refused:
+        WindowMessage.unpack(msgpack.packb(good | change))
+    assert "\n" not in str(refused.value)
+    with pytest.raises(BadInput, match="cannot be read"):
+        WindowMessage.unpack(b"\xc1 no message")
+
+
+def test_every_machine_has_one_scorer_however_many_there_are():
+    for parts in (1, 2, 3, 64):
+        shares = [set(windows_of_part("p", part, parts)) for part in range(1, parts + 1)]
+        assert all(shares) and sum(map(len, shares)) == len(set().union(*shares)) == PARTITIONS
+    assert window_topic("p", "press-1", "g", "k") == f"p/windows/{partition_of('press-1')}/g/k"
+
+
+def test_commands_without_a_broker_are_refused(capsys, monkeypatch, tmp_path):
+    assert run(["scorer", "--data", str(tmp_path)]) == 2 and "setting mqtt" in capsys.readouterr().err
+    assert run(["gateway", "--data", str(tmp_path)]) == 2 and "needs a broker" in capsys.readouterr().err
+    monkeypatch.setenv("RESIDUUM_MQTT", "mqtt://127.0.0.1:1")
+    assert run(["scorer", "--part", "3/2", "--data", str(tmp_path)]) == 2 and "numbered from 1" in capsys.readouterr().err
+    assert run(["scorer", "--part", "one", "--data", str(tmp_path)]) == 2 and "must be K/N" in capsys.readouterr().err

@@ -1,0 +1,127 @@
+"""Pages in Debian's Chromium: every page that a test opens must keep quiet on the console and stay with its server."""
+
+import contextlib
+import shutil
+
+import pytest
+from playwright.sync_api import expect, sync_playwright
+
+PATIENCE = 20_000  # milliseconds; two busy cores take long to read the chart library
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+TOO_WIDE = """() => document.documentElement.scrollWidth <= innerWidth ? [] :
+  [...document.querySelectorAll('main *')].filter((element) =>
+  element.getBoundingClientRect().right > innerWidth + 1 && !element.closest('.scroll, svg'))
+    .map((element) => element.outerHTML.slice(0, 200))"""
+CONTRAST = """() => {
+  const channels = (text) => text.startsWith('color(srgb')
+    ? text.slice(10).match(/[0-9.e-]+/g).map((c, index) => index < 3 ? 255 * c : Number(c))
+    : text.match(/[0-9.]+/g).map(Number);
+  const linear = (c) => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const luminance = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const ground = (element) => {
+    for (let at = element; at; at = at.parentElement) {
+      const found = channels(getComputedStyle(at).backgroundColor);
+      if (found.length === 3 || found[3] === 1) return found;
+    }
+    return [255, 255, 255];
+  };
+  const poor = [];
+  for (const element of document.querySelectorAll('body *')) {
+    if (element.closest('svg') || !element.checkVisibility() || element.disabled) continue;
+    if (![...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim())) continue;
+    const [a, b] = [channels(getComputedStyle(element).color), ground(element)].map(luminance).sort((x, y) => y - x);
+    const contrast = (a + 0.05) / (b + 0.05);
+    if (contrast < 4.5) poor.push(`${element.className} ${element.textContent.slice(0, 30)} ${contrast.toFixed(2)}`);
+  }
+  return poor;
+}"""
+UNNAMED = """() => [...document.querySelectorAll('button, input, select, a')].filter((element) =>
+  element.checkVisibility() && !element.textContent.trim() && !element.ariaLabel && !element.labels?.length && !element.title
+  && !element.closest('.modebar')).map((element) => element.outerHTML)"""
+
+
+class NoMachines:
+    """A pipeline with nothing in it."""
+
+    def __init__(self, *_parts):
+        pass
+
+    async def start(self):
+        pass
+
+    async def stop(self):
+        pass
+
+    def status(self):
+        return {"machines": {}, "sources": {}}
+
+
+@pytest.fixture(scope="module")
+def no_machines():
+    """The pipeline of a service without machines."""
+    return NoMachines
+
+
+@pytest.fixture
+def fits():
+    """Nothing of a page reaches beyond its window."""
+
+    def check(page):
+        assert page.evaluate(TOO_WIDE) == []
+
+    return check
+
+
+@pytest.fixture
+def legible(fits):
+    """A page fits its window, its texts have contrast enough, and every control has a name."""
+
+    def check(page):
+        fits(page)
+        assert page.evaluate(CONTRAST) == []
+        assert page.evaluate(UNNAMED) == []
+
+    return check
+
+
+@pytest.fixture(scope="module")  # not longer: while it lives, no other test in this process can run an event loop
+def chromium():
+    if CHROMIUM is None:
+        pytest.skip("NO CHROMIUM HERE, so the pages were not tested; sh tests/system_packages.sh installs it")
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(chromium):
+    """Open an address in a browser of its own; `expected` are parts of console lines that the test provokes."""
+    with contextlib.ExitStack() as stack:
+        complaints, foreign = [], []
+
+        def open_page(url, *, size=(1280, 800), scheme="light", expected=(), **context):
+            width, height = size
+            opened = chromium.new_context(viewport={"width": width, "height": height}, color_scheme=scheme, **context)
+            stack.callback(opened.close)
+            page = opened.new_page()
+            page.set_default_timeout(PATIENCE)
+
+            def complain(text):
+                if not any(part in text for part in expected):
+                    complaints.append(text)
+
+            page.on("console", lambda line: complain(line.text) if line.type in ("error", "warning") else None)
+            page.on("pageerror", lambda error: complain(str(error)))
+            page.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}"))
+            origin = "/".join(url.split("/")[:3])
+            page.on("request", lambda sent: None if sent.url.startswith((origin, "data:", "blob:")) else foreign.append(sent.url))
+            page.goto(url)
+            return page
+
+        yield open_page
+        assert complaints == []
+        assert foreign == []

@@ -1,0 +1,80 @@
+"""The control page: from a stored model to a controller on the target, by clicking and by keyboard."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+from scipy.signal import lfilter
+
+from residuum.identification.identified_model_file import save_identified
+from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.record import Record
+
+LONG_WORK = 120_000  # milliseconds: a design on a busy machine
+SIZES = {"desk": (1280, 800), "phone": (390, 844)}
+CENTRE_OF_MARKER = """([chart, index]) => { const box = document.querySelector(`[aria-label="${chart}"]`)
+  .querySelectorAll('.points path')[index].getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; }"""
+
+
+@pytest.fixture(scope="module")
+def service(run_service, no_machines, tmp_path_factory):
+    service = run_service(no_machines)
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=1500)
+    y = lfilter([0, 0.3], [1, -0.7], u) + 0.02 * rng.normal(size=1500)
+    file = tmp_path_factory.mktemp("models") / "plant.json"
+    record = Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
+    save_identified(identify_impulse_response(record, "u", "y", order=30, delay=1), file)
+    for name in ("cold-plant", "plant"):
+        service.services.store.add_model_version(name, "identified", file.read_bytes())
+    return service
+
+
+def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(service, open_page):
+    page = open_page(f"{service.url}/#/control")
+    page.locator(".choice", has_text="plant, version 1").last.get_by_role("checkbox").check()
+    page.get_by_label("aim").select_option("robust")
+    page.get_by_label("structure").select_option("pi")
+    page.get_by_label("actuator's upper limit").fill("2.5")
+    page.get_by_role("button", name="Design", exact=True).click()
+    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
+    for chart in ("Pareto front", "Step responses of drawn plants", "Constraints of the design", "Open loop with its range"):
+        expect(page.get_by_label(chart).locator(".main-svg").first).to_be_visible()
+    controllers = page.get_by_label("controller", exact=True)
+    first = controllers.input_value()
+    others = [index for index, text in enumerate(controllers.locator("option").all_inner_texts()) if text != first]
+    page.get_by_label("Pareto front").scroll_into_view_if_needed()
+    page.mouse.click(*page.evaluate(CENTRE_OF_MARKER, ["Pareto front", others[0]]))
+    expect(controllers).not_to_have_value(first)
+    assert f"point={others[0]}" in page.url
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Download controller.st").click()
+    assert "FUNCTION_BLOCK RobustController" in saved.value.path().read_text(encoding="utf-8")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Download controller.json").click()
+    file = json.loads(saved.value.path().read_text(encoding="utf-8"))
+    shown = page.locator("table td.number").first.inner_text()
+    assert math.isclose(float(shown), file["numerator"][0] / file["denominator"][0]) and "2.5" in file["difference_equation"]
+    chosen = controllers.input_value()
+    again = open_page(page.url)
+    expect(again.get_by_label("controller", exact=True)).to_have_value(chosen, timeout=LONG_WORK)
+
+
+def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):
+    page = open_page(f"{service.url}/#/control?models=plant@1&structure=pi&settling=0.3")
+    expect(page.get_by_text("No such controller")).to_be_visible(timeout=LONG_WORK)
+    expect(page.locator(".says-large")).to_contain_text("No controller 'pi' meets it")
+    page.get_by_label("longest settling time [s]").fill("40")
+    page.get_by_label("longest settling time [s]").press("Enter")
+    expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_the_design_fits_and_can_be_read(service, open_page, legible, size, scheme):
+    page = open_page(f"{service.url}/#/control?models=plant@1,cold-plant@1&structure=pi", size=size, scheme=scheme)
+    expect(page.get_by_label("Open loop with its range").locator(".main-svg").first).to_be_visible(timeout=LONG_WORK)
+    page.get_by_text("Show structured text").click()
+    legible(page)

@@ -1,0 +1,341 @@
+"""The workbench by clicking: a record with a hidden effect, from the file to the mended model; and the pages beside it."""
+
+import json
+import re
+import struct
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+from scipy.signal import lfilter
+
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+from residuum.identification.record_formats import write_record
+from residuum.simulation import MACHINES
+
+HOSTILE = '<img src=x onerror="alert(1)"> 😈 \u202e'
+LONG_WORK = 120_000  # milliseconds: an analysis on a busy machine
+FRICTION = 0.06  # N·m
+
+
+@pytest.fixture(scope="module")
+def service(run_service, no_machines):
+    return run_service(no_machines)
+
+
+@pytest.fixture(scope="module")
+def drive_file(tmp_path_factory):
+    """A gate drive with Coulomb friction that the built-in model lacks; the voltage is named otherwise than in the model."""
+    signals = MACHINES["gate-drive"](3, {"coulomb-friction": {"tau_c": FRICTION}}, {}, 0).simulate(15.0)
+    renamed = {name: "motor voltage" if name == "voltage" else name for name in signals.channels}
+    channels = {renamed[name]: values for name, values in signals.channels.items()}
+    units = {renamed[name]: unit for name, unit in signals.units.items()}
+    path = tmp_path_factory.mktemp("records") / "drive.csv"
+    write_record(Record(channels, units, signals.sample_time), path)
+    return path
+
+
+def ask_for_few(route):
+    """Only some effects of the catalogue, for time's sake."""
+    few = ["coulomb-friction", "viscous-friction", "position-load"]
+    route.continue_(post_data=json.dumps(route.request.post_data_json | {"effects": few}))
+
+
+def the_view_is_saved(page):
+    """As HTML that opens offline, and as a picture."""
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save as HTML").click()
+    report = saved.value.path().read_text(encoding="utf-8")
+    assert "data:image/png" in report and "The error fell by" in report and "<script" not in report
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save as PNG").click()
+    png = saved.value.path().read_bytes()
+    assert saved.value.suggested_filename == "workbench-add.png" and png[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", png[16:24])
+    assert width > 2000 and height > 2000 and len(png) > 50_000
+
+
+def test_a_stranger_mends_a_model(service, open_page, drive_file, tmp_path):
+    page = open_page(f"{service.url}/#/workbench")
+    page.route("**/explain", ask_for_few)
+    page.set_input_files("#file", str(drive_file))
+    expect(page.get_by_text("drive.csv")).to_be_visible()
+    page.get_by_label("model", exact=True).select_option(label="gate-drive (built in)")
+    expect(page.get_by_label("Column for voltage")).to_have_value("motor voltage")
+    expect(page.locator("math").first).to_be_visible()
+    page.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.get_by_text("Structured error")).to_be_visible(timeout=LONG_WORK)
+    measured = page.get_by_label("speed: measured and simulated, residual below")
+    expect(measured.locator(".main-svg").first).to_be_visible()
+
+    page.get_by_role("button", name="Where does it fail?").click()
+    expect(page.locator(".cloud .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    coast = page.get_by_role("button", name="steady, forward")
+    expect(coast).to_contain_text("of the power")
+    coast.focus()
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Whole record")).to_be_visible(timeout=LONG_WORK)
+    page.get_by_role("tab", name="Where").click()
+    page.get_by_role("button", name="See the largest").click()
+    shown = json.loads(dict(httpx.QueryParams(page.url.split("?")[1]))["shown"])
+    assert 0 < shown["range"][1] - shown["range"][0] < 3
+    expect(page.get_by_role("button", name="Whole record")).to_be_visible(timeout=LONG_WORK)
+
+    page.get_by_role("tab", name="Why").click()
+    expect(page.get_by_text("Most probably Coulomb friction in shaft")).to_be_visible(timeout=LONG_WORK)
+    expect(page.locator("table").first).to_contain_text("tau_c = 0.0")
+    expect(page.locator(".cloud .legendtext", has_text="coulomb-friction")).to_be_visible(timeout=LONG_WORK)
+
+    page.get_by_role("button", name="Add coulomb-friction to shaft").click()
+    page.get_by_role("button", name="Add and estimate").click()
+    expect(page.get_by_text("The error fell by")).to_be_visible(timeout=LONG_WORK)
+    expect(page.locator(".overlay .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Download the model file").click()
+    model = read_model(saved.value.path().read_text(encoding="utf-8"))
+    assert model.values["coulomb-friction@shaft.tau_c"] == pytest.approx(FRICTION, rel=0.1)
+    errors = model.effects[0].provenance
+    assert errors["with_effect"]["speed"] < 0.3 * errors["re_estimated"]["speed"] and errors["held_out"] is True
+
+    again = open_page(page.url)
+    expect(again.get_by_text("The error fell by")).to_be_visible(timeout=LONG_WORK)
+    expect(again.locator(".overlay .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    the_view_is_saved(again)
+    again.get_by_role("button", name="Undo").click()
+    expect(again.get_by_text("gate-drive has no effect that was added here yet.")).to_be_visible(timeout=LONG_WORK)
+
+
+def test_a_record_that_does_not_fit_is_refused_in_one_line(service, open_page, tmp_path):
+    path = tmp_path / "other.csv"
+    write_record(Record({HOSTILE: np.arange(50.0)}, {HOSTILE: "V"}, 0.1), path)
+    page = open_page(f"{service.url}/#/workbench")
+    page.set_input_files("#file", str(path))
+    expect(page.get_by_text("other.csv")).to_be_visible()
+    page.get_by_label("model", exact=True).select_option(label="oven (built in)")
+    expect(page.get_by_text("choose –").first).to_be_attached()
+    assert page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
+    page.get_by_role("button", name="Compare", exact=True).click()
+    expect(page.locator(".refused")).to_contain_text("record", timeout=LONG_WORK)
+    page.get_by_role("tab", name="Record and model").click()
+    delete = page.locator(".choice", has_text="other.csv").get_by_role("button")
+    delete.click()
+    expect(page.locator(".choice", has_text="other.csv")).to_contain_text("Delete for good?")
+    delete.click()
+    expect(page.get_by_text("other.csv")).to_have_count(0)
+
+
+def test_a_model_file_is_edited_and_a_wrong_one_refused(service, open_page):
+    page = open_page(f"{service.url}/#/workbench?model=linear-axis", expected=["422"])
+    page.get_by_text("Upload or edit the model file").click()
+    text = page.get_by_label("Model file", exact=True)
+    expect(text).to_have_value(re.compile("linear-axis"))
+    original = text.input_value()
+    text.fill(original.replace("M * der(v)", "M * der(w)"))
+    page.get_by_role("button", name="Store", exact=True).click()
+    expect(page.locator(".notice")).to_contain_text("line")
+    text.fill(original.replace("value: 95", "value: 80"))
+    page.get_by_label("Name of the model").fill("my-axis")
+    page.get_by_role("button", name="Store", exact=True).click()
+    expect(page.get_by_label("model", exact=True)).to_contain_text("my-axis, version 1")
+    expect(page.get_by_label("value of M")).to_have_value("80")
+
+
+def test_parameters_are_set_in_a_form(service, open_page):
+    page = open_page(f"{service.url}/#/workbench?model=linear-axis", expected=["422"])
+    page.get_by_label("value of M").fill("2000")
+    page.get_by_role("button", name="Store as a new version").click()
+    expect(page.locator(".notice")).to_contain_text("'M': value 2000 must be within")
+    page.get_by_label("upper of M").fill("3000")
+    page.get_by_label("M is fixed").check()
+    page.get_by_label("Store under the name").fill("heavy-axis")
+    page.get_by_role("button", name="Store as a new version").click()
+    expect(page.get_by_label("model", exact=True)).to_contain_text("heavy-axis, version 1")
+    expect(page.get_by_label("upper of M")).to_have_value("3000")
+    expect(page.get_by_label("M is fixed")).to_be_checked()
+
+
+def test_identification_shows_both_responses_with_their_bands(service, open_page, tmp_path):
+    rng = np.random.default_rng(4)
+    u, y = rng.normal(size=600), np.zeros(600)
+    for k in range(1, 600):
+        y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1]
+    path = tmp_path / "loop.csv"
+    write_record(Record({"u": u, "y": y + 0.05 * rng.normal(size=600)}, {"u": "V", "y": "m"}, 0.01), path)
+    number = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "loop.csv"}, content=path.read_bytes(), timeout=60
+    ).json()["id"]
+    page = open_page(f"{service.url}/#/identify?record={number}&input=u&output=y&method=oe&order=1&name=loop")
+    expect(page.locator("[aria-label='Bode diagram'] .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    bode = page.evaluate("document.querySelector('[aria-label=\"Bode diagram\"]').data.map((trace) => Array.from(trace.y))")
+    assert bode[1][0] == pytest.approx(2.5, rel=0.03)
+    assert max(bode[0]) > bode[1][0]
+    expect(page.locator("[aria-label='Bode diagram'] .ytitle")).to_have_text("magnitude [m / V]")
+    expect(page.get_by_label("Uncertainty weight").locator(".legendtext", has_text="|W_T|")).to_be_visible(timeout=LONG_WORK)
+    page.get_by_label("sensor offset of the characteristic [m]").fill("0.3")
+    page.get_by_role("button", name="Design and run").click()
+    expect(page.get_by_text("No alarm.")).to_be_visible(timeout=LONG_WORK)
+    expect(page.get_by_label("Residual and threshold").locator(".legendtext", has_text="threshold")).to_be_visible()
+    expect(page.get_by_label("Operating characteristic").locator(".main-svg").first).to_be_visible()
+    assert "watch=" in page.url and "offset=0.3" in page.url
+
+
+def test_a_model_is_added_to_automatically_and_accepted_for_a_machine(service, open_page, tmp_path):
+    """A damped axis: the model without damping gets it by one click, then becomes the machine's with new thresholds."""
+    rng = np.random.default_rng(3)
+    force = 40 * rng.normal(size=6000)
+    a = np.exp(-60 / 95 * 0.1)
+    speed = lfilter([0, (1 - a) / 60], [1, -a], force) + 0.02 * rng.normal(size=6000)
+    life = Record({"force": force, "velocity": speed}, {"force": "N", "velocity": "m/s"}, 0.1)
+    judge = RobustResidual(input="force", output="velocity").fit([life])
+    store = service.services.store
+    for begin in range(0, 6000, 500):
+        window = life.window(begin, begin + 500)
+        store.add_window("axis", window, judge.score(window))
+    judge.save(tmp_path / "baseline")
+    store.add_model_version("axis", "baseline", (tmp_path / "baseline").read_bytes())
+    number = store.add_record("damped", life.window(0, 1500))
+
+    def ask_for_friction(route):
+        route.continue_(post_data=json.dumps(route.request.post_data_json | {"effects": ["viscous-friction"]}))
+
+    page = open_page(f"{service.url}/#/workbench?records={number}&model=linear-axis&step=why")
+    page.route("**/improve", ask_for_friction)
+    page.route("**/explain", ask_for_friction)
+    page.reload()
+    page.get_by_role("button", name="Add automatically").click(timeout=LONG_WORK)
+    page.get_by_label("store as a new version of").fill("damped-axis")
+    page.get_by_role("button", name="Add automatically").click()
+    expect(page.get_by_text("The error fell by: velocity")).to_be_visible(timeout=LONG_WORK)
+    page.get_by_role("button", name="Derive thresholds").click()
+    table = page.locator("table", has_text="Threshold of glr")
+    expect(table).to_contain_text("Largest healthy model error of velocity", timeout=LONG_WORK)
+    page.get_by_label("Note", exact=True).fill(f"{HOSTILE} damping found")
+    page.get_by_role("button", name="Accept with the new thresholds").click()
+    expect(page.get_by_text("it is version 1 of")).to_be_visible()
+    page.get_by_role("link", name="this machine's model").click()
+    expect(page.get_by_text("damped-axis, version 1")).to_contain_text("damping found")
+    assert store.model_versions("axis")[0].note == "accepted with damped-axis, version 1, proposal 1"
+
+
+SIZES = {"desk": (1280, 800), "phone": (390, 844)}
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_effects_are_found_and_the_pages_fit(service, open_page, legible, size, scheme):
+    page = open_page(f"{service.url}/#/effects", size=size, scheme=scheme)
+    page.get_by_label("search").fill("stribeck")
+    expect(page.locator(".effect")).not_to_have_count(0)
+    expect(page.locator(".effect").first).to_contain_text("riction")
+    expect(
+        page.get_by_label("Signature of Stribeck friction: torque [N·m] over velocity [rad/s]").locator(".curve")
+    ).to_be_visible()
+    legible(page)
+    page.goto(f"{service.url}/#/failure-modes")
+    expect(page.get_by_role("button", name="broken shaft")).to_be_visible()
+    assert "calls for a redesign" in page.locator("td", has=page.get_by_role("button", name="broken shaft")).inner_text()
+    expect(page.locator("#mode-rack-tooth")).to_contain_text("gate-actuator: rack")
+    legible(page)
+    for address, ready in (("workbench?model=gate-drive", "math"), ("identify", "select, .empty")):
+        page.goto(f"{service.url}/#/{address}")
+        expect(page.locator(ready).first).to_be_visible()
+        legible(page)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
+def test_every_step_fits_and_can_be_read(service, open_page, legible, drive_file, size, scheme):
+    upload = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
+    )
+    bench = f"records={upload.json()['id']}&model=gate-drive&map=%7B%22voltage%22%3A%22motor+voltage%22%7D"
+    page = open_page(f"{service.url}/#/workbench?{bench}&step=where", size=size, scheme=scheme)
+    page.route("**/explain", ask_for_few)
+    expect(page.locator(".cloud .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    expect(page.locator(".heat")).to_be_visible()
+    legible(page)
+    page.get_by_role("tab", name="Compare").click()
+    expect(page.locator(".overlay .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    legible(page)
+    page.get_by_role("tab", name="Why").click()
+    expect(page.get_by_text("Most probably Coulomb friction in shaft")).to_be_visible(timeout=LONG_WORK)
+    expect(page.locator(".cloud .main-svg").first).to_be_visible(timeout=LONG_WORK)
+    legible(page)
+    page.get_by_role("button", name="Add coulomb-friction to shaft").click()
+    expect(page.get_by_role("button", name="Add and estimate")).to_be_visible()
+    assert page.get_by_role("tab", name="Add").evaluate("(tab) => tab.getBoundingClientRect().right <= innerWidth")
+    legible(page)
+
+
+def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open_page, drive_file):
+    upload = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
+    )
+    bench = f"records={upload.json()['id']}&model=gate-drive&map=%7B%22voltage%22%3A%22motor+voltage%22%7D"
+    page = open_page(f"{service.url}/#/workbench?{bench}&step=record")
+    started = []
+
+    def hold(route):
+        """Let the page see the search at its first look, however fast this machine is."""
+        answer = route.fetch()
+        job = answer.json()
+        if job["kind"] == "explain" and job["state"] == "done":
+            job |= {"state": "running", "progress": 0.18, "doing": "trying the effects of the catalogue"}
+        started.append(job["id"])
+        route.fulfill(response=answer, json=job)
+
+    page.route(re.compile(r"/jobs/[0-9a-f]+$"), lambda route: hold(route) if route.request.method == "GET" else route.continue_())
+    page.get_by_role("tab", name="Why").click()
+    expect(page.get_by_text("trying the effects of the catalogue")).to_be_visible(timeout=LONG_WORK)
+    assert int(page.get_by_role("progressbar").get_attribute("aria-valuenow")) == 18
+    with page.expect_response(lambda answer: answer.request.method == "DELETE") as ended:
+        page.get_by_role("button", name="Cancel").click()
+    assert ended.value.json()["id"] == started[-1] and ended.value.json()["state"] in ("cancelled", "done")
+    expect(page.get_by_text("Cancelled.")).to_be_visible()
+    expect(page.get_by_role("button", name="Try again")).to_be_visible()
+
+
+def test_hostile_names_of_records_channels_and_units_are_shown_as_text(service, open_page, fits, tmp_path):
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=400)
+    y = lfilter([0, 0.5], [1, -0.8], u) + 0.05 * rng.normal(size=400)
+    into, out = f"<b>in</b> {HOSTILE}", f"<script>alert(1)</script> {HOSTILE} " + "W" * 100
+    store = service.services.store
+    number = store.add_record(f"<i>x</i>{HOSTILE}"[:200], Record({into: u, out: y}, {into: "V", out: "m"}, 0.01))
+    query = httpx.QueryParams(record=number, input=into, output=out, method="arx", order=1, name="hostile", watch=number)
+    for size in SIZES.values():
+        page = open_page(f"{service.url}/#/identify?{query}", size=size)
+        expect(page.get_by_label("Operating characteristic").locator(".main-svg").first).to_be_visible(timeout=LONG_WORK)
+        assert page.evaluate("document.querySelectorAll('img[src=x], main script, main b > i').length") == 0
+        fits(page)
+        page.goto(f"{service.url}/#/workbench?records={number}&model=linear-axis")
+        expect(page.get_by_text("<i>x</i>").first).to_be_visible()
+        page.goto(f"{service.url}/#/control?models=hostile&structure=pi")
+        steps = page.get_by_label("Step responses of drawn plants").locator(".ytitle")
+        expect(steps).to_contain_text("<script>alert(1)</script>", timeout=LONG_WORK)
+        fits(page)
+
+
+def test_numbers_and_sentences_have_the_decimal_comma_of_the_language(service, open_page, drive_file):
+    upload = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
+    )
+    bench = f"records={upload.json()['id']}&model=gate-drive&map=%7B%22voltage%22%3A%22motor+voltage%22%7D"
+    page = open_page(f"{service.url}/#/workbench?{bench}&step=where", locale="de-DE")
+    expect(page.locator(".heat")).to_be_visible(timeout=LONG_WORK)
+    said = " ".join(page.locator(".regions .region, .heat td").all_inner_texts())
+    assert re.search(r"\d,\d", said) and not re.search(r"\d\.\d{1,2}(?!\d)", said) and "e+" not in said
+
+
+def test_the_workbench_is_used_by_keyboard(service, open_page):
+    page = open_page(f"{service.url}/#/workbench?records=1&model=gate-drive")
+    expect(page.get_by_role("tab", name="Compare")).to_be_enabled()
+    page.get_by_role("tab", name="Record and model").focus()
+    page.keyboard.press("ArrowRight")
+    expect(page.get_by_role("tab", name="Compare")).to_have_attribute("aria-selected", "true")
+    expect(page.get_by_role("tab", name="Compare")).to_be_focused()
+    ring = "getComputedStyle(document.activeElement).outlineStyle + getComputedStyle(document.activeElement).outlineWidth"
+    assert page.evaluate(ring) == "solid2px"
