@@ -1,0 +1,212 @@
+"""Hidden effects: is the effect that a simulated machine hides named, and nothing named when nothing is hidden?
+
+Every case is one record of a virtual machine (`residuum.simulation`, which shares no code with the models) explained with the
+nominal model. `python -m benchmarks hidden_effects`; the campaign is resumable: each case is appended to $HIDDEN_RESULTS
+(default var/hidden_effects.jsonl) and not run again. $HIDDEN_SEEDS (default 1) is the number of seeds a case,
+$HIDDEN_FAMILIES (default all) a comma-separated choice of families, $HIDDEN_SIZES one of sizes.
+"""
+
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+
+from residuum.identification.discrepancy.explain import Explanation, explain
+from residuum.identification.physics import load_model
+from residuum.identification.record import Record
+from residuum.simulation import MACHINES
+
+SEEDS = int(os.environ.get("HIDDEN_SEEDS", "1"))
+FIRST_SEED = int(os.environ.get("HIDDEN_FIRST_SEED", "0"))
+SIZES = os.environ.get("HIDDEN_SIZES", "small,medium,large").split(",")
+FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks").split(",")
+RESULTS = Path(os.environ.get("HIDDEN_RESULTS", "var/hidden_effects.jsonl"))
+
+PAIRS = (
+    ("coulomb-friction", "inductance"),
+    ("viscous-friction", "constant-load"),
+    ("quadratic-drag", "tooth-ripple"),
+    ("coulomb-friction", "input-delay"),
+    ("brush-drop", "position-load"),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One record: the machine, what it hides, and how it is recorded."""
+
+    family: str
+    machine: str
+    hidden: tuple[tuple[str, str], ...]
+    seed: int
+    duration: float
+    settings: dict[str, Any] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        parts = (self.family, self.machine, self.hidden, self.seed, self.duration, self.settings, self.channels)
+        return orjson.dumps(parts).decode()
+
+    def record(self) -> Record:
+        machine = MACHINES[self.machine](seed=self.seed, effects=dict(self.hidden), **self.settings)
+        signals = machine.simulate(self.duration)
+        kept = self.channels or tuple(signals.channels)
+        return Record({c: signals.channels[c] for c in kept}, {c: signals.units[c] for c in kept}, signals.sample_time)
+
+
+def cases() -> Iterator[Case]:
+    """Seed by seed, so that a campaign cut short has seen every kind of case."""
+    for seed in range(FIRST_SEED, FIRST_SEED + SEEDS):
+        for family in FAMILIES:
+            yield from _FAMILIES[family](seed)
+
+
+def _nothing(seed: int) -> Iterator[Case]:
+    for rho in (0.0, 0.5, 0.9, 0.99):
+        for profile in ("duty-cycle", "rich"):
+            yield Case("none", "gate-drive", (), seed, 30.0, {"profile": profile, "noise_color": rho})
+    walk = (("x-random-walk-load", "medium"),)
+    yield Case("none", "gate-drive", walk, seed, 30.0, {"profile": "duty-cycle"})
+    yield Case("none", "gate-drive", walk, seed, 30.0, {"profile": "rich"})
+
+
+def _drive(seed: int) -> Iterator[Case]:
+    for size in SIZES:
+        for effect in MACHINES["gate-drive"].effects:
+            for profile in ("duty-cycle", "rich"):
+                for channels in ((), ("voltage", "speed")):
+                    if not effect.startswith("x-"):
+                        yield Case("drive", "gate-drive", ((effect, size),), seed, 30.0, {"profile": profile}, channels)
+
+
+def _outside(seed: int) -> Iterator[Case]:
+    for effect in ("x-speed-resonance", "x-random-position-profile"):
+        for size in SIZES:
+            for profile in ("duty-cycle", "rich"):
+                yield Case("outside", "gate-drive", ((effect, size),), seed, 30.0, {"profile": profile})
+
+
+def _two(seed: int) -> Iterator[Case]:
+    for first, second in PAIRS:
+        yield Case("two", "gate-drive", ((first, "medium"), (second, "medium")), seed, 30.0, {"profile": "rich"})
+
+
+def _oven(seed: int) -> Iterator[Case]:
+    for size in SIZES:
+        for effect in MACHINES["oven"].effects:
+            if not effect.startswith("x-"):
+                yield Case("oven", "oven", ((effect, size),), seed, MACHINES["oven"].record_duration, {"configuration": "lumped"})
+    yield Case("none", "oven", (), seed, MACHINES["oven"].record_duration, {"configuration": "lumped"})
+
+
+def _tanks(seed: int) -> Iterator[Case]:
+    for size in SIZES:
+        for effect in MACHINES["two-tanks"].effects:
+            if not effect.startswith("x-"):
+                yield Case("tanks", "two-tanks", ((effect, size),), seed, MACHINES["two-tanks"].record_duration)
+    yield Case("none", "two-tanks", (), seed, MACHINES["two-tanks"].record_duration)
+
+
+_FAMILIES = {"none": _nothing, "drive": _drive, "outside": _outside, "two": _two, "oven": _oven, "tanks": _tanks}
+
+
+def run(case: Case) -> dict[str, Any]:
+    """Explain one case; the outcome as a JSON object."""
+    explanation = explain(load_model(case.machine), [case.record()])
+    first = explanation.candidates[0] if explanation.candidates else None
+    return {
+        "case": case.key,
+        "verdict": explanation.verdict,
+        "first": first.effect if first else None,
+        "group": [first.effect, *first.indistinguishable_from] if first else [],
+        "probability": group_probability(explanation),
+        "accepted": [key[0] for key in explanation.search.accepted],
+        "unknown": explanation.probability_unknown,
+        "seconds": explanation.seconds,
+    }
+
+
+def group_probability(explanation: Explanation) -> float:
+    """Probability of the first candidate's whole group."""
+    if not explanation.candidates:
+        return 0.0
+    first = explanation.candidates[0]
+    names = {first.effect, *first.indistinguishable_from}
+    return float(sum(c.probability for c in explanation.candidates if c.effect in names and c.step == first.step))
+
+
+def campaign(chosen: Iterable[Case]) -> list[tuple[Case, dict[str, Any]]]:
+    """Every case with its outcome, from the file of results where it is there already."""
+    known = {}
+    if RESULTS.exists():
+        known = {line["case"]: line for line in map(orjson.loads, RESULTS.read_bytes().splitlines())}
+    RESULTS.parent.mkdir(parents=True, exist_ok=True)
+    outcomes = []
+    for case in chosen:
+        if case.key not in known:
+            known[case.key] = run(case)
+            with RESULTS.open("ab") as file:
+                file.write(orjson.dumps(known[case.key]) + b"\n")
+        outcomes.append((case, known[case.key]))
+    return outcomes
+
+
+def main() -> None:
+    report(campaign(cases()))
+
+
+def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
+    """Tables: effects named, false blame by noise, effects outside the catalogue, pairs, calibration."""
+    print("### Hidden effects\n")
+    print("| machine | effect | size | named first (group) | misses |\n|---|---|---|---|---|")
+    rows: dict[tuple[str, str, str], list[tuple[Case, dict[str, Any]]]] = defaultdict(list)
+    for case, out in outcomes:
+        if case.family in ("drive", "oven", "tanks"):
+            rows[case.machine, *case.hidden[0]].append((case, out))
+    for (machine, effect, size), found in rows.items():
+        hits = [effect in out["group"] and out["verdict"] == "missing-effect" for _, out in found]
+        misses = ", ".join(_says(case, out) for (case, out), hit in zip(found, hits, strict=True) if not hit)
+        print(f"| {machine} | {effect} | {size} | {sum(hits)} / {len(hits)} | {misses} |")
+    print("\n### Nothing missing\n\n| case | not blamed | blamed |\n|---|---|---|")
+    quiet: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for case, out in outcomes:
+        if case.family == "none":
+            what = case.hidden[0][0] if case.hidden else f"noise ρ = {case.settings.get('noise_color', 0)}"
+            quiet[f"{case.machine}, {what}"].append(out)
+    for what, found_quiet in quiet.items():
+        blamed = [f"{out['first']} ({out['probability']:.2f})" for out in found_quiet if out["verdict"] == "missing-effect"]
+        print(f"| {what} | {len(found_quiet) - len(blamed)} / {len(found_quiet)} | {', '.join(blamed)} |")
+    print("\n### Outside the catalogue\n\n| effect | size | not claimed with probability above .9 | claimed |\n|---|---|---|---|")
+    outside: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for case, out in outcomes:
+        if case.family == "outside":
+            outside[case.hidden[0]].append(out)
+    for (effect, size), found_outside in outside.items():
+        claimed = [f"{o['first']} ({o['probability']:.2f})" for o in found_outside if o["probability"] > 0.9 and _blames(o)]
+        print(f"| {effect} | {size} | {len(found_outside) - len(claimed)} / {len(found_outside)} | {', '.join(claimed)} |")
+    print("\n### Two at once\n\n| hidden | accepted |\n|---|---|")
+    for case, out in outcomes:
+        if case.family == "two":
+            print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
+    sure = [(case, out) for case, out in outcomes if case.family in ("drive", "oven", "tanks") and out["probability"] >= 0.9]
+    right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
+    print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
+    seconds = [out["seconds"] for _, out in outcomes]
+    print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
+
+
+def _blames(out: dict[str, Any]) -> bool:
+    return bool(out["verdict"] == "missing-effect")
+
+
+def _says(case: Case, out: dict[str, Any]) -> str:
+    channels = "speed only" if case.channels == ("voltage", "speed") else ""
+    where = " ".join(filter(None, [case.settings.get("profile", ""), channels]))
+    said = f"{out['first']} {out['probability']:.2f}" if _blames(out) else out["verdict"]
+    return f"{where}: {said}".strip(": ")
