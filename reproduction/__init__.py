@@ -1,0 +1,1 @@
+"""The source's figures and tables beside ours; `python -m reproduction` writes report.html."""
