@@ -270,21 +270,26 @@ def test_every_step_fits_and_can_be_read(service, open_page, legible, drive_file
     legible(page)
 
 
-def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open_page, drive_file):
+@pytest.mark.parametrize("moment", ["between two looks", "during a look"])
+def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open_page, drive_file, moment):
     upload = httpx.post(
         f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
     )
     bench = f"records={upload.json()['id']}&model=gate-drive&map=%7B%22voltage%22%3A%22motor+voltage%22%7D"
     page = open_page(f"{service.url}/#/workbench?{bench}&step=record")
-    started = []
+    cancel = page.get_by_role("button", name="Cancel")
+    started, wanted = [], []
 
     def hold(route):
-        """Let the page see the search at its first look, however fast this machine is."""
+        """Let the page see the search at its first look, however fast this machine is; press Cancel with its answer on the way."""
         answer = route.fetch()
         job = answer.json()
         if job["kind"] == "explain" and job["state"] == "done":
             job |= {"state": "running", "progress": 0.18, "doing": "trying the effects of the catalogue"}
         started.append(job["id"])
+        if wanted:
+            wanted.clear()
+            cancel.dispatch_event("click")
         route.fulfill(response=answer, json=job)
 
     page.route(re.compile(r"/jobs/[0-9a-f]+$"), lambda route: hold(route) if route.request.method == "GET" else route.continue_())
@@ -292,7 +297,7 @@ def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open
     expect(page.get_by_text("trying the effects of the catalogue")).to_be_visible(timeout=LONG_WORK)
     assert int(page.get_by_role("progressbar").get_attribute("aria-valuenow")) == 18
     with page.expect_response(lambda answer: answer.request.method == "DELETE") as ended:
-        page.get_by_role("button", name="Cancel").click()
+        wanted.append(True) if moment == "during a look" else cancel.click()
     assert ended.value.json()["id"] == started[-1] and ended.value.json()["state"] in ("cancelled", "done")
     expect(page.get_by_text("Cancelled.")).to_be_visible()
     expect(page.get_by_role("button", name="Try again")).to_be_visible()

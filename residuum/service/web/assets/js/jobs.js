@@ -6,9 +6,12 @@ import { h, show } from "./dom.js";
 const results = new Map();
 const PAUSE = 300;
 
+// Waits between two looks at a job; throws at once when the signal has been or becomes aborted.
 const pause = (signal) => new Promise((resolve, reject) => {
-  const timer = setTimeout(resolve, PAUSE);
-  signal?.addEventListener("abort", () => { clearTimeout(timer); reject(new DOMException("stopped", "AbortError")); }, { once: true });
+  signal?.throwIfAborted();
+  const stop = () => { clearTimeout(timer); reject(signal.reason); };
+  const timer = setTimeout(() => { signal?.removeEventListener("abort", stop); resolve(); }, PAUSE);
+  signal?.addEventListener("abort", stop, { once: true });
 });
 
 // Resolves with the job's result; `onProgress` is told each state. An aborted signal cancels the job.
@@ -16,8 +19,10 @@ export function run(address, body, { onProgress = () => {}, signal, fresh = fals
   const key = `${address} ${JSON.stringify(body)}`;
   if (fresh || !results.has(key)) {
     const work = follow(address, body, onProgress, signal);
+    const forget = () => { if (results.get(key) === work) results.delete(key); };
     results.set(key, work);
-    work.catch(() => results.delete(key));
+    signal?.addEventListener("abort", forget, { once: true });
+    work.then(() => signal?.removeEventListener("abort", forget), forget);
   }
   return results.get(key);
 }
@@ -30,6 +35,7 @@ async function follow(address, body, onProgress, signal) {
       onProgress(job);
       await pause(signal);
       job = await call(own);
+      signal?.throwIfAborted(); // asked to stop while the answer was on its way
     }
   } catch (problem) {
     if (problem.name === "AbortError") await call(own, { method: "DELETE" });
