@@ -281,7 +281,7 @@ def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open
     started, wanted = [], []
 
     def hold(route):
-        """Let the page see the search at its first look, however fast this machine is; press Cancel with its answer on the way."""
+        """Let the page see the search at its first look, however fast it is; press Cancel with the answer on its way."""
         answer = route.fetch()
         job = answer.json()
         if job["kind"] == "explain" and job["state"] == "done":
