@@ -84,6 +84,18 @@ def cusum_rate(h: float, reference: float) -> float:
     return float(np.exp(_log_cusum_rate(h, reference)))
 
 
+def shiryaev_roberts_rate(level: float, step: float) -> float:
+    """Alarms per sample of a two-sided Shiryaev–Roberts statistic for ±`step` standard deviations with threshold ln R = `level`.
+
+    R(t) − t is a martingale while healthy, so the mean time until R passes e^level is e^level/ν(step), exact but for the mean
+    overshoot (Pollak, Annals of Statistics 15, 1987); halved for two sides.
+
+    >>> round(1.0 / shiryaev_roberts_rate(np.log(1000.0), 1e-6))
+    500
+    """
+    return 2.0 * float(overshoot_factor(step)) * float(np.exp(-level))
+
+
 def cusum_threshold(rate: float, reference: float) -> float:
     """h of a two-sided CUSUM of independent standard normals that alarms at `rate` per sample; see `cusum_rate`."""
     return float(optimize.brentq(lambda h: _log_cusum_rate(h, reference) - np.log(rate), 1e-6, 1000.0))

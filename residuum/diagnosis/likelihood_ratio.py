@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
-from residuum.diagnosis.false_alarm_rate import cusum_rate, scan_rate
+from residuum.diagnosis.false_alarm_rate import scan_rate, shiryaev_roberts_rate
 from residuum.diagnosis.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.state_space import FloatArray
 from residuum.identification.errors import BadInput
@@ -20,12 +20,13 @@ LONGEST_WINDOW = 1024
 KINDS = ("none", "offset", "gain", "power", "ramp")
 _SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
 _SHORTEST_POWER = 8  # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an offset
-_REFERENCE = 0.5  # k of the CUSUM: best for an offset of one standard deviation
-_HEAD_START = 2.7  # A, nats: two fifths of a sample sooner at one deviation, a twentieth later at two, than equal shares
+_HEAD_START = 2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
+_SHORT, _SHORT_START = 2, 1.2  # samples, nats: so that one or two samples find a large offset as soon as a test of single samples
 _STEP, _RAMP, _TEMPLATE = 0, 1, 2
 _EPOCH = 65536  # samples after which time is counted anew
-_SHARE = (0.66, 0.09)
-_LAZY = 3.0  # a CUSUM below this many standard deviations need not know the model error exactly
+_SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
+_LARGEST_RATIO = 1e300
+_LAZY = 3.0  # a Shiryaev–Roberts statistic below it need not know the model error exactly
 
 
 class BankOutput(NamedTuple):
@@ -52,17 +53,19 @@ def window_lengths(longest: int = LONGEST_WINDOW) -> npt.NDArray[np.int64]:
 def bank_threshold(rate: float, longest: int = LONGEST_WINDOW) -> float:
     """b of a bank that alarms `rate` times per sample of independent standard normal scores.
 
-    Windows, templates and CUSUM often cross together: of the sum of their own rates, what the whole bank alarms is a share
-    that grows with b, 0.66 at b = 4 and 0.74 at 4.9 (measured over 17·10⁶ samples at six levels, 10⁻³ … 10⁻⁶ a sample).
+    Windows, templates and Shiryaev–Roberts often cross together: of the sum of their own rates the whole bank alarms 0.79 at
+    b = 3.9, 0.82 at 4.3, 0.83 at 4.7 and 5.1 (± 0.02, measured over up to 3·10⁷ samples; 5·10⁻³ … 2·10⁻⁵ alarms a sample).
     """
     windows = window_lengths(longest).tolist()
     long = [length for length in windows if length >= _SHORTEST_POWER]
-    scans = [(2, windows), (2, [length for length in windows if length >= _SHORTEST_GAIN]), (1, long), (2, long)]
+    short = [length for length in windows if length <= _SHORT]
+    scans = [(2, windows[len(short) :]), (2, [length for length in windows if length >= _SHORTEST_GAIN]), (1, long), (2, long)]
 
     def excess(b: float) -> float:
         scanned = sum(sides * scan_rate(b, lengths) for sides, lengths in scans if lengths)
-        alone = scanned + cusum_rate(max(b * b / 2.0 - _HEAD_START, 0.0), _REFERENCE)
-        return float(np.log(min(_SHARE[0] + _SHARE[1] * (b - 4.0), 1.0) * alone / rate))
+        scanned += 2.0 * scan_rate(float(np.sqrt(max(b * b - 2.0 * _SHORT_START, 0.01))), short)
+        alone = scanned + shiryaev_roberts_rate(b * b / 2.0 - _HEAD_START, 1.0)
+        return float(np.log(_SHARE * alone / rate))
 
     return float(optimize.brentq(excess, 1.0, 30.0)) if excess(1.0) > 0 else 1.0
 
@@ -77,11 +80,15 @@ class LikelihoodRatioBank:
     is standard normal while healthy: φ(t) is the whitened input at the model's lags and Σ_g the covariance of the identified
     impulse response, so the second term is exactly what the model's own uncertainty adds for the input that was applied.
     z²/2 is the log likelihood ratio of a fault of unknown size in that window (Willsky and Jones, 1976), the largest over
-    the windows that of a fault of unknown onset. Beside the windows runs a two-sided CUSUM g with reference ½, the log
-    likelihood ratio of an offset of just one standard deviation: it need not guess size and onset, so it may alarm at
-    A = 2.7 nats less, and it counts as z = √(2 (g + A)); g, too, is lowered by what the model error may add. The power scan
-    compares Σ s² with χ²_ℓ by the cube-root normal of Wilson and Hilferty. An alarm is z > b; after it windows and CUSUM
-    start empty again.
+    the windows that of a fault of unknown onset. The power scan compares Σ s² with χ²_ℓ by the cube-root normal of Wilson
+    and Hilferty. Beside the windows run the statistics of Shiryaev and Roberts for an offset of ±1,
+
+        R(t) = (1 + R(t − 1)) exp(±s(t) − ½),
+
+    the likelihood ratio added up over all onsets: of all tests it finds a step of just this size in the shortest time on
+    average (Pollak and Tartakovsky, Statistica Sinica 19, 2009). It need not guess size and onset, so it may alarm at A = 2.2
+    nats less, and counts as z = √(2 (ln R + A)); ln R, too, is lowered by what the model error may add. Offsets over one or
+    two samples have a start of 1.2 nats. An alarm is z > b; after it windows and R start empty again.
 
     The rate of alarms of healthy, independent scores is set through `bank_threshold`. It fails (too many alarms) when
     scores are not independent: a noise colour that changed, or a model with structured error.
@@ -129,7 +136,7 @@ class LikelihoodRatioBank:
         """Empty all windows and forget the input."""
         self._sums: FloatArray = np.zeros((5, self._ring))  # running Σ s, Σ s p, Σ p², Σ s², Σ τ s
         self._past: FloatArray = np.zeros((2, self._memory))  # p and the whitened input
-        self._cusum: FloatArray = np.zeros((2, 2))  # up, down: the sum, and the samples since it was zero
+        self._steps: FloatArray = np.zeros((2, 2))  # up, down: R of Shiryaev and Roberts, and the samples since it was below 1
         self._counts = np.zeros(2, dtype=np.int64)  # samples in the windows, samples in the memory
 
     def process(self, signals: ResidualSignals) -> BankOutput:
@@ -138,7 +145,7 @@ class LikelihoodRatioBank:
         output = BankOutput(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64))
         _scan(
             signals.scores, signals.gain_template, signals.white_input, signals.valid, self.windows, self.b,
-            self._root, self.delay, self._power_quantile, self.restart, self._sums, self._past, self._cusum, self._counts,
+            self._root, self.delay, self._power_quantile, self.restart, self._sums, self._past, self._steps, self._counts,
             *output,
         )  # fmt: skip
         return output
@@ -147,7 +154,7 @@ class LikelihoodRatioBank:
     def state(self) -> dict[str, Any]:
         """Everything the scan remembers."""
         return {
-            "sums": self._sums.copy(), "past": self._past.copy(), "cusum": self._cusum.copy(), "counts": self._counts.copy()
+            "sums": self._sums.copy(), "past": self._past.copy(), "steps": self._steps.copy(), "counts": self._counts.copy()
         }  # fmt: skip
 
     def resume(self, state: Mapping[str, Any]) -> None:
@@ -156,7 +163,7 @@ class LikelihoodRatioBank:
             raise BadInput("likelihood-ratio bank: the saved state is of another bank")
         self._sums = np.array(state["sums"], dtype=float)
         self._past = np.array(state["past"], dtype=float)
-        self._cusum = np.array(state["cusum"], dtype=float)
+        self._steps = np.array(state["steps"], dtype=float)
         self._counts = np.array(state["counts"], dtype=np.int64)
 
 
@@ -253,7 +260,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
     restart,
     sums,
     past,
-    both_sums,
+    both_steps,
     counts,
     statistic,
     kind,
@@ -275,7 +282,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
         if not valid[t]:
             counts[0] = 0
             sums[:, 0] = 0.0
-            both_sums[:] = 0.0
+            both_steps[:] = 0.0
             continue
         n, s, p = counts[0] + 1, scores[t], template[t]
         here, before, local = n % ring, (n - 1) % ring, (n - 1) % _EPOCH + 1
@@ -296,11 +303,13 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 start += ring
             offset = sum_s - sums[0, start]
             z2 = offset * offset / length
+            start2 = 2.0 * _SHORT_START if length <= _SHORT else 0.0
             # The model error only lowers z, so it is worked out for the rare windows that would alarm without it.
-            if z2 > largest:
-                if z2 > square:
-                    enough = offset * offset / square - length
+            if z2 + start2 > largest:
+                if z2 + start2 > square:
+                    enough = offset * offset / (square - start2) - length
                     z2 = offset * offset / (length + _model_error(past[0], past[1], now, length, delay, root, enough, _STEP))
+                z2 += start2
                 if z2 > largest:
                     largest = z2
                     if z2 > square:
@@ -340,19 +349,23 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                     largest = z * z
                     if z > b:
                         kind[t], window[t] = 3, length
+        up = np.exp(min(s, 600.0) - 0.5)
         for side in range(2):
-            g = max(0.0, both_sums[side, 0] + (s if side == 0 else -s) - _REFERENCE)
-            length = int(both_sums[side, 1]) + 1 if g > 0.0 else 0
+            ratio = min((1.0 + both_steps[side, 0]) * (up if side == 0 else np.exp(-1.0) / up), _LARGEST_RATIO)
+            length = int(both_steps[side, 1]) + 1 if ratio > 1.0 else 0
             if length >= ring:  # as old as the longest window: what has not shown by now is no step of this size
-                g, length = 0.0, 0
-            both_sums[side, 0], both_sums[side, 1] = g, length
-            z2 = 2.0 * (g + _HEAD_START) if g > 0.0 else 0.0
+                ratio, length = 0.0, 0
+            both_steps[side, 0], both_steps[side, 1] = ratio, length
+            if length == 0:
+                continue
+            log_ratio = np.log(ratio)
+            z2 = 2.0 * (log_ratio + _HEAD_START)
             if z2 > max(square, _LAZY**2):
-                offset = g + _REFERENCE * length
-                least = 0.5 * square - _HEAD_START + _REFERENCE * length
+                offset = log_ratio + 0.5 * length
+                least = 0.5 * square - _HEAD_START + 0.5 * length
                 enough = length * (offset * offset / (least * least) - 1.0)
                 error = _model_error(past[0], past[1], now, length, delay, root, enough, _STEP)
-                z2 = 2.0 * (offset * np.sqrt(length / (length + error)) - _REFERENCE * length + _HEAD_START)
+                z2 = 2.0 * (offset * np.sqrt(length / (length + error)) - 0.5 * length + _HEAD_START)
             if z2 > largest:
                 largest = z2
                 if z2 > square:
@@ -363,4 +376,4 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
         if restart and kind[t] > 0:
             counts[0] = 0
             sums[:, 0] = 0.0
-            both_sums[:] = 0.0
+            both_steps[:] = 0.0

@@ -1,9 +1,11 @@
-"""Noise model of a healthy residual: its colour (AR), its size σ and its tails (Gaussian or Student t)."""
+"""Noise model of a healthy residual: its colour (AR), its size σ and its tails (Gaussian, heavier or lighter)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +17,10 @@ from residuum.identification.errors import BadInput
 _HIGHEST_ORDER = 20
 _FEWEST = 50
 _LIGHTEST_TAILS = 200.0  # degrees of freedom from which a Student t is called Gaussian
+_STEEPEST = 30.0  # β from which lighter tails are not told apart: nearly uniform
+_RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
+_LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +34,18 @@ class NoiseModel:
     sigma : float
         σ [unit of the residual]: standard deviation of the innovation for Gaussian noise, scale of Student's t otherwise.
     dof : float
-        Degrees of freedom of Student's t; infinite for Gaussian noise.
+        Degrees of freedom of Student's t; infinite where the tails are no heavier than Gaussian.
     n : int
         Healthy samples it was fitted on; 0 when taken from an identified model.
+    shape : float
+        β of exp(−|ε|^β/β): 2 is Gaussian, more are the lighter tails of noise with bounds (Subbotin's exponential power law).
     """
 
     ar: FloatArray
     sigma: float
     dof: float = float("inf")
     n: int = 0
+    shape: float = 2.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ar", np.ascontiguousarray(self.ar, dtype=float))
@@ -47,12 +55,18 @@ class NoiseModel:
     @property
     def is_gaussian(self) -> bool:
         """Whether the tails are Gaussian."""
-        return bool(np.isinf(self.dof))
+        return bool(np.isinf(self.dof)) and self.shape == 2.0
 
     @property
     def innovation_std(self) -> float:
         """Standard deviation of σ ε (of a Student t with dof ≤ 2, which has none, its scale)."""
-        return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if 2 < self.dof < np.inf else self.sigma
+        if np.isinf(self.dof):
+            return self.sigma * float(self._law.std())
+        return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
+
+    def limit(self, rate: float) -> float:
+        """|innovation| over its standard deviation that is exceeded at `rate` per sample."""
+        return float(self._law.isf(rate / 2.0)) * self.sigma / self.innovation_std
 
     def output_std(self, post_filter: FloatArray) -> float:
         """Standard deviation of the noise after a filter with this impulse response [unit of the residual times its gain]."""
@@ -67,26 +81,52 @@ class NoiseModel:
         return white
 
     def normal_scores(self, epsilon: FloatArray) -> FloatArray:
-        """Φ⁻¹(F(ε)): standard normal when ε follows the model, so that Gaussian thresholds hold with heavy tails too."""
+        """Φ⁻¹(F(ε)): standard normal when ε follows the model, so that Gaussian thresholds hold with any tails."""
         if self.is_gaussian:
             return epsilon
-        knots, scores = score_table(self.dof)
+        knots, scores = self.score_table
         return np.asarray(np.sign(epsilon) * np.interp(np.arcsinh(np.abs(epsilon)), knots, scores))
 
+    @cached_property
+    def score_table(self) -> tuple[FloatArray, FloatArray]:
+        """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
+        knots = _LIGHT_TABLE if np.isinf(self.dof) else _TABLE
+        scores = -special.ndtri_exp(np.minimum(self._log_tail(np.sinh(knots)), np.log(0.5)))
+        return np.concatenate([[0.0], knots]), np.concatenate([[0.0], scores])
 
-def score_table(dof: float) -> tuple[FloatArray, FloatArray]:
-    """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
-    epsilon = np.sinh(_TABLE)
-    log_tail = np.maximum(stats.t.logsf(epsilon, dof), np.log(stats.t.sf(0.0, dof)) - 1e4)
-    scores = -special.ndtri_exp(np.minimum(log_tail, np.log(0.5)))
-    return np.concatenate([[0.0], _TABLE]), np.concatenate([[0.0], scores])
+    @cached_property
+    def score_slope(self) -> float:
+        """E[ds/dε]: by how much a small shift of every ε moves the scores s on average; 1 for Gaussian noise."""
+        if self.is_gaussian:
+            return 1.0
+        knots, scores = self.score_table
+        return 2.0 * float(np.trapezoid(self._law.pdf(np.sinh(knots)), scores))
+
+    @cached_property
+    def _law(self) -> Any:
+        """Distribution of ε."""
+        return stats.gennorm(self.shape, scale=_unit_scale(self.shape)) if np.isinf(self.dof) else stats.t(self.dof)
+
+    def _log_tail(self, epsilon: FloatArray) -> FloatArray:
+        """ln P(ε' > ε) for ε ≥ 0."""
+        if np.isfinite(self.dof):
+            return np.asarray(np.maximum(stats.t.logsf(epsilon, self.dof), _RAREST))
+        a, y = 1.0 / self.shape, np.minimum(epsilon, -_RAREST) ** self.shape / self.shape
+        far = -y + (a - 1.0) * np.log(np.maximum(y, 1.0)) - special.gammaln(a)
+        near = np.log(np.maximum(special.gammaincc(a, y), np.finfo(float).tiny))
+        return np.asarray(np.maximum(np.log(0.5) + np.where(y > 500.0, far, near), _RAREST))
+
+
+def _unit_scale(shape: float) -> float:
+    """The scale at which scipy's exp(−|x/scale|^β) is exp(−|x|^β/β)."""
+    return float(shape ** (1.0 / shape))
 
 
 def fit_noise_model(residuals: Sequence[npt.ArrayLike], *, highest_order: int = _HIGHEST_ORDER) -> NoiseModel:
     """Noise model of healthy residuals, one array an experiment; NaN marks samples that are missing.
 
-    AR order by BIC over least-squares fits up to `highest_order`; tails by maximum likelihood of Student's t, kept
-    only where its BIC beats the Gaussian's.
+    AR order by BIC over least-squares fits up to `highest_order`; tails by maximum likelihood of Student's t and of the
+    exponential power law, kept only where their BIC beats the Gaussian's.
 
     Raises
     ------
@@ -110,8 +150,11 @@ def fit_noise_model(residuals: Sequence[npt.ArrayLike], *, highest_order: int = 
     ar = _autoregression(stretches, min(highest_order, n // 20))
     p = len(ar) - 1
     innovations = np.concatenate([np.convolve(stretch, ar)[p : len(stretch)] for stretch in stretches])
-    sigma, dof = _tails(innovations)
-    return NoiseModel(ar, sigma, dof, n)
+    sigma, dof = _heavy_tails(innovations)
+    if np.isfinite(dof):
+        return NoiseModel(ar, sigma, dof, n)
+    sigma, shape = _light_tails(innovations)
+    return NoiseModel(ar, sigma, n=n, shape=shape)
 
 
 def _unbroken(residual: FloatArray) -> list[FloatArray]:
@@ -136,8 +179,23 @@ def _autoregression(stretches: list[FloatArray], highest_order: int) -> FloatArr
     return best
 
 
-def _tails(innovations: FloatArray) -> tuple[float, float]:
-    """σ and degrees of freedom."""
+def _light_tails(innovations: FloatArray) -> tuple[float, float]:
+    """σ and β; β = 2 where lighter tails do not beat the Gaussian's BIC. For each β, σ^β = mean |e|^β is the best σ."""
+    size = np.abs(innovations) / float(np.sqrt(np.mean(innovations**2)))
+
+    def cost(shape: float) -> float:
+        """−ln p per sample, σ at its best."""
+        scale = np.log(np.mean(size**shape)) / shape
+        return float(scale + np.log(2.0 * _unit_scale(shape)) + special.gammaln(1.0 + 1.0 / shape) + 1.0 / shape)
+
+    best = optimize.minimize_scalar(cost, bounds=(2.0, _STEEPEST), method="bounded", options={"xatol": 1e-3})
+    n = len(innovations)
+    shape = float(best.x) if n * (cost(2.0) - best.fun) > 0.5 * np.log(n) else 2.0
+    return float(np.mean(np.abs(innovations) ** shape) ** (1.0 / shape)), shape
+
+
+def _heavy_tails(innovations: FloatArray) -> tuple[float, float]:
+    """σ and degrees of freedom of Student's t; infinite where heavier tails do not beat the Gaussian's BIC."""
     sigma = float(np.sqrt(np.mean(innovations**2)))
     x = innovations / sigma
 

@@ -129,7 +129,7 @@ class ResidualDesign:
         meta = {
             "model": {name: _jsonable(value) for name, value in model.items() if not isinstance(value, np.ndarray)},
             "post_filter": filter_numbers,
-            "noise": {"sigma": self.noise.sigma, "dof": _jsonable(self.noise.dof), "n": self.noise.n},
+            "noise": {name: _jsonable(getattr(self.noise, name)) for name in ("sigma", "dof", "n", "shape")},
             "settings": settings or {},
             "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
         }

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.fir_filter import FirFilter
-from residuum.diagnosis.noise_model import NoiseModel, score_table
+from residuum.diagnosis.noise_model import NoiseModel
 from residuum.diagnosis.state_space import FloatArray, StateSpace
 from residuum.identification.errors import BadInput
 from residuum.identification.identified_model import IdentifiedModel
@@ -31,7 +31,7 @@ class ResidualSignals(NamedTuple):
     robust: FloatArray  # r = Q e
     scores: FloatArray  # whitened e as normal scores: independent standard normals while healthy
     gain_template: FloatArray  # whitened N u: what a gain that is lost by 100 % takes away from the scores
-    white_input: FloatArray  # whitened u: the regressor of the model error
+    white_input: FloatArray  # whitened u in units of the scores: the regressor of the model error
     valid: BoolArray
 
 
@@ -117,10 +117,10 @@ class ResidualStream:
 
     def __init__(self, generator: ResidualGenerator) -> None:
         self.generator = generator
-        ar = generator.noise.ar / generator.noise.sigma
+        noise = generator.noise
+        ar = noise.ar / noise.sigma
         self._model = FirFilter(generator.taps) if generator.taps is not None else None
-        self._whiteners = {name: FirFilter(ar) for name in ("residual", "template", "input")}
-        self._table = None if generator.noise.is_gaussian else score_table(generator.noise.dof)
+        self._whiteners = {"residual": FirFilter(ar), "template": FirFilter(ar), "input": FirFilter(ar * noise.score_slope)}
         self._states: dict[str, FloatArray] = {}
         self.seen = 0
         self.gaps = 0
@@ -177,7 +177,7 @@ class ResidualStream:
         return ResidualSignals(
             primary,
             robust[:, 0],
-            np.where(valid, self._scores(white), 0.0),
+            np.where(valid, generator.noise.normal_scores(white), 0.0),
             np.where(valid, self._whiteners["template"].process(prediction), 0.0),
             self._whiteners["input"].process(du),
             valid,
@@ -194,12 +194,6 @@ class ResidualStream:
         primary, self._states["observer"] = observer.simulate(np.column_stack([y, u]), self._states["observer"])
         alone, self._states["prediction"] = observer.simulate(np.column_stack([np.zeros_like(u), u]), self._states["prediction"])
         return primary[:, 0], -alone[:, 0]
-
-    def _scores(self, white: FloatArray) -> FloatArray:
-        if self._table is None:
-            return white
-        knots, scores = self._table
-        return np.asarray(np.sign(white) * np.interp(np.arcsinh(np.abs(white)), knots, scores))
 
     @property
     def state(self) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.false_alarm_rate import cusum_threshold, scan_threshold
 from residuum.diagnosis.healthy_reference import calibrated_threshold
 from residuum.diagnosis.likelihood_ratio import bank_threshold
-from residuum.diagnosis.noise_model import NoiseModel
 from residuum.diagnosis.residual_design import ResidualDesign
 from residuum.diagnosis.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
 from residuum.diagnosis.state_space import FloatArray, StateSpace
@@ -96,7 +95,7 @@ def posterior_threshold(design: ResidualDesign, u: FloatArray, rate: float, eval
         return Threshold("posterior", "rms", _rms_level(rate), "σ", per_day, said)
     filtered = design.post_filter.Q.simulate((u - design.input_mean)[:, None])[0][:, 0]
     spread = design.noise.output_std(_impulse(design.post_filter.Q))
-    level = _quantile(design.noise, rate) * np.hypot(design.model.simulation_std(filtered), spread)
+    level = design.noise.limit(rate) * np.hypot(design.model.simulation_std(filtered), spread)
     return Threshold("posterior", "point", level, design.model.output_unit, per_day, said)
 
 
@@ -129,13 +128,6 @@ def bounds(design: ResidualDesign, u: FloatArray, noise_bound: float | None = No
     if noise_bound is None:
         noise_bound = design.noise_bound if np.isfinite(design.noise_bound) else _TYPICAL_PEAK * design.noise.innovation_std
     return max(known), noise_bound
-
-
-def _quantile(noise: NoiseModel, rate: float) -> float:
-    """|innovation|/its standard deviation that is exceeded at `rate` per sample."""
-    if noise.is_gaussian:
-        return float(stats.norm.isf(rate / 2.0))
-    return float(stats.t.isf(rate / 2.0, noise.dof)) * noise.sigma / noise.innovation_std
 
 
 def _rms_level(rate: float) -> float:
