@@ -1,5 +1,6 @@
 // Design a robust controller from identified models: what is possible, what it promises, how it behaves, code for the target.
 
+import { keptAddress } from "./address.js";
 import { call } from "./api.js";
 import { forget } from "./charts.js";
 import { drawConstraints, drawFront, drawLoop, drawSteps } from "./control_charts.js";
@@ -24,7 +25,8 @@ export function controlPage(place, query) {
   const leaving = [];
   show(place, h("div", { class: "title" }, h("h1", {}, "Control"), h("p", { class: "muted about" }, "A controller with a guarantee, from identified models and their uncertainty; no weight is chosen by hand.")), form, result);
 
-  const save = () => history.replaceState(null, "", `#/control?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
+  const keep = keptAddress();
+  const save = () => keep(`#/control?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
   const pick = (point) => { asked.point = String(point); save(); };
 
   function begin({ again = false } = {}) {
@@ -34,8 +36,7 @@ export function controlPage(place, query) {
     runIn(result, "Designing controllers along the front of what is possible", "/control-designs/views", body(asked), (view) => drawDesign(result, view, asked, pick), leaving);
   }
 
-  async function drawForm() {
-    const stored = (await call("/models?kind=identified&limit=200")).items;
+  function drawForm() {
     if (!stored.length) return show(form, panel("Models", null, h("p", { class: "empty" }, "No identified model yet: ", h("a", { href: "#/identify" }, "identify one from a record"), ".")));
     const newest = stored.map((each) => `${each.model}@${each.number}`);
     const chosen = new Set(asked.models.split(",").filter(Boolean).map((each) => (each.includes("@") ? each : newest.find((one) => one.startsWith(`${each}@`)) ?? each)));
@@ -45,7 +46,7 @@ export function controlPage(place, query) {
     tell();
     const rows = all.map((each) => h("label", { class: "choice" }, h("input", { type: "checkbox", "data-key": `model-${each}`, checked: chosen.has(each), onchange: (event) => { chosen[event.target.checked ? "add" : "delete"](each); tell(); } }), h("span", { class: "name", title: each }, each.replace("@", ", version "))));
     const choose = (key, label, options, taken = () => {}) => h("label", {}, label, h("select", { "data-key": key, onchange: (event) => { asked[key] = event.target.value; taken(); } }, Object.entries(options).map(([value, text]) => h("option", { value, selected: value === asked[key] }, text))));
-    const type = (key, label, attributes) => h("label", {}, label, h("input", { type: "number", step: "any", "data-key": key, value: asked[key], ...attributes, onchange: (event) => { asked[key] = event.target.value; } }));
+    const type = (key, label, attributes) => h("label", {}, label, h("input", { type: "number", step: "any", "data-key": key, value: asked[key], ...attributes, oninput: (event) => { asked[key] = event.target.value; } }));
     const nominal = asked.aim === "nominal";
     show(form, panel("Design for what, and how", null, h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); begin({ again: true }); } },
       h("fieldset", {}, h("legend", {}, "models, one an operating point"), h("div", { class: "choices" }, rows)),
@@ -56,7 +57,13 @@ export function controlPage(place, query) {
         type("lower", "actuator's lower limit", { placeholder: "none" }), type("upper", "actuator's upper limit", { placeholder: "none" }), h("button", { "data-key": "design" }, "Design")))));
   }
 
-  drawForm().then(() => { if (query && asked.models) begin(); }, (problem) => notify(problem.message));
+  let stored = [];
+  const start = async () => {
+    stored = (await call("/models?kind=identified&limit=200")).items;
+    drawForm();
+    if (query && asked.models && form.isConnected) begin();
+  };
+  start().catch((problem) => notify(problem.message));
   return () => {
     for (const each of leaving) each();
     for (const chart of place.querySelectorAll(".chart")) forget(chart);

@@ -1,5 +1,6 @@
 // Identify a linear model from a record: impulse and frequency response with their confidence.
 
+import { keptAddress } from "./address.js";
 import { call, path } from "./api.js";
 import { draw, forget, series } from "./charts.js";
 import { h, notify, panel, show } from "./dom.js";
@@ -19,19 +20,19 @@ export function identifyPage(place, query) {
   const leaving = [];
   show(place, h("div", { class: "title" }, h("h1", {}, "Identify and design"), h("p", { class: "muted about" }, "A linear model from one input to one output, with its uncertainty.")), panel("What from what", null, form), result);
 
-  const save = () => history.replaceState(null, "", `#/identify?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
+  const keep = keptAddress();
+  const save = () => keep(`#/identify?${new URLSearchParams(KEPT.filter((key) => asked[key]).map((key) => [key, asked[key]]))}`);
 
   const bench = { leaving, records: [], get watch() { return asked.watch; }, get offset() { return asked.offset; }, get healthy() { return asked.record; }, set: (change) => { Object.assign(asked, change); save(); } };
 
   function begin() {
     save();
     const body = { records: [Number(asked.record)], input: asked.input, output: asked.output, method: asked.method, save_as: asked.name, ...(Number(asked.order) ? { order: Number(asked.order) } : {}) };
-    runIn(result, "Identifying", "/identify", body, (model) => drawModel(result, model, bench), leaving);
+    runIn(result, "Identifying", "/identify", body, (model, signal) => drawModel(result, model, bench, signal), leaving);
   }
 
-  async function drawForm() {
-    const records = await uploadedRecords();
-    bench.records = records;
+  function drawForm() {
+    const { records } = bench;
     if (!records.length) return show(form, h("p", { class: "empty" }, "No record yet: ", h("a", { href: "#/workbench" }, "drop one on the workbench"), "."));
     const record = records.find((each) => each.id === Number(asked.record)) ?? records[0];
     const channels = Object.keys(record.units);
@@ -41,7 +42,7 @@ export function identifyPage(place, query) {
     asked.method ??= "kernel";
     asked.name ??= "identified";
     const choose = (key, label, options) => h("label", {}, label, h("select", { "data-key": key, onchange: (event) => { asked[key] = event.target.value; if (key === "record") drawForm(); } }, options.map(([value, text]) => h("option", { value, selected: value === asked[key] }, text))));
-    const type = (key, label, attributes) => h("label", {}, label, h("input", { "data-key": key, value: asked[key] ?? "", ...attributes, onchange: (event) => { asked[key] = event.target.value; } }));
+    const type = (key, label, attributes) => h("label", {}, label, h("input", { "data-key": key, value: asked[key] ?? "", ...attributes, oninput: (event) => { asked[key] = event.target.value; } }));
     show(form, h("form", { class: "fields", onsubmit: (event) => { event.preventDefault(); begin(); } },
       choose("record", "record", records.map((each) => [String(each.id), `${each.id} · ${each.name.slice(0, 60)}`])),
       choose("input", "input", channels.map((name) => [name, name.slice(0, 60)])), choose("output", "output", channels.map((name) => [name, name.slice(0, 60)])),
@@ -49,15 +50,20 @@ export function identifyPage(place, query) {
       type("name", "store as", { pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}", required: true }), h("button", {}, "Identify")));
   }
 
-  drawForm().then(() => { if (query && asked.record) begin(); }, (problem) => notify(problem.message));
+  const start = async () => {
+    bench.records = await uploadedRecords();
+    drawForm();
+    if (query && asked.record && form.isConnected) begin();
+  };
+  start().catch((problem) => notify(problem.message));
   return () => {
     for (const each of leaving) each();
     for (const chart of place.querySelectorAll(".chart")) forget(chart);
   };
 }
 
-async function drawModel(place, model, bench) {
-  const response = await call(`${path("models", model.stored.model, "frequency-response")}?version=${model.stored.version}`);
+async function drawModel(place, model, bench, signal) {
+  const response = await call(`${path("models", model.stored.model, "frequency-response")}?version=${model.stored.version}`, { signal });
   const impulse = h("div", { class: "chart", role: "img", "aria-label": "Impulse response" });
   const bode = h("div", { class: "chart overlay", role: "img", "aria-label": "Bode diagram" });
   const fits = (values) => values.map((fit) => (fit === null ? "–" : percent(fit / 100))).join(", ");

@@ -1,6 +1,7 @@
 // The workbench: record and model → compare → where → why → add. The address holds the whole view.
 
 import { addStep } from "./add_step.js";
+import { keptAddress } from "./address.js";
 import { call, path } from "./api.js";
 import { compareStep } from "./compare_step.js";
 import { forget } from "./charts.js";
@@ -29,6 +30,7 @@ class Bench {
     this.base = given.get("base");
     this.shown = parsed(given.get("shown"));
     this.leaving = [];
+    this.keep = keptAddress();
   }
 
   get ready() { return this.records.length > 0 && Boolean(this.model); }
@@ -43,7 +45,7 @@ class Bench {
     if (this.records.length) query.set("records", this.records.join(","));
     for (const name of ["model", "version", "base", "step"]) if (this[name]) query.set(name, this[name]);
     for (const name of ["map", "shown"]) if (Object.keys(this[name]).length) query.set(name, JSON.stringify(this[name]));
-    history.replaceState(null, "", `#/workbench?${query}`);
+    this.keep(`#/workbench?${query}`);
   }
 
   set(change) {
@@ -73,13 +75,16 @@ export function workbenchPage(place, query) {
   const bench = new Bench(query);
   const tabs = h("div", { class: "steps", role: "tablist", "aria-label": "Steps" });
   const about = h("p", { class: "muted about" });
-  const body = h("div", { class: "step", role: "tabpanel", id: "step", "aria-labelledby": "" });
+  const body = h("div", { class: "step", role: "tabpanel", id: "step", "aria-labelledby": "", tabindex: -1 });
   document.title = "Workbench · Residuum";
   show(place, h("div", { class: "title" }, h("h1", {}, "Workbench"), about), tabs, body);
 
+  // Whoever goes on by a button of the step before, goes on at the top of the new one by keyboard, too.
   bench.go = (step, change = {}) => {
+    const inside = body.contains(document.activeElement);
     bench.set({ step, ...change });
     open();
+    if (inside) body.focus({ preventScroll: true });
   };
 
   function drawTabs() {
