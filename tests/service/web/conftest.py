@@ -6,7 +6,7 @@ import shutil
 import pytest
 from playwright.sync_api import expect, sync_playwright
 
-PATIENCE = 20_000  # milliseconds; two busy cores take long to read the chart library
+PATIENCE = 60_000  # milliseconds; two busy cores take long to read the chart library
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
@@ -92,7 +92,8 @@ def chromium():
         pytest.skip("NO CHROMIUM HERE, so the pages were not tested; sh tests/system_packages.sh installs it")
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-dev-shm-usage"])
+        flags = ["--no-sandbox", "--disable-dev-shm-usage"]
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags, timeout=3 * PATIENCE)
         yield browser
         browser.close()
 
@@ -109,6 +110,7 @@ def open_page(chromium):
             stack.callback(opened.close)
             page = opened.new_page()
             page.set_default_timeout(PATIENCE)
+            stack.callback(page.unroute_all, behavior="ignoreErrors")  # a route under way must not outlive its test
 
             def complain(text):
                 if not any(part in text for part in expected):

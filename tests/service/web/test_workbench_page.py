@@ -143,6 +143,15 @@ def test_a_model_file_is_edited_and_a_wrong_one_refused(service, open_page):
     expect(page.get_by_label("value of M")).to_have_value("80")
 
 
+def test_a_page_that_is_being_left_does_not_turn_the_way_back(service, open_page):
+    """A choice on the workbench takes effect, and is kept in the address, just after a link to another page was pressed."""
+    page = open_page(f"{service.url}/#/workbench?model=linear-axis")
+    expect(page.get_by_label("model", exact=True)).to_have_value(re.compile("linear-axis"))
+    page.evaluate("location.hash = '#/effects'; document.getElementById('model').dispatchEvent(new Event('change'))")
+    expect(page.get_by_role("heading", name="Effects", exact=True)).to_be_visible()
+    assert page.url.endswith("#/effects")
+
+
 def test_parameters_are_set_in_a_form(service, open_page):
     page = open_page(f"{service.url}/#/workbench?model=linear-axis", expected=["422"])
     page.get_by_label("value of M").fill("2000")
@@ -216,7 +225,8 @@ def test_a_model_is_added_to_automatically_and_accepted_for_a_machine(service, o
     page.get_by_role("button", name="Accept with the new thresholds").click()
     expect(page.get_by_text("it is version 1 of")).to_be_visible()
     page.get_by_role("link", name="this machine's model").click()
-    expect(page.get_by_text("damped-axis, version 1")).to_contain_text("damping found")
+    expect(page.get_by_role("heading", name="Axis", exact=True)).to_be_visible()  # the machine's page, no longer the workbench
+    expect(page.locator("li", has_text="damped-axis, version 1")).to_contain_text("damping found")
     assert store.model_versions("axis")[0].note == "accepted with damped-axis, version 1, proposal 1"
 
 
@@ -295,7 +305,7 @@ def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open
     page.route(re.compile(r"/jobs/[0-9a-f]+$"), lambda route: hold(route) if route.request.method == "GET" else route.continue_())
     page.get_by_role("tab", name="Why").click()
     expect(page.get_by_text("trying the effects of the catalogue")).to_be_visible(timeout=LONG_WORK)
-    assert int(page.get_by_role("progressbar").get_attribute("aria-valuenow")) == 18
+    expect(page.get_by_role("progressbar")).to_have_attribute("aria-valuenow", "18")
     with page.expect_response(lambda answer: answer.request.method == "DELETE") as ended:
         wanted.append(True) if moment == "during a look" else cancel.click()
     assert ended.value.json()["id"] == started[-1] and ended.value.json()["state"] in ("cancelled", "done")
@@ -335,8 +345,46 @@ def test_numbers_and_sentences_have_the_decimal_comma_of_the_language(service, o
     assert re.search(r"\d,\d", said) and not re.search(r"\d\.\d{1,2}(?!\d)", said) and "e+" not in said
 
 
-def test_the_workbench_is_used_by_keyboard(service, open_page):
-    page = open_page(f"{service.url}/#/workbench?records=1&model=gate-drive")
+NAME = "(document.activeElement.ariaLabel || document.activeElement.textContent).trim()"
+
+
+def press(page, name):
+    """Go by Tab to what has this name, and press Enter there."""
+    for _ in range(100):
+        page.keyboard.press("Tab")
+        if page.evaluate(NAME).startswith(name):
+            return page.keyboard.press("Enter")
+    pytest.fail(f"{name!r} is not reached by Tab; the last was {page.evaluate(NAME)!r}")
+
+
+def test_a_model_is_mended_by_keys_alone(service, open_page, drive_file):
+    """Compare, where, why, add, and the error falls: a hundred Tabs a step are enough, and Enter."""
+    upload = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
+    )
+    query = httpx.QueryParams(records=upload.json()["id"], model="gate-drive", map='{"voltage":"motor voltage"}')
+    page = open_page(f"{service.url}/#/workbench?{query}")
+    page.route("**/explain", ask_for_few)
+    expect(page.get_by_role("button", name="Compare", exact=True)).to_be_visible()
+    press(page, "Compare")
+    expect(page.get_by_text("Structured error")).to_be_visible(timeout=LONG_WORK)
+    press(page, "Where does it fail?")
+    expect(page.get_by_role("button", name="See the largest")).to_be_visible(timeout=LONG_WORK)
+    press(page, "See the largest")
+    expect(page.get_by_role("button", name="Whole record")).to_be_visible(timeout=LONG_WORK)
+    press(page, "Where does it fail?")
+    expect(page.get_by_role("button", name="Why does it fail?")).to_be_visible(timeout=LONG_WORK)
+    press(page, "Why does it fail?")
+    expect(page.get_by_text("Most probably Coulomb friction in shaft")).to_be_visible(timeout=LONG_WORK)
+    press(page, "Add coulomb-friction to shaft")
+    expect(page.get_by_role("button", name="Add and estimate")).to_be_visible()
+    press(page, "Add and estimate")
+    expect(page.get_by_text("The error fell by")).to_be_visible(timeout=LONG_WORK)
+
+
+def test_the_steps_are_a_list_of_tabs_for_the_keyboard(service, open_page):
+    number = service.services.store.add_record("still", Record({"voltage": np.zeros(50)}, {"voltage": "V"}, 0.01))
+    page = open_page(f"{service.url}/#/workbench?records={number}&model=gate-drive")
     expect(page.get_by_role("tab", name="Compare")).to_be_enabled()
     page.get_by_role("tab", name="Record and model").focus()
     page.keyboard.press("ArrowRight")

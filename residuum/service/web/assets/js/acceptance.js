@@ -1,7 +1,7 @@
 // Accept a model as a machine's active version: thresholds from its healthy windows are shown old against new first.
 
 import { call, path } from "./api.js";
-import { h, notify, panel, show } from "./dom.js";
+import { h, notify, once, panel, show } from "./dom.js";
 import { assetTitle, moment, quantity, title } from "./format.js";
 import { runIn } from "./jobs.js";
 import { plant } from "./plant_state.js";
@@ -30,8 +30,8 @@ export function acceptancePanel(bench) {
     return [h("div", { class: "scroll" }, thresholdTable(found)),
       h("p", {}, `On ${alarms.windows} healthy windows kept aside ${alarms.old === null ? "" : `the thresholds of now raise ${alarms.old} alarms, `}the new ones raise ${alarms.new}.`),
       found.model_error.reason ? h("p", { class: "muted small" }, `The model cannot be simulated on this machine's windows: ${found.model_error.reason}`) : null,
-      h("div", { class: "controls" }, note, h("button", { type: "button", "data-key": "accept", onclick: () => accept(found.proposal, note.value) }, "Accept with the new thresholds"),
-        h("button", { type: "button", class: "quiet", "data-key": "accept-keep", onclick: () => accept(null, note.value) }, "Accept, keep the thresholds"))];
+      h("div", { class: "controls" }, note, h("button", { type: "button", "data-key": "accept", onclick: once(() => accept(found.proposal, note.value)) }, "Accept with the new thresholds"),
+        h("button", { type: "button", class: "quiet", "data-key": "accept-keep", onclick: once(() => accept(null, note.value)) }, "Accept, keep the thresholds"))];
   }
 
   show(place, h("p", { class: "muted" }, "Its healthy windows give new thresholds; nothing changes before you accept."));

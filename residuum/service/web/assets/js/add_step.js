@@ -40,8 +40,10 @@ const unkey = (text) => { const [model, version] = text.split("@"); return { mod
 
 async function drawModel(body, bench) {
   const description = await describe(bench.model, bench.version);
+  const stored = bench.version ? (await call(path("models", bench.model, "versions"))).items : [];
+  if (!body.isConnected) return; // the step has been left
   const made = description.effects.filter(({ provenance }) => provenance.with_effect || provenance.error_after !== undefined);
-  const versions = bench.version ? (await call(path("models", bench.model, "versions"))).items.map((each) => key(each.model, each.number)) : [];
+  const versions = stored.map((each) => key(each.model, each.number));
   const all = [...new Set([key(bench.model, bench.version), ...versions, ...(bench.base ? [bench.base] : [])])];
   const before = all.includes(bench.shown.before) ? bench.shown.before : previous(bench, versions) ?? bench.base;
   const overlaid = h("div");
@@ -104,7 +106,9 @@ function drawBars(place, made, units) {
 
 async function drawOverlay(place, bench, before) {
   show(place, h("p", { class: "loading" }, "Simulating …"));
-  const of = (model) => run(path("models", model.model, "views"), { records: bench.records, ...(model.version ? { version: model.version } : {}), map: bench.map });
+  const stop = new AbortController();
+  bench.leaving.push(() => stop.abort());
+  const of = (model) => run(path("models", model.model, "views"), { records: bench.records, ...(model.version ? { version: model.version } : {}), map: bench.map }, { signal: stop.signal });
   const current = { model: bench.model, version: bench.version };
   const [after, old] = [await of(current), before && before !== key(current.model, current.version) ? await of(unkey(before)) : null];
   if (!place.isConnected) return;

@@ -5,11 +5,18 @@ import { h, notify } from "./dom.js";
 import { ago, count, moment } from "./format.js";
 import { badge, said } from "./parts.js";
 
+const asked = new Set(); // alarms whose operation is under way: pressing twice sends once
+
 async function operate(alarm, verb, body) {
+  if (asked.has(alarm.id)) return;
+  asked.add(alarm.id);
   try {
     await call(path("alarms", alarm.id, verb), { method: "POST", body });
+    drafts.delete(alarm.id);
   } catch (problem) {
     notify(problem.message);
+  } finally {
+    asked.delete(alarm.id);
   }
 }
 
@@ -43,12 +50,18 @@ function actions(alarm) {
   return alarm.state === "acknowledged" ? shelve : [button("acknowledge", "Acknowledge", {}), commentForm(alarm), shelve];
 }
 
-// Acknowledge with a comment; what is being typed outlives the list's next drawing.
+// Acknowledge with a comment; what is being typed outlives the list's next drawing, as does the form's being open.
 const drafts = new Map();
 function commentForm(alarm) {
   const input = h("input", { "data-key": `comment-${alarm.id}`, "aria-label": `Comment on the alarm of ${alarm.asset}`, maxlength: 1000, value: drafts.get(alarm.id) ?? "", oninput: () => drafts.set(alarm.id, input.value) });
-  const send = (event) => { event.preventDefault(); drafts.delete(alarm.id); operate(alarm, "acknowledge", { comment: input.value }); };
-  const details = h("details", { class: "comment", open: drafts.has(alarm.id), ontoggle: () => { if (details.open) { drafts.set(alarm.id, input.value); input.focus(); } else drafts.delete(alarm.id); } }, h("summary", { "data-key": `comments-${alarm.id}` }, "Comment …"),
+  const send = (event) => { event.preventDefault(); operate(alarm, "acknowledge", { comment: input.value }); };
+  let opening = false; // by a press, not by being drawn open
+  const press = () => {
+    opening = !details.open;
+    if (opening) drafts.set(alarm.id, input.value);
+    else drafts.delete(alarm.id);
+  };
+  const details = h("details", { class: "comment", open: drafts.has(alarm.id), ontoggle: () => { if (opening && details.open) input.focus(); } }, h("summary", { "data-key": `comments-${alarm.id}`, onclick: press }, "Comment …"),
     h("form", { onsubmit: send }, input, h("button", { "data-key": `send-${alarm.id}` }, "Acknowledge with comment")));
   return details;
 }

@@ -13,7 +13,12 @@ function plotly() {
     const script = document.createElement("script");
     script.src = "/vendor/plotly.min.js";
     script.onload = () => resolve(window.Plotly);
-    script.onerror = () => reject(new Error("The chart library could not be loaded."));
+    script.onerror = () => {
+      loading = null; // the next chart asks again
+      guard.remove();
+      script.remove();
+      reject(new Error("The chart library could not be loaded."));
+    };
     document.head.append(guard, script);
   });
   return loading;
@@ -45,7 +50,7 @@ export async function draw(place, traces, { x = {}, y = {}, y2 = null, y3 = null
   if (!place.isConnected) return;
   await library.react(place, traces.map(named), layout(titled(x), titled(y), titled(y2), titled(y3), noted(more)), { displaylogo: false, responsive: true, displayModeBar: "hover",
     modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] });
-  if (onZoom && !drawn.has(place)) {
+  if (onZoom && place.on && !drawn.has(place)) { // its page may have been left in the meantime
     drawn.add(place);
     place.on("plotly_relayout", (change) => {
       if ("xaxis.range[0]" in change) place.dispatchEvent(new CustomEvent("zoom", { detail: [change["xaxis.range[0]"], change["xaxis.range[1]"]] }));

@@ -30,6 +30,46 @@ export function show(place, ...children) {
   if (key) [...place.querySelectorAll("[data-key]")].find((element) => element.dataset.key === key)?.focus({ preventScroll: true });
 }
 
+// Draw a place that changes by itself. While something in it is pressed the drawing waits: a click is a press and a release on
+// one and the same element, and would be lost if that were exchanged in between.
+let pressed = null;
+const waiting = new Map();
+
+export function refresh(place, content) {
+  if (pressed && place.contains(pressed)) return waiting.set(place, content);
+  waiting.delete(place);
+  return show(place, content());
+}
+
+function release() {
+  pressed = null;
+  const due = [...waiting];
+  waiting.clear();
+  for (const [place, content] of due) if (place.isConnected) refresh(place, content);
+}
+
+const press = (event) => { pressed = event.target; };
+const afterTheClick = () => setTimeout(release);
+document.addEventListener("pointerdown", press, true);
+document.addEventListener("keydown", (event) => { if (event.key === " ") press(event); }, true);
+for (const kind of ["pointerup", "pointercancel", "keyup"]) document.addEventListener(kind, afterTheClick, true);
+window.addEventListener("blur", afterTheClick);
+
+// A handler that is not begun again while its work is under way: pressing twice sends once.
+export function once(work) {
+  let busy = false;
+  return async (event) => {
+    event?.preventDefault?.();
+    if (busy) return;
+    busy = true;
+    try {
+      await work(event);
+    } finally {
+      busy = false;
+    }
+  };
+}
+
 // Scroll a strip sideways until the chosen one of its children is in the middle, as far as it goes.
 export function reveal(strip, child) {
   if (child && strip.scrollWidth > strip.clientWidth) strip.scrollLeft = child.offsetLeft - strip.offsetLeft - (strip.clientWidth - child.offsetWidth) / 2;

@@ -25,37 +25,37 @@ export function featurePanels(asset) {
   const planePart = h("section", { class: "panel span-6" }, h("header", {}, h("h2", {}, "Feature plane"), h("div", { class: "controls" }, across, h("span", { class: "muted" }, "and"), up), about), h("div", { class: "body" }, plane));
   const boxPart = h("section", { class: "panel span-6" }, h("header", {}, h("h2", {}, "By quadrant"), h("div", { class: "controls" }, of), h("div", { class: "aside" }, "◆ the last window")), h("div", { class: "body" }, boxes));
   let history = null;
-  let classified = null; // features that the classifier's planes can be made of; null: not asked yet
+  let classified = []; // features that the classifier's planes can be made of
+  let classifier = null; // the question for them, asked once
   let asking = new AbortController();
 
+  // Nothing is drawn before the classifier's features are known: they are the first choice of what is shown.
   async function update(newest) {
     history = newest;
-    if (classified === null) {
-      classified = [];
-      if (plant.assets.get(asset)?.diagnoser === CLASSIFIED) classified = (await regions().catch(() => null))?.features ?? [];
-    }
+    classifier ??= plant.assets.get(asset)?.diagnoser === CLASSIFIED ? regions({}, history.windows.at(-1)).catch(() => { classifier = null; }) : Promise.resolve();
+    classified = (await classifier)?.features ?? [];
     redraw();
   }
 
-  function regions(query = {}, window = history.windows.at(-1)) {
-    asking.abort();
-    asking = new AbortController();
-    return call(`${path("assets", asset, "windows", window, "decision-regions")}?${new URLSearchParams(query)}`, { signal: asking.signal });
-  }
+  const regions = (query, window, signal) => call(`${path("assets", asset, "windows", window, "decision-regions")}?${new URLSearchParams(query)}`, { signal });
 
   // The plane over all windows, or as much wider as it takes until a second region comes into sight.
-  async function widened(x, y, window) {
+  async function widened(x, y, window, signal) {
     for (let factor = 1; ; factor *= 2) {
-      const found = await regions({ x, y, x_to: factor * extent(history, x), y_to: factor * extent(history, y) }, window);
+      const found = await regions({ x, y, x_to: factor * extent(history, x), y_to: factor * extent(history, y) }, window, signal);
       if (factor === WIDEST || new Set(found.region.flat()).size > 1) return found;
     }
   }
 
   // Regions of the trained classifier when it has any for these two features, else the half planes beyond the thresholds.
   async function plotPlane(x, y) {
+    asking.abort();
+    asking = new AbortController();
+    const { signal } = asking;
     const last = lastWith(history, x, y);
     const cut = classified.includes(x) && classified.includes(y) && x !== y && last !== null;
-    const found = cut ? await widened(x, y, history.windows[last]) : null;
+    const found = cut ? await widened(x, y, history.windows[last], signal) : null;
+    signal.throwIfAborted();
     about.textContent = !found ? "shaded: beyond a threshold" : FIRST_PLANE.includes(x) && FIRST_PLANE.includes(y) ? "regions of the trained classifier, dashed: alarm limits" : "cut through the classifier's regions at the last movement, dashed: alarm limits";
     await drawPlane(plane, history, x, y, found, last);
   }

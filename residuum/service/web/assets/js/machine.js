@@ -2,7 +2,7 @@
 
 import { activeModel } from "./acceptance.js";
 import { alarmList } from "./alarms.js";
-import { h, panel, show } from "./dom.js";
+import { h, panel, refresh, show } from "./dom.js";
 import { faultPanel } from "./faults.js";
 import { featurePanels } from "./features.js";
 import { ago, assetTitle, count, moment, number, quantity, title } from "./format.js";
@@ -26,12 +26,18 @@ export function machinePage(place, name) {
   if (new Map(named(plant.status.machines)).has(name)) faultPanel(name).then((element) => (element ? show(places.faults, element) : places.faults.remove()));
   else places.faults.remove();
 
+  let judged; // the finding that is shown: drawn once, so that its evidence stays open
+  const drawNow = (finding) => {
+    if (finding === judged) return;
+    judged = finding;
+    refresh(places.now, () => (finding ? indicatorTable(finding) : h("p", { class: "empty" }, "Nothing has been judged yet.")));
+  };
   const draw = () => {
     const asset = plant.assets.get(name);
     const machine = new Map(named(plant.status.machines)).get(name);
     show(places.head, head(name, asset, machine));
-    show(places.now, asset?.last_finding ? indicatorTable(asset.last_finding) : h("p", { class: "empty" }, "Nothing has been judged yet."));
-    show(places.alarms, alarmList([...plant.alarms.values()].filter((alarm) => alarm.asset === name), { withAsset: false }));
+    drawNow(asset?.last_finding ?? null);
+    refresh(places.alarms, () => alarmList([...plant.alarms.values()].filter((alarm) => alarm.asset === name), { withAsset: false }));
   };
   const drawSources = () => show(places.sources, sourceTable(sourcesOf(name)));
   const leave = subscribe((kind, payload) => {

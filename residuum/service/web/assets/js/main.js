@@ -1,7 +1,7 @@
 // Start: theme, connection, pages by address (#/ and #/machines/NAME).
 
 import { apiKey } from "./api.js";
-import { h, notify, reveal, show } from "./dom.js";
+import { h, notify, refresh, reveal, show } from "./dom.js";
 import { Live } from "./live.js";
 import { controlPage } from "./control.js";
 import { effectsPage } from "./effects.js";
@@ -39,8 +39,8 @@ function navigation() {
   const few = machines.length <= MOST_LINKED ? machines : [];
   const links = [["#/", "Plant"], ["#/workbench", "Workbench"], ["#/identify", "Identify"], ["#/control", "Control"], ["#/effects", "Effects"], ["#/failure-modes", "Failure modes"], ...few.map((asset) => [`#/machines/${encodeURIComponent(asset.id)}`, assetTitle(asset)])];
   const here = (location.hash || "#/").split("?")[0];
-  show(document.getElementById("nav"), links.map(([address, text]) => h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text.slice(0, 40))));
   const nav = document.getElementById("nav");
+  refresh(nav, () => links.map(([address, text]) => h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text.slice(0, 40))));
   reveal(nav, nav.querySelector("[aria-current]"));
 }
 

@@ -1,7 +1,7 @@
 // The parameters of a model as a form: value, bounds, fixed. What is changed becomes a new version of the model.
 
 import { call, path } from "./api.js";
-import { h, notify } from "./dom.js";
+import { h, notify, once } from "./dom.js";
 import { unitText } from "./format.js";
 
 const HEADS = ["Parameter", "Value", "Lower", "Upper", "Unit", "Fixed"];
@@ -22,14 +22,13 @@ export function parameterForm(description, saveAs, stored) {
     figure(each, "value", HEADS[1]), figure(each, "lower", HEADS[2]), figure(each, "upper", HEADS[3]),
     h("td", { "data-label": HEADS[4] }, unitText(each.unit)),
     h("td", { "data-label": HEADS[5] }, h("input", { type: "checkbox", "aria-label": `${each.name} is fixed`, "data-key": `fixed-${each.name}`, checked: each.fixed, onchange: (event) => change(each.name, "fixed", event.target.checked) })));
-  const send = async (event) => {
-    event.preventDefault();
+  const send = once(async () => {
     try {
       stored(await call(path("models", description.model, "parameters"), { method: "POST", body: { ...(description.version ? { version: description.version } : {}), parameters: changes, save_as: name.value } }));
     } catch (problem) {
       notify(problem.message);
     }
-  };
+  });
   return h("form", { onsubmit: send }, h("div", { class: "scroll" }, h("table", { class: "reflow parameters" }, h("thead", {}, h("tr", {}, HEADS.map((text) => h("th", { scope: "col" }, text)))), h("tbody", {}, description.parameters.map(row)))),
     h("p", { class: "controls next" }, h("label", {}, "as", name), button));
 }

@@ -1,7 +1,7 @@
 // The plant: all machines by state, alarms, ingest health.
 
 import { alarmList } from "./alarms.js";
-import { h, panel, show } from "./dom.js";
+import { h, panel, refresh, show } from "./dom.js";
 import { ago, assetTitle, moment } from "./format.js";
 import { badge, indicatorList, sentence, sparkline, stateName, tone } from "./parts.js";
 import { named, plant, subscribe } from "./plant_state.js";
@@ -19,11 +19,11 @@ export function plantPage(place) {
 
   const draw = () => {
     show(tally, tallyOf());
-    show(machines, cards());
-    show(alarms, alarmList([...plant.alarms.values()].sort((a, b) => b.id - a.id)));
+    refresh(machines, cards);
+    refresh(alarms, () => alarmList([...plant.alarms.values()].sort((a, b) => b.id - a.id)));
   };
   const drawSources = () => show(sources, sourceTable(plant.status.sources));
-  const leave = subscribe((kind) => (kind === "status" ? (drawSources(), show(machines, cards())) : draw()));
+  const leave = subscribe((kind) => (kind === "status" ? (drawSources(), refresh(machines, cards)) : draw()));
   const ticking = setInterval(draw, 5000);
   draw();
   drawSources();
@@ -59,7 +59,7 @@ function card(asset, machine) {
     busy ? progress(machine) : null,
     h("p", { class: "says" }, h("span", { class: "clamp", title: sentence(finding) }, busy && !finding ? "Learning what healthy looks like." : sentence(finding))),
     finding ? indicatorList(finding, 4) : null,
-    finding ? sparkline(plant.trends.get(asset.id) ?? []) : null,
+    finding ? sparkline((plant.trends.get(asset.id) ?? []).map((point) => point.ratio)) : null,
     h("p", { class: "muted small" }, finding ? h("span", { title: moment(finding.at) }, `window ${finding.window}, ${ago(finding.at)}`) : null));
 }
 

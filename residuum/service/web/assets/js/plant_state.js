@@ -23,46 +23,79 @@ export function subscribe(listener) {
 
 const tell = (kind, payload) => plant.listeners.forEach((listener) => listener(kind, payload));
 
-export async function readAll() {
-  const [assets, alarms] = await Promise.all([all("/assets?limit=500"), all("/alarms?limit=500"), readStatus()]);
-  plant.assets = new Map(assets.map((asset) => [asset.id, asset]));
-  plant.alarms = new Map(alarms.map((alarm) => [alarm.id, alarm]));
-  await Promise.all(assets.map((asset) => readTrend(asset.id)));
+let reading = null; // the reading under way
+let following = null; // the one that is asked for meanwhile: what is under way may be older than what it is asked for
+let meanwhile = null; // events that came during the reading, which may be newer than what it found
+
+export function readAll() {
+  if (!reading) return (reading = read().finally(() => { reading = null; }));
+  return (following ??= reading.catch(() => {}).then(() => { following = null; return readAll(); }));
+}
+
+async function read() {
+  const came = meanwhile = [];
+  try {
+    const [assets, alarms] = await Promise.all([all("/assets?limit=500"), all("/alarms?limit=500"), readStatus()]);
+    const trends = await Promise.all(assets.map((asset) => readTrend(asset.id)));
+    plant.assets = new Map(assets.map((asset) => [asset.id, asset]));
+    plant.alarms = new Map(alarms.map((alarm) => [alarm.id, alarm]));
+    plant.trends = new Map(trends);
+  } finally {
+    meanwhile = null;
+  }
+  for (const [kind, payload] of came) apply(kind, payload);
   tell("all");
 }
 
 async function readTrend(asset) {
   const history = await call(`${path("assets", asset, "indicators")}?limit=${TREND}`);
-  const ratios = history.at.map((_, row) => {
+  const points = history.windows.map((window, row) => {
     let largest = null;
     for (const [name, values] of Object.entries(history.indicators)) {
       const ratio = values[row] / history.thresholds[name]?.[row];
       if (Number.isFinite(ratio) && values[row] !== null && (largest === null || ratio > largest)) largest = ratio;
     }
-    return largest;
+    return { window, ratio: largest };
   });
-  plant.trends.set(asset, ratios);
+  return [asset, points];
 }
 
+let statusAsked = 0;
+let statusTaken = 0;
+
+// The newest answer counts, in whatever order they come.
 export async function readStatus() {
-  plant.status = await call("/status");
+  const number = ++statusAsked;
+  const status = await call("/status");
+  if (number < statusTaken) return;
+  statusTaken = number;
+  plant.status = status;
   tell("status");
 }
 
 export function take(kind, payload) {
-  if (kind === "finding") {
-    const known = plant.assets.get(payload.asset);
-    if (!known) return readAll();
-    known.last_finding = payload;
-    known.state = payload.verdict;
-    known.windows += 1;
-    plant.trends.set(payload.asset, [...(plant.trends.get(payload.asset) ?? []), worst(payload)].slice(-TREND));
-  } else if (kind === "alarm") {
-    if (payload.state === "normal") plant.alarms.delete(payload.id);
-    else plant.alarms.set(payload.id, payload);
-  } else if (kind === "reset") return readAll();
+  meanwhile?.push([kind, payload]);
+  if (kind === "reset" || (kind === "finding" && !plant.assets.has(payload.asset))) return readAll();
+  apply(kind, payload);
   tell(kind, payload);
   return undefined;
+}
+
+// An event's part of the state; taking one twice changes nothing.
+function apply(kind, payload) {
+  if (kind === "finding") judged(payload);
+  if (kind !== "alarm") return;
+  if (payload.state === "normal") plant.alarms.delete(payload.id);
+  else plant.alarms.set(payload.id, payload);
+}
+
+function judged(finding) {
+  const known = plant.assets.get(finding.asset);
+  if (!known) return;
+  const trend = plant.trends.get(finding.asset) ?? [];
+  if (!trend.some((point) => point.window === finding.window)) plant.trends.set(finding.asset, [...trend, { window: finding.window, ratio: worst(finding) }].slice(-TREND));
+  if (known.last_finding?.window >= finding.window) return;
+  Object.assign(known, { last_finding: finding, state: finding.verdict, windows: known.windows + 1 });
 }
 
 export const named = (states) => (Array.isArray(states) ? states.map((state, index) => [state.name ?? String(index), state]) : Object.entries(states ?? {}));

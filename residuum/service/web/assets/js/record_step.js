@@ -2,7 +2,7 @@
 
 import { call, path } from "./api.js";
 import { balanceEquation } from "./equations.js";
-import { h, notify, panel, show } from "./dom.js";
+import { h, notify, once, panel, show } from "./dom.js";
 import { count, span, unitText } from "./format.js";
 import { parameterForm } from "./parameter_form.js";
 import { download } from "./report_file.js";
@@ -25,12 +25,15 @@ export async function recordStep(place, bench) {
     h("section", { class: "panel span-6" }, h("header", {}, h("h2", {}, "Model")), h("div", { class: "body" }, parts.model))), parts.map, parts.equations);
   const [records, builtIn, stored] = await Promise.all([uploadedRecords(), call("/models/built-in/descriptions"), call("/models?kind=physical&limit=200")]);
   const known = { records, builtIn: builtIn.items, stored: stored.items };
+  let drawing = 0;
   const redraw = async () => {
+    if (!parts.record.isConnected) return; // the step has been left
+    const mine = ++drawing; // a model described more slowly than the one chosen after it must not be drawn
     bench.save();
     bench.refresh();
     drawRecord(parts.record, bench, known, redraw);
     drawModel(parts.model, bench, known, redraw);
-    await drawMap(parts, bench, known, redraw).catch((problem) => notify(problem.message));
+    await drawMap(parts, bench, known, redraw, () => mine === drawing && parts.map.isConnected).catch((problem) => notify(problem.message));
   };
   await redraw();
 }
@@ -82,7 +85,7 @@ function drawRecord(place, bench, known, redraw) {
     } }),
     h("span", { class: "name", title: record.name }, `${record.id} · ${record.name.slice(0, 120)}`),
     h("span", { class: "muted small" }, `${count(record.n)} samples, ${span(record.n * record.sample_time)}`),
-    h("button", { type: "button", class: "quiet small", "data-key": `delete-${record.id}`, "aria-label": `Delete record ${record.id}`, onclick: (event) => { event.preventDefault(); remove(record, event.target); } }, "Delete")));
+    h("button", { type: "button", class: "quiet small", "data-key": `delete-${record.id}`, "aria-label": `Delete record ${record.id}`, onclick: once((event) => remove(record, event.target)) }, "Delete")));
   show(place, input, drop, rows.length ? h("div", { class: "choices", role: "group", "aria-label": "Records" }, rows) : h("p", { class: "empty" }, "No record yet. Several records may be used together; each is an experiment of its own."));
 }
 
@@ -103,8 +106,7 @@ function editor(bench, known, redraw) {
   const text = h("textarea", { rows: 16, spellcheck: "false", "aria-label": "Model file", class: "code" });
   const name = h("input", { value: `my-${bench.model ?? "model"}`.slice(0, 64), "aria-label": "Name of the model", pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}", required: true });
   const file = h("input", { type: "file", accept: ".yaml,.yml", "aria-label": "Upload a model file", onchange: async () => { text.value = await file.files[0].text(); } });
-  const store = async (event) => {
-    event.preventDefault();
+  const store = once(async () => {
     try {
       const made = await call(`/models?name=${encodeURIComponent(name.value)}&kind=physical&note=${encodeURIComponent("edited on the workbench")}`, { method: "POST", file: text.value });
       bench.map = {};
@@ -112,20 +114,25 @@ function editor(bench, known, redraw) {
     } catch (problem) {
       notify(problem.message);
     }
+  });
+  const given = async () => {
+    const { file: content } = await describe(bench.model, bench.version);
+    text.value ||= content; // what was typed in the meantime stays
   };
-  const details = h("details", { class: "editor", ontoggle: async () => { if (details.open && bench.model && !text.value) text.value = (await describe(bench.model, bench.version)).file; } },
+  const details = h("details", { class: "editor", ontoggle: () => { if (details.open && bench.model && !text.value) given().catch((problem) => notify(problem.message)); } },
     h("summary", {}, "Upload or edit the model file"),
     h("form", { class: "editor-form", onsubmit: store }, file, text, h("div", { class: "controls" }, h("label", {}, "store as", name), h("button", {}, "Store"),
       h("button", { type: "button", class: "quiet", onclick: () => download(`${bench.model ?? "model"}.yaml`, text.value, "application/yaml") }, "Download"))));
   return details;
 }
 
-async function drawMap(parts, bench, known, redraw) {
+async function drawMap(parts, bench, known, redraw, current) {
   if (!bench.model) {
     show(parts.map);
     return show(parts.equations);
   }
   const description = await describe(bench.model, bench.version);
+  if (!current()) return undefined;
   const record = known.records.find((each) => each.id === bench.records[0]);
   show(parts.equations, equations(description, bench, known, redraw));
   if (!record) return show(parts.map, h("p", { class: "empty" }, "Choose a record to go on."));

@@ -17,15 +17,16 @@ export function trendPanel(asset, told = () => {}) {
     h("header", {}, h("h2", {}, "Trend"), h("div", { class: "controls" }, select), h("div", { class: "aside" }, "● healthy   ▲ faulty   ◇ not assessable   - - threshold")),
     h("div", { class: "body" }, empty, chart));
   let history = null;
+  let meanwhile = null; // findings that came during the newest reading
 
   async function read() {
     if (!plant.assets.has(asset)) return redraw();
-    try {
-      history = await call(`${path("assets", asset, "indicators")}?limit=${KEPT}`);
-    } catch (problem) {
-      notify(problem.message);
-      history = null;
-    }
+    const came = meanwhile = [];
+    const found = await call(`${path("assets", asset, "indicators")}?limit=${KEPT}`).catch((problem) => notify(problem.message) ?? null);
+    if (came !== meanwhile) return undefined; // a later reading is under way
+    meanwhile = null;
+    history = found;
+    if (history) came.filter((finding) => !history.windows.includes(finding.window)).forEach(append);
     return redraw();
   }
 
@@ -45,7 +46,13 @@ export function trendPanel(asset, told = () => {}) {
   }
 
   function add(finding) {
-    if (!history) return read();
+    meanwhile?.push(finding);
+    if (!history) return meanwhile ? undefined : read();
+    append(finding);
+    return redraw();
+  }
+
+  function append(finding) {
     for (const [table, now] of [[history.indicators, finding.indicators], [history.thresholds, finding.thresholds]]) {
       for (const name of new Set([...Object.keys(table), ...Object.keys(now)])) {
         table[name] ??= history.at.map(() => null);
@@ -56,7 +63,6 @@ export function trendPanel(asset, told = () => {}) {
     history.verdicts.push(finding.verdict);
     history.windows.push(finding.window);
     Object.assign(history.units, finding.units);
-    return redraw();
   }
 
   read();

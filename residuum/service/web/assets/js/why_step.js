@@ -21,8 +21,8 @@ const VERDICTS = {
 export function whyStep(place, bench) {
   const body = h("div", { class: "stack" });
   show(place, body);
-  const work = async (explanation) => {
-    const titles = new Map((await call("/effects")).items.map((each) => [each.effect, each]));
+  const work = async (explanation, signal) => {
+    const titles = new Map((await call("/effects", { signal })).items.map((each) => [each.effect, each]));
     drawExplanation(body, bench, explanation, titles);
   };
   return runIn(body, "Finding out what is missing", bench.address("explain"), bench.asked, work, bench.leaving);
@@ -80,12 +80,14 @@ function ranking(candidates, effects, bench) {
 }
 
 async function drawCurves(place, bench, candidates) {
-  const view = await run(bench.address("views"), bench.asked);
+  const stop = new AbortController();
+  bench.leaving.push(() => stop.abort());
+  const view = await run(bench.address("views"), bench.asked, { signal: stop.signal });
   const balances = view.points.terms.filter((term) => term.kind === "balance").map((term) => term.of);
   const fitting = candidates.filter((candidate) => balances.includes(candidate.balance)).slice(0, DRAWN);
   if (!fitting.length || !place.isConnected) return;
   const effects = fitting.map(({ effect, balance, parameters }) => ({ effect, balance, parameters: Object.fromEntries(Object.entries(parameters).map(([name, each]) => [name, each.value])) }));
-  const { curves } = await run(bench.address("effect-curves"), { ...bench.asked, effects });
+  const { curves } = await run(bench.address("effect-curves"), { ...bench.asked, effects }, { signal: stop.signal });
   if (!place.isConnected) return;
   const drawPanel = () => {
     const balance = balances.includes(bench.shown.balance) ? bench.shown.balance : fitting[0].balance;

@@ -2,7 +2,7 @@
 
 import { call, path } from "./api.js";
 import { draw, forget, signalTraces } from "./charts.js";
-import { h, notify, show } from "./dom.js";
+import { h, notify, refresh, show } from "./dom.js";
 import { inBrackets, moment, span, time } from "./format.js";
 import { plant } from "./plant_state.js";
 import { icon, sentence, stateName, tone } from "./parts.js";
@@ -26,23 +26,25 @@ export function windowsPanel(asset) {
     h("div", { class: "body columns" }, h("div", { class: "span-4" }, list), h("div", { class: "span-8" }, caption, signalChart, pictures)));
   let findings = [];
   let chosen = null;
+  let drawn = null; // the window whose signal is shown
+  let meanwhile = null; // findings that came during the newest reading
   let stop = new AbortController();
 
   async function read() {
-    try {
-      findings = !plant.assets.has(asset) ? [] : (await call(`${path("assets", asset, "findings")}?limit=${LISTED}`)).items;
-    } catch (problem) {
-      notify(problem.message);
-      findings = [];
-    }
+    const came = meanwhile = [];
+    const listed = !plant.assets.has(asset) ? [] : await call(`${path("assets", asset, "findings")}?limit=${LISTED}`).then(({ items }) => items, (problem) => notify(problem.message) ?? []);
+    if (came !== meanwhile) return; // a later reading is under way
+    meanwhile = null;
+    findings = [...came.filter((finding) => !listed.some((each) => each.window === finding.window)), ...listed].slice(0, LISTED);
     drawList();
-    if (findings.length) choose(follow.checked || chosen === null ? findings[0].window : chosen);
-    else caption.textContent = "No window yet.";
+    const wanted = follow.checked || chosen === null ? findings[0]?.window : chosen;
+    if (wanted === undefined) caption.textContent = "No window yet.";
+    else if (wanted !== drawn) choose(wanted); // what is shown, and zoomed into, stays
   }
 
   function drawList() {
-    show(list, findings.map((finding) => h("button", { type: "button", "aria-pressed": String(finding.window === chosen), "data-key": `window-${finding.window}`,
-      title: sentence(finding), onclick: () => { follow.checked = finding === findings[0]; choose(finding.window); } },
+    refresh(list, () => findings.map((finding) => h("button", { type: "button", "aria-pressed": String(finding.window === chosen), "data-key": `window-${finding.window}`,
+      title: sentence(finding), onclick: () => { follow.checked = finding.window === findings[0].window; choose(finding.window); } },
     h("span", { class: `tone-${tone(finding.verdict)}` }, icon(finding.verdict)), h("span", {}, stateName(finding.verdict), finding.class ? `: ${finding.class}` : ""), h("span", { class: "muted number", title: moment(finding.at) }, time(finding.at)))));
   }
 
@@ -73,6 +75,8 @@ export function windowsPanel(asset) {
       const cut = range ? `&from=${Math.max(0, range[0])}&to=${Math.max(range[1], 1e-9)}` : "";
       const signal = await call(`${address}/signal?${query}${cut}`, { signal: stopped });
       await plot(window, signal);
+      if (stopped.aborted) return;
+      drawn = window.id;
       if (!range) await picture(address, query, window, stopped);
     } catch (problem) {
       if (problem.status === 410) caption.textContent = problem.message;
@@ -107,6 +111,7 @@ export function windowsPanel(asset) {
   }
 
   function add(finding) {
+    meanwhile?.unshift(finding);
     findings = [finding, ...findings].slice(0, LISTED);
     drawList();
     if (follow.checked || chosen === null) choose(finding.window);
