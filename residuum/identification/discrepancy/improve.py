@@ -171,8 +171,9 @@ def _reduced(
     found = []
     for e, (_, first) in zip(experiments, testing, strict=True):
         timed = replace(e, hold=like[0].hold, block=like[0].block)
-        parts = in_windows(model, [timed.window(first, timed.n)])
-        found += [(timed, first)] if len(parts) == 1 else [(part, 0) for part in parts]
+        parts = in_windows(model, [timed])
+        later = [(part, 0) for part in parts if round((part.t0 - timed.t0) / timed.sample_time) >= first]
+        found += [(timed, first)] if len(parts) == 1 else later
     return found
 
 

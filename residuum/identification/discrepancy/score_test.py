@@ -11,11 +11,12 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.structures import Structure, bounded
+from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.kalman import Filter, first_noise
+from residuum.identification.physics.effects.base import Effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -24,6 +25,10 @@ _WORTH_A_PASS = 2.0
 _MOST_SUBSTEPS = 16
 """An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
 _FRACTIONS = (1.0, 0.3, 0.1, 0.03)
+
+
+_Linear = tuple[list[FloatArray], list[FloatArray], list[FloatArray]]
+"""Per experiment: residuals (blocks, outputs), and their slopes by parameters and by initial states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,42 +69,54 @@ class Screen:
     Each candidate is linearised where it vanishes (at a start of its own where it has no zero). The base's free parameters and
     every experiment's initial states are free in the same linear least squares, whitened; the noise is re-estimated from
     what remains, beginning from white noise and from the base's (the likelihood has a basin near each).
+
+    The machine is tracked, and effects are regressed on that, with the model `origin`: the base's unless its values are not
+    to be trusted.
     """
 
-    def __init__(self, base: Structure, experiments: Sequence[Experiment]) -> None:
+    def __init__(self, base: Structure, experiments: Sequence[Experiment], origin: PhysicalModel | None = None) -> None:
         self.base, self.experiments = base, list(experiments)
+        self.origin = base.model if origin is None else origin
         simulator = Simulator(base.model)
         self.X = [
             simulator.run_vectors(e, x, simulator.p(), substeps=s).X
             for e, x, s in zip(self.experiments, base.initial, base.substeps, strict=True)
         ]
 
-        self.longest = int(np.argmax([e.n for e in self.experiments]))
-        self.tracked = self._tracked()
-
-    def _tracked(self) -> FloatArray:
-        """States of the longest experiment as the measurements show them: where the machine was, not where the model went."""
-        e, x = self.experiments[self.longest], self.base.initial[self.longest]
-        noise = first_noise(self.base.model, [e])
-        X = Filter(self.base.model, noise).run(e, x, substeps=self.base.substeps[self.longest]).X
-        return X if np.all(np.isfinite(X)) else self.X[self.longest]
+        self.track = track(self.origin, base, self.experiments, self.X)
 
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
-        """First values of an effect's parameters in the conditions of the longest experiment."""
-        e, found = self.experiments[self.longest], []
-        for missing in self._innovations(self.longest) if EFFECTS[id].follows_missing else [None]:
-            conditions = conditions_at(self.base.model, EFFECTS[id], target, e, self.tracked, missing)
+        """First values of an effect's parameters in the conditions of the experiments."""
+        found = []
+        for missing in self._lacks(EFFECTS[id], target):
+            conditions = conditions_at(self.origin, EFFECTS[id], target, self.track.experiment, self.track.X, missing)
             found += [dict(start) for start in EFFECTS[id].starts(conditions)]
+        return [start for k, start in enumerate(found) if start not in found[:k]]
+
+    def _lacks(self, effect: Effect, target: str) -> Sequence[FloatArray | None]:
+        """What is missing, at the samples of the track, in each way in which the effect's first values follow it."""
+        found: list[FloatArray] = []
+        for what in effect.follows:
+            found += [self.track.missing[target]] if what == "lack" else self._left(innovations=what == "innovations")
+        return found or [None]
+
+    def _left(self, *, innovations: bool) -> list[FloatArray]:
+        """The error of each measured output, or what the base's noise cannot predict of it."""
+        found = []
+        for o, noise in enumerate(self.base.noises):
+            if noise is not None:
+                errors = [residuals[:, o] for residuals in self.base.residuals]
+                if innovations:
+                    errors = [np.r_[np.zeros(noise.order), noise.whiten(error)] for error in errors]
+                found.append(np.concatenate([_repeated(v, e) for e, v in zip(self.experiments, errors, strict=True)]))
         return found
 
-    def _innovations(self, k: int) -> list[FloatArray]:
-        """What the base's noise cannot predict of each output, at the samples of experiment k: where a missing term shows."""
-        e, found = self.experiments[k], []
-        for residual, noise in zip(self.base.residuals[k].T, self.base.noises, strict=True):
-            if noise is not None:
-                white = np.r_[np.zeros(noise.order), np.nan_to_num(noise.whiten(residual))]
-                found.append(np.pad(np.repeat(white, e.block), (0, e.n))[: e.n])
-        return found
+    def regressed(self, id: str, target: str) -> tuple[float, PhysicalModel] | None:
+        """The effect at the sizes and the start that explain most of what its balance lacked along the track, and that share."""
+        if not any(map(np.any, self.track.missing.values())):
+            return None
+        tried = [regressed(self.origin, id, target, start, self.track) for start in self.starts(id, target)]
+        return max((found for found in tried if found is not None), key=lambda found: found[0], default=None)
 
     def best(self, id: str, target: str) -> Screened | None:
         """The candidate at the start that explains most; None when it diverges at every start."""
@@ -131,7 +148,7 @@ class Screen:
         if linear is None:
             return None
         residuals, by_parameters, by_states = linear
-        step, pointwise, _ = first_order_fit(self.base, residuals, by_parameters, by_states)
+        step, pointwise = self._feasible_fit(model, names, len(names) - len(own), linear)
         gain = float(pointwise.sum()) - self.base.log_likelihood
         values = dict(zip(names, step + np.array([model.values[n] for n in names]), strict=True))
         return Screened(
@@ -145,6 +162,25 @@ class Screen:
             ),
             own_parameters=len(shapes),
         )
+
+    def _feasible_fit(self, model: PhysicalModel, names: list[str], first: int, linear: _Linear) -> tuple[FloatArray, FloatArray]:
+        """The first-order step, the effect's own parameters (from `first` on) kept within bounds, and its pointwise likelihood.
+
+        A friction that would have to drive explains nothing: were it given its gain, it would take the place of one that can.
+        """
+        residuals, by_parameters, by_states = linear
+        known = [model.all_parameters[n] for n in names]
+        free = list(range(len(names)))
+        while True:
+            part, pointwise, _ = first_order_fit(self.base, residuals, [J[:, :, free] for J in by_parameters], by_states)
+            moved = {k: known[k].value + s for k, s in zip(free, part, strict=True) if k >= first}
+            out = {k for k, value in moved.items() if not known[k].lower <= value <= known[k].upper}
+            if not out:
+                break
+            free = [k for k in free if k not in out]
+        step = np.zeros(len(names))
+        step[free] = part
+        return step, pointwise
 
     def _nearest(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
         """The model with the effect at that fraction of its start which simulates best: where it acts about as it should."""
@@ -168,9 +204,7 @@ class Screen:
             count += np.isfinite(e.Y).sum(axis=0)
         return float(np.sum(np.log(np.maximum(power[count > 0] / count[count > 0], 1e-300))))
 
-    def _linearised(
-        self, model: PhysicalModel, names: list[str]
-    ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]] | None:
+    def _linearised(self, model: PhysicalModel, names: list[str]) -> _Linear | None:
         try:
             simulator = Simulator(model)
         except (BadInput, NotImplementedError):  # this combination of effects has no explicit equations
@@ -193,6 +227,11 @@ class Screen:
             by_parameters.append(slopes_there[:, :, : len(names)])
             by_states.append(slopes_there[:, :, len(names) :])
         return residuals, by_parameters, by_states
+
+
+def _repeated(means: FloatArray, experiment: Experiment) -> FloatArray:
+    """Block means at the samples of their blocks, zero where missing."""
+    return np.pad(np.repeat(np.nan_to_num(means), experiment.block), (0, experiment.n))[: experiment.n]
 
 
 def first_order_fit(

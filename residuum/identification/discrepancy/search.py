@@ -35,6 +35,8 @@ ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins the structure: odds of 20 to 1."""
 ACCEPT_MORE = 6.0
 """The same for a second and third effect, which must not make up for what the first does not follow exactly."""
+EXCHANGES = 3
+"""How often at most effects that were accepted one by one are exchanged for others that do more together."""
 
 
 @dataclass(eq=False)
@@ -52,7 +54,8 @@ class Search:
     accepted : list
         The effects that joined, one a step.
     before, alternatives : lists
-        For each step the structure it began from, and candidate → the refitted structure with that candidate added.
+        For each accepted effect the structure of the others, and candidate → the refitted structure with that candidate added;
+        then those of the step that found no more.
     refuted : list
         Effects that the likelihood wanted, but whose held-out error rose: the search ends there.
     held_out : mapping
@@ -99,26 +102,53 @@ def search(
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
     """
-    wanted = None if effects is None else list(effects)
+    task = _Task(experiments, nominal, None if effects is None else tuple(effects), refits, most_effects)
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
-        found = _forward(near, experiments, wanted, refits, most_effects)
+        found = _forward(near, task)
         if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
             return found
-    found = _forward(base, experiments, wanted, refits, most_effects)
+    found = _forward(base, task)
     wanting = found.accepted or found.refuted
     drift = fit_structure(base.model, experiments, base.initial, drifting=True) if wanting else None
     if drift is None or drift.log_likelihood <= found.best.log_likelihood:
         return found
-    return _forward(drift, experiments, wanted, refits, most_effects)
+    return _forward(drift, task)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept."""
+
+    experiments: Sequence[Experiment]
+    nominal: PhysicalModel | None
+    wanted: tuple[str, ...] | None
+    refits: int
+    most_effects: int
+
+    def candidates(self, structure: Structure) -> list[tuple[str, str]]:
+        """Those that the structure does not have yet."""
+        return candidates(structure.model, self.wanted)
+
+    def origin(self, structure: Structure) -> PhysicalModel:
+        """The structure's model, at its nominal values where the estimation led some of them away."""
+        if self.nominal is None or not _strayed(self.nominal, structure, NEAR):
+            return structure.model
+        values = self.nominal.values
+        return structure.model.with_values({n: values[n] for n in structure.parameters if n in self.nominal.parameters})
+
+
+def _strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:
+    """Free parameters that lie farther than this factor from their nominal values."""
+    known = {n: p.value for n, p in nominal.parameters.items() if n in structure.parameters and p.value != 0.0}
+    return [n for n, value in known.items() if not 1.0 / factor < abs(structure.model.values[n] / value) < factor]
 
 
 def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
     """The base fitted within `NEAR` of the nominal values; None where it lies within a few times that anyway, or diverges."""
-    values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
-    strayed = [n for n, value in values.items() if not FAR**-1 < abs(base.model.values[n] / value) < FAR]
-    if not strayed:
+    if not _strayed(nominal, base, FAR):
         return None
+    values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
     narrowed = dict(nominal.parameters)
     for n, value in values.items():
         low, high = sorted((value / NEAR, value * NEAR))
@@ -130,16 +160,22 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
         return None
 
 
-def _forward(
-    base: Structure, experiments: Sequence[Experiment], wanted: list[str] | None, refits: int, most_effects: int
-) -> Search:
-    found = Search(base, base, len(candidates(base.model, wanted)))
-    while len(found.accepted) < most_effects:
-        refitted = _step(found, experiments, candidates(found.best.model, wanted), refits)
-        key, (evidence, nothing) = preferred(refitted, found.best), relative_evidence(refitted, found.best)
-        asked = np.log(max(found.count, 1)) + (ACCEPT_MORE if found.accepted else ACCEPT)
-        wins = key is not None and -nothing >= asked
-        if key is not None and wins and _is_timing(refitted, evidence, experiments):
+def _forward(base: Structure, task: _Task) -> Search:
+    found = Search(base, base, len(task.candidates(base)))
+    for _ in range(EXCHANGES):
+        _grow(found, task)
+        if not _exchange(found, task):
+            break
+    return found
+
+
+def _grow(found: Search, task: _Task) -> None:
+    """Add effects while the evidence wants one more; what the last step tried stands after those of the accepted ones."""
+    del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
+    while len(found.accepted) < task.most_effects:
+        refitted = _step(found, task)
+        key, wins = _winner(refitted, found.best, found.count, ACCEPT_MORE if found.accepted else ACCEPT)
+        if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
             found.timing.append(key)
             found.best = refitted[key]
             found.base = found.base if found.accepted else found.best
@@ -148,31 +184,86 @@ def _forward(
         found.alternatives.append(refitted)
         if key is None or not wins:
             break
-        if not _holds_up(found, key, refitted[key], experiments):
+        if not _holds_up(found, key, refitted[key], task.experiments):
             found.refuted.append(key)
             break
-        refitted[key] = _polished(refitted[key], experiments)
+        refitted[key] = _polished(refitted[key], task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
-    return found
 
 
-def _step(
-    found: Search, experiments: Sequence[Experiment], pairs: Sequence[tuple[str, str]], refits: int
-) -> dict[tuple[str, str], Structure]:
-    screen = Screen(found.best, experiments)
-    with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
-        tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
+def _winner(
+    refitted: Mapping[tuple[str, str], Structure], before: Structure, count: int, asked: float
+) -> tuple[tuple[str, str] | None, bool]:
+    """The preferred candidate, and whether its evidence against adding nothing is enough."""
+    nothing = relative_evidence(refitted, before)[1]
+    return preferred(refitted, before), bool(-nothing >= np.log(max(count, 1)) + asked)
+
+
+def _exchange(found: Search, task: _Task) -> bool:
+    """Judge each of several effects again on top of the others: kept, exchanged for a better one, or dropped as needless.
+
+    The first that a greedy search accepts may only stand for two that are missing together (viscous friction for drag and rolling
+    friction), which later steps bring to light. True when an effect was exchanged or dropped.
+    """
+    settled, exchanges = found.accepted[-1:], 0
+    while exchanges < EXCHANGES and (waiting := [key for key in found.accepted if key not in settled]):
+        key, at = waiting[0], found.accepted.index(waiting[0])
+        others = _without(found.best, key, task.experiments)
+        if others is None:
+            settled.append(key)
+            continue
+        tried = _tried(others, [pair for pair in task.candidates(others) if pair != key], task)[0]
+        refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)} | {key: found.best}
+        best, wins = _winner(refitted, others, found.count, ACCEPT_MORE)
+        if best == key and wins:
+            found.before[at], found.alternatives[at] = others, refitted
+            settled.append(key)
+            continue
+        exchanges += 1
+        found.best, settled = others, []
+        for steps in (found.accepted, found.before, found.alternatives):
+            del steps[at]
+        if best is not None and wins:
+            found.best = refitted[best] = _polished(refitted[best], task.experiments)
+            found.before.insert(len(found.accepted), others)
+            found.alternatives.insert(len(found.accepted), refitted)
+            found.accepted.append(best)
+            settled = [best]
+    return exchanges > 0
+
+
+def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> Structure | None:
+    """The structure re-estimated without one of its effects; None when it diverges."""
+    less = structure.model.without_effect(structure.label_of(key))
+    return fit_structure(less, experiments, structure.initial, drifting=structure.drifting)
+
+
+def _step(found: Search, task: _Task) -> dict[tuple[str, str], Structure]:
+    refitted, tested = _tried(found.best, task.candidates(found.best), task)
     if not found.accepted:
         found.screened = {s.key: s for s in tested}
+    return refitted
+
+
+def _tried(
+    best: Structure, pairs: Sequence[tuple[str, str]], task: _Task
+) -> tuple[dict[tuple[str, str], Structure], list[Screened]]:
+    """Candidates that promise something on top of `best`, re-estimated in full; and all as they were screened."""
+    experiments = task.experiments
+    screen = Screen(best, experiments, task.origin(best))
+    with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
+        tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
-    promising = [s for s in tested if s.gain > 2.0][:refits]
-    promising += _overlooked(found.best, experiments, [s for s in tested if s.gain < 0.0])
-    refitted = _refitted(found.best, experiments, promising)
-    for key, structure in _grown(found.best, experiments, pairs, refitted):
+    promising = [s.start for s in tested if s.gain > 2.0][: task.refits]
+    promising += _overlooked(best, experiments, [s.start for s in tested if s.gain < 0.0])
+    if _times_its_innovations(best) > SLOW:
+        promising += _overlooked(best, experiments, _from_the_track(screen, pairs))
+    refitted = _refitted(best, experiments, promising)
+    for key, structure in _grown(best, experiments, pairs, refitted):
         if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
             refitted[key] = structure
-    return _settled(refitted, found.best, experiments)
+    return _settled(refitted, best, experiments), tested
 
 
 def _settled(
@@ -185,24 +276,28 @@ def _settled(
     return refitted | {key: _polished(refitted[key], experiments) for key in close if len(close) > 1}
 
 
-def _refitted(best: Structure, experiments: Sequence[Experiment], promising: list[Screened]) -> dict[tuple[str, str], Structure]:
-    """Every promising candidate re-estimated in full; the first sets the mark that the others must come near."""
+def _refitted(
+    best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]
+) -> dict[tuple[str, str], Structure]:
+    """Every start re-estimated in full, the likeliest of each candidate; the first sets the mark for the others to come near."""
 
-    def refit(screened: Screened, rival: float = -np.inf) -> Structure | None:
-        return fit_structure(screened.start, experiments, best.initial, rival=rival, drifting=best.drifting)
+    def refit(start: PhysicalModel, rival: float = -np.inf) -> Structure | None:
+        return fit_structure(start, experiments, best.initial, rival=rival, drifting=best.drifting)
 
-    if not promising:
+    if not starts:
         return {}
-    first = refit(promising[0])
+    first = refit(starts[0])
     mark = -np.inf if first is None else first.log_likelihood
     with ThreadPoolExecutor(_THREADS) as pool:
-        structures = [first, *pool.map(lambda screened: refit(screened, mark), promising[1:])]
-    pairs = zip(promising, structures, strict=True)
-    return {
-        s.key: structure
-        for s, structure in pairs
-        if structure is not None and (_simulates_no_worse(structure, best) or _within_a_sample(structure, s.key, experiments))
-    }
+        structures = [first, *pool.map(lambda start: refit(start, mark), starts[1:])]
+    found: dict[tuple[str, str], Structure] = {}
+    for start, structure in zip(starts, structures, strict=True):
+        key = start.effects[-1].id, start.effects[-1].target
+        if structure is None or (key in found and structure.log_likelihood <= found[key].log_likelihood):
+            continue
+        if _simulates_no_worse(structure, best) or _within_a_sample(structure, key, experiments):
+            found[key] = structure
+    return found
 
 
 def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
@@ -245,16 +340,23 @@ def _grown_starts(id: str, target: str, special: Structure, experiments: Sequenc
     return EFFECTS[id].grown(values, conditions_at(special.model, EFFECTS[id], target, experiments[k], X))
 
 
-def _overlooked(best: Structure, experiments: Sequence[Experiment], tested: Sequence[Screened]) -> list[Screened]:
-    """Candidates that a few full steps speak for, the most promising first.
+def _overlooked(best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
+    """Of the first few of these starts those that a few full steps speak for, the most promising first.
 
-    They are those whose first-order gain is negative, which a least-squares step can only be where its linearisation fails.
+    The first-order test misjudges effects where its linearisation fails: it finds a negative gain, which a least-squares step can
+    only cause there, or none at all.
     """
-    tested = sorted(tested, key=lambda s: -s.gain)[:MOST_GLIMPSES]
+    starts = starts[:MOST_GLIMPSES]
     with ThreadPoolExecutor(_THREADS) as pool:
-        gains = [gain - best.log_likelihood for gain in pool.map(lambda s: glimpse(s.start, experiments, best), tested)]
-    ranked = sorted(zip(gains, range(len(tested)), strict=True), reverse=True)
-    return [tested[k] for gain, k in ranked[:SECOND_LOOKS] if gain > 2.0]
+        gains = [gain - best.log_likelihood for gain in pool.map(lambda start: glimpse(start, experiments, best), starts)]
+    ranked = sorted(zip(gains, range(len(starts)), strict=True), reverse=True)
+    return [starts[k] for gain, k in ranked[:SECOND_LOOKS] if gain > 2.0]
+
+
+def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
+    """Starts of the effects that resemble what their balances lacked where the machine was, the most alike first."""
+    found = [regressed for pair in pairs if (regressed := screen.regressed(*pair)) is not None]
+    return [model for _, model in sorted(found, key=lambda one: -one[0])]
 
 
 def _is_timing(
@@ -276,9 +378,7 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
 
     An unmeasured disturbance can let the likelihood win by the fast part of the error alone, while what the user sees grows.
     """
-    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in better.noises]
-    is_slow = bool(np.nanmax(better.rmse / np.array(innovations)) > SLOW)
-    if not _simulates_no_worse(better, found.best, FALL if is_slow else RISE):
+    if not _simulates_no_worse(better, found.best, FALL if _times_its_innovations(better) > SLOW else RISE):
         return False
     errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
     if errors[0] is None or errors[1] is None:
@@ -290,6 +390,12 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
 def _simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:
     """Whether the simulation error fell too: noise that is nearly integrated can swallow any slow error."""
     return _mean_ratio(structure.rmse, before.rmse) < rise
+
+
+def _times_its_innovations(structure: Structure) -> float:
+    """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
+    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
+    return float(np.nanmax(structure.rmse / np.array(innovations)))
 
 
 def _mean_ratio(after: FloatArray, before: FloatArray) -> float:

@@ -194,8 +194,8 @@ class _Problem:
         return starts
 
     def _measured_start(self, experiment: Experiment) -> Array:
-        """Zero, but for states that are themselves outputs: their first measured value."""
-        x0 = self.simulator.x0()
+        """What is known, the first measured value of states that are themselves outputs, zero elsewhere."""
+        x0 = self.simulator.x0(experiment.known)
         for o, output in enumerate(self.simulator.model.outputs.values()):
             seen = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
             if output.value.text in self.states and seen.size:

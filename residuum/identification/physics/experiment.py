@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -32,6 +32,8 @@ class Experiment:
         [s].
     block : int
         Statistics of residuals are taken over means of so many samples (`means`); the simulation is not affected.
+    known : mapping of state to value
+        Initial values that are known from what went before, and not estimated.
     """
 
     U: Array
@@ -41,6 +43,7 @@ class Experiment:
     t0: float = 0.0
     source: str = ""
     block: int = 1
+    known: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -58,7 +61,8 @@ class Experiment:
 
     def window(self, start: int, stop: int) -> Experiment:
         """Samples start … stop − 1."""
-        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=self.t0 + start * self.sample_time)
+        known = self.known if start == 0 else {}
+        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=self.t0 + start * self.sample_time, known=known)
 
 
 def block_means(values: Array, block: int) -> Array:

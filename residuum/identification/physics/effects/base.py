@@ -128,7 +128,7 @@ class Conditions:
     variables : mapping of role to array
         The balance's variables along the simulation of the present model.
     missing : array or None
-        What is left of an output, or the balance's smoothed missing term, along the same samples, when it is known.
+        What the effect `follows`, along the same samples: the balance's smoothed missing term, or what is left of an output.
     """
 
     sample_time: float
@@ -184,8 +184,9 @@ class Effect(ABC):
     rest : float
         Fraction of the starting size at which derivatives "at zero" are taken. Zero where the equation is smooth in the
         size; a small number for friction, whose standstill (an exactly zero velocity) exists only once there is some.
-    follows_missing : bool
-        Whether its `starts` look at the conditions' `missing`.
+    follows : tuple of str
+        What its `starts` look at, one after the other, as the conditions' `missing`: `lack` (what its balance lacked),
+        `innovations` (what the noise cannot predict of an output), `error` (all the error of an output).
     natural_bounds : tuple of str
         Parameters that may well lie on a bound; any other estimate on a bound is another effect, or none, in disguise.
     generalises : str
@@ -200,7 +201,7 @@ class Effect(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     sizes: ClassVar[tuple[str, ...]] = ()
     rest: ClassVar[float] = 0.0
-    follows_missing: ClassVar[bool] = False
+    follows: ClassVar[tuple[str, ...]] = ()
     natural_bounds: ClassVar[tuple[str, ...]] = ()
     generalises: ClassVar[str] = ""
 

@@ -22,6 +22,7 @@ class ElasticTransmission(TwoBodies):
     title = "Elastic transmission"
     equation = "−k·φ − d·(v − w), φ' = v − w, r·J·w' = k·φ + d·(v − w)"
     reference = "D. Schröder, Elektrische Antriebe – Regelung von Antriebssystemen, ch. 19"
+    follows = ("error",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
@@ -35,8 +36,20 @@ class ElasticTransmission(TwoBodies):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         found = []
-        for frequency, share in ((0.02, 0.5), (0.04, 0.5), (0.08, 0.5), (0.2, 0.3)):
+        for frequency, share, damping in _shapes(conditions):
             omega = 2.0 * np.pi * frequency / conditions.sample_time
             k = omega**2 * share * (1.0 - share) * conditions.storage
-            found.append({"k": k, "d": 0.1 * k / omega, "share": share})
+            found.append({"k": k, "d": damping * k / omega, "share": share})
         return found
+
+
+def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
+    """Resonances to try: (frequency times sample time, share of the inertia, damping); the error rings where there is one."""
+    known = [(0.02, 0.5, 0.1), (0.04, 0.5, 0.1), (0.08, 0.5, 0.1), (0.2, 0.3, 0.1)]
+    if conditions.missing is None:
+        return known
+    power = np.abs(np.fft.rfft(np.diff(conditions.missing) * np.hanning(conditions.missing.size - 1))) ** 2
+    power = np.convolve(power, np.full(5, 0.2), mode="same")
+    frequency = np.linspace(0.0, 0.5, power.size)
+    ringing = float(frequency[np.argmax(np.where((frequency > 0.002) & (frequency < 0.25), power, 0.0))])
+    return known + [(ringing, share, damping) for share in (0.3, 0.7) for damping in (0.03, 0.2)]

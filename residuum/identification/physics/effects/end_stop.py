@@ -8,6 +8,17 @@ import sympy as sp
 from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
+_DEPTHS = np.array([0.001, 0.005, 0.03])
+"""Shares of the travel that may lie beyond a stop."""
+
+
+def _bend(position: Array, force: Array) -> float:
+    """Where, in the upper half of the travel, a force that falls evenly from there on explains most of the force."""
+    q = np.linspace(np.median(position), np.max(position), 60, endpoint=False)
+    beyond = [np.maximum(position - each, 0.0) for each in q]
+    explained = [min(float(force @ b), 0.0) ** 2 / float(b @ b) for b in beyond]
+    return float(q[int(np.argmax(explained))])
+
 
 class EndStop(Effect):
     """Pushes back beyond either end, as a spring with a damper that never pulls: −max(k·(q − q_max) + d·v, 0) above q_max,
@@ -24,6 +35,7 @@ class EndStop(Effect):
     needs = ("position", "velocity")
     sizes = ("k", "d")
     natural_bounds = ("d",)
+    follows = ("lack",)
     rest = 0.001
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -41,14 +53,17 @@ class EndStop(Effect):
         return Contribution(term=below - above)
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        """One end at a time; how far the motion goes beyond it nobody knows."""
+        """One end at a time; how far the motion goes beyond it nobody knows, unless what is missing shows it."""
         q, span = conditions.variables["position"], conditions.span("position")
         low, high = float(np.min(q)), float(np.max(q))
+        ends = [(high - depth, low - span) for depth in _DEPTHS * span] + [(high + span, low + depth) for depth in _DEPTHS * span]
+        if conditions.missing is not None and np.any(conditions.missing):
+            above, below = _bend(q, conditions.missing), _bend(-q, -conditions.missing)
+            ends += [(above, low - span), (high + span, -below), (above, -below)]
         found = []
-        for depth in (0.001 * span, 0.005 * span, 0.03 * span):
-            k = conditions.magnitude / depth
-            stop = {"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage))}
-            found += [stop | {"q_max": high - depth, "q_min": low - span}, stop | {"q_max": high + span, "q_min": low + depth}]
+        for q_max, q_min in ends:
+            k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
+            found.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
         return found
 
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:

@@ -49,7 +49,7 @@ class PositionLoad(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size, travel = 0.1 * conditions.magnitude, conditions.span("position")
-        waves = [np.pi * periods / travel for periods in (1.0, 2.0, 4.0)]
+        waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]  # the last: once a turn, an arm's own weight
         return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
 
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:

@@ -64,7 +64,7 @@ class ToothRipple(Effect):
     acts_on = ("torque", "force")
     needs = ("position",)
     sizes = ("a", "b")
-    follows_missing = True
+    follows = ("innovations", "lack")
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
