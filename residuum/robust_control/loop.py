@@ -13,6 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.schur import is_schur
 from residuum.identification.transfer_function import TransferFunction
 from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
+from residuum.robust_control.weighted_cost import rational_response, weighted_cost, weighted_slopes
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -79,7 +80,6 @@ class Loop:
         if self.omega.ndim != 1 or np.any(np.diff(self.omega) <= 0) or self.omega[-1] > np.pi / self.sample_time * (1 + 1e-9):
             raise BadInput(f"Loop, omega: must increase up to at most π/Ts = {np.pi / self.sample_time:.6g} rad/s")
         self.z = np.exp(1j * self.omega * self.sample_time)
-        self._powers: dict[int, ComplexArray] = {}
         self.stabilising: dict[object, list[tuple[FloatArray, FloatArray]]] = {}  # per structure, once found
         self.G = np.array([plant.frequency_response(self.omega) for plant in plants])
 
@@ -87,7 +87,7 @@ class Loop:
         """The loop on some points of its finer grid; nothing is computed anew, and it refines to the same grid."""
         fine, position = self.finer
         part = object.__new__(Loop)
-        part.plants, part.sample_time, part._powers = self.plants, self.sample_time, {}
+        part.plants, part.sample_time = self.plants, self.sample_time
         part.stabilising = self.stabilising
         part.omega, part.z, part.G = fine.omega[kept], fine.z[kept], fine.G[:, kept]
         part.__dict__["finer"] = (fine, np.interp(position, position[kept], np.arange(len(kept))))
@@ -122,48 +122,21 @@ class Loop:
 
     def controller_response(self, num: FloatArray, den: FloatArray) -> ComplexArray:
         """K = num/den (descending powers of z) on the grid."""
-        size = max(len(num), len(den))
-        if size not in self._powers:
-            self._powers[size] = np.vander(self.z, size)
-        powers = self._powers[size]
-        return np.asarray((powers[:, size - len(num) :] @ num) / (powers[:, size - len(den) :] @ den))
+        return np.asarray(rational_response(np.asarray(num, dtype=float), np.asarray(den, dtype=float), self.z))
 
     def cost(self, K: ComplexArray, weights: Weights) -> FloatArray:
         """The weighted cost at every plant and frequency, shape (plants, k)."""
-        L = self.G * K
-        squares = [weights.W_S**2, weights.W_T**2 * _square(L)]
-        if weights.W_K is not None:
-            squares.append(weights.W_K**2 * _square(K))
-        L += 1.0
-        if weights.entries == "1":
-            return np.asarray(sum(np.sqrt(square) for square in squares) / np.abs(L))
-        return np.asarray(np.sqrt(sum(squares) / _square(L)))
+        effort = np.zeros(len(K)) if weights.W_K is None else weights.W_K
+        return np.asarray(weighted_cost(self.G, K, weights.W_S, weights.W_T, effort, weights.entries == "1"))
 
     def slopes(
         self, K: ComplexArray, dK: ComplexArray, weights: Weights, at: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
     ) -> tuple[FloatArray, FloatArray]:
-        """(cost, ∂cost/∂ρ) at chosen (plant, frequency) pairs, shapes (c,) and (c, parameters), from K and ∂K/∂ρ there.
-
-        With S = 1/(1 + GK): dS = −S² G dK = −dT, d(KS) = S² dK, and d|X| = Re(X̄ dX)/|X|.
-        """
+        """(cost, ∂cost/∂ρ) at chosen (plant, frequency) pairs, shapes (c,) and (c, parameters), from K and ∂K/∂ρ there."""
         plant, k = at
-        G = self.G[plant, k]
-        S = 1.0 / (1.0 + G * K)
-        square = S * S
-        turn = square * G
-        X = [weights.W_S[k] * S, weights.W_T[k] * (1.0 - S)]
-        dX = [-weights.W_S[k] * turn, weights.W_T[k] * turn]
-        if weights.W_K is not None:
-            X.append(weights.W_K[k] * K * S)
-            dX.append(weights.W_K[k] * square)
-        sizes = [np.abs(x) for x in X]
-        if weights.entries == "2":
-            value = np.sqrt(sum(size * size for size in sizes))
-            factor = sum(x.conj() * dx for x, dx in zip(X, dX, strict=True)) / np.maximum(value, 1e-300)
-        else:
-            value = np.asarray(sum(sizes))
-            factor = sum(x.conj() * dx / np.maximum(size, 1e-300) for x, dx, size in zip(X, dX, sizes, strict=True))
-        return value, (factor[:, None] * dK).real
+        effort = np.zeros(len(k)) if weights.W_K is None else weights.W_K[k]
+        value, slope = weighted_slopes(self.G[plant, k], K, dK, weights.W_S[k], weights.W_T[k], effort, weights.entries == "1")
+        return np.asarray(value), np.asarray(slope)
 
     def is_stable(self, controller: TransferFunction) -> bool:
         """Whether every closed loop has all its poles inside the unit circle (no hidden cancellation allowed)."""
@@ -222,10 +195,6 @@ def frequency_grid(plants: Sequence[Plant], *, points: int = 600, lowest: float 
                 grids.append(centre + width * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]))
     whole = np.unique(np.concatenate(grids))
     return np.asarray(whole[(whole >= grids[0][0]) & (whole <= nyquist)])
-
-
-def _square(X: ComplexArray) -> FloatArray:
-    return np.asarray(X.real**2 + X.imag**2)
 
 
 def characteristic(plant: TransferFunction, controller: TransferFunction) -> FloatArray:

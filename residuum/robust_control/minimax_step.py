@@ -1,11 +1,14 @@
 """One step of a minimax problem: the quadratic programme in its epigraph form."""
 
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dpotrf, dtrtri
-from scipy.optimize import nnls
+from numba import njit
+
+from residuum.robust_control.nonnegative_least_squares import nonnegative_least_squares
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -45,19 +48,49 @@ def minimax_step(
     >>> d.round(5).tolist(), multipliers.round(3).tolist(), round(t, 5)
     ([0.5], [0.25, 0.25], -0.5)
     """
+    d, multipliers, t = _least_distance(c, A, H, low, high)
+    return d, multipliers, float(t)
+
+
+@njit(cache=True, error_model="numpy")
+def _least_distance(c, A, H, low, high):
     m, n = A.shape
-    inverse = dtrtri(dpotrf(H, lower=1)[0], lower=1)[0]  # L⁻¹; LAPACK itself, because n is small and calls are many
+    inverse = _inverse_of_lower(np.linalg.cholesky(H))
     E = np.zeros((n + 2, m + 2 * n))
-    E[:n, :m] = -inverse @ A.T
-    E[:n, m : m + n] = inverse
-    E[:n, m + n :] = -inverse
-    E[n, :m] = 1.0
-    E[n + 1, :m] = c + 1.0
-    E[n + 1, m : m + n] = low
-    E[n + 1, m + n :] = -high
+    for i in range(n):
+        for j in range(i + 1):
+            for k in range(m):
+                E[i, k] -= inverse[i, j] * A[k, j]
+            E[i, m + j] = inverse[i, j]
+            E[i, m + n + j] = -inverse[i, j]
+    for k in range(m):
+        E[n, k] = 1.0
+        E[n + 1, k] = c[k] + 1.0
+    for j in range(n):
+        E[n + 1, m + j] = low[j]
+        E[n + 1, m + n + j] = -high[j]
     target = np.zeros(n + 2)
-    target[-1] = 1.0
-    u, _ = nnls(E, target, maxiter=20 * E.shape[1])
+    target[n + 1] = 1.0
+    u = nonnegative_least_squares(E, target)
     residual = E @ u - target
-    d = np.clip(inverse.T @ (residual[:n] / -residual[-1]), low, high)
-    return d, u[:m] / -residual[-1], float((c + A @ d).max())
+    d = np.empty(n)
+    for j in range(n):
+        d[j] = 0.0
+        for i in range(j, n):
+            d[j] -= inverse[i, j] * residual[i] / residual[n + 1]
+        d[j] = min(max(d[j], low[j]), high[j])
+    return d, u[:m] / -residual[n + 1], (c + A @ d).max()
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse_of_lower(L):
+    n = len(L)
+    inverse = np.zeros((n, n))
+    for j in range(n):
+        inverse[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for k in range(j, i):
+                total += L[i, k] * inverse[k, j]
+            inverse[i, j] = -total / L[i, i]
+    return inverse
