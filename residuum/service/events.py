@@ -56,6 +56,11 @@ class Events:
         self._closed = True
         self._wake_listeners()
 
+    def now(self) -> str:
+        """What a listener names who wants every event from now on."""
+        with self._lock:
+            return f"{self.run}-{self._last}"
+
     def token(self, event: Event) -> str:
         """What a listener hands back to resume after `event`."""
         return f"{self.run}-{event.id}"

@@ -187,7 +187,7 @@ class Jobs:
             if self._jobs[job].state in OVER:
                 return self._jobs[job]
             changed = self._jobs[job] = replace(self._jobs[job], **fields)
-        self._announce("job", changed.to_json(with_result=False))
+            self._announce("job", changed.to_json(with_result=False))  # in the order of the changes: the last one is the end
         return changed
 
     def _forget_oldest(self) -> None:

@@ -5,6 +5,7 @@ import threading
 
 import orjson
 
+from residuum.service.api.events import event_stream
 from residuum.service.events import Events
 
 
@@ -60,6 +61,17 @@ def test_a_listener_is_told_when_it_missed_more_than_is_kept_or_the_service_rest
         (first,) = collect(events, 1, last_seen)
         assert first.kind == "reset", last_seen
         assert events.token(first) == f"{events.run}-10"
+
+
+def test_a_stream_begins_when_it_is_asked_for_not_when_it_is_first_read():
+    events = Events()
+    answer = event_stream(events, None, lambda event: True, ends=lambda event: True)
+    events.publish("alarm", {"number": 7})
+
+    async def read():
+        return [line async for line in answer.body_iterator]
+
+    assert b'{"number":7}' in b"".join(asyncio.run(read()))
 
 
 def test_a_quiet_time_gives_a_heartbeat_and_closing_ends_the_stream():

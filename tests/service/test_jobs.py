@@ -52,7 +52,7 @@ def jobs(told):
     jobs.close()
 
 
-def until(jobs, job, reached, seconds=30):
+def until(jobs, job, reached, seconds=120):
     end = time.monotonic() + seconds
     while not reached(jobs.get(job.id)):
         assert time.monotonic() < end, jobs.get(job.id)
@@ -95,6 +95,17 @@ def test_cancelling_ends_the_process_and_frees_its_place(jobs, work):
     assert until(jobs, waiting[1], over).state is JobState.FAILED
     assert until(jobs, jobs.submit("count", work.count, 1), over).state is JobState.DONE
     assert jobs.cancel(queued.id).state is JobState.DONE
+
+
+def test_the_last_that_is_told_of_a_job_is_how_it_ended(jobs, work, told):
+    ended = [jobs.submit("count", work.count, 200) for _ in range(2)]
+    for job in ended:
+        until(jobs, job, lambda job: job.progress > 0)
+        jobs.cancel(job.id)
+    assert until(jobs, jobs.submit("count", work.count, 1), over).state is JobState.DONE
+    for job in ended:
+        states = [each["state"] for each in told if each["id"] == job.id]
+        assert states[-1] in OVER and not set(states[:-1]) & set(OVER)
 
 
 def test_the_queue_is_bounded(jobs, work):

@@ -29,11 +29,15 @@ async def stream_events(
 def event_stream(
     events: Events, last_event_id: str | None, wanted: Callable[[Event], bool], ends: Callable[[Event], bool] | None = None
 ) -> StreamingResponse:
-    """A stream of the wanted events, after the one that `ends` it closed; a comment keeps quiet connections open."""
+    """A stream of the wanted events, after the one that `ends` it closed; a comment keeps quiet connections open.
+
+    It begins now, not when its first line is asked for: whoever sees the connection made misses nothing from then on.
+    """
+    begin = last_event_id or events.now()
 
     async def lines() -> AsyncIterator[bytes]:
         yield b": connected\n\n"
-        async for event in events.listen(last_event_id):
+        async for event in events.listen(begin):
             if event is None:
                 yield b": still here\n\n"
             elif event.kind == "reset" or wanted(event):

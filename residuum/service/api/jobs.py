@@ -41,6 +41,7 @@ def cancel_job(running: Running, job: JobId) -> Response:
 @router.get("/{job}/events", response_class=StreamingResponse)
 async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = None) -> Response:
     """A job's progress as server-sent events; the stream ends with the job."""
+    begin = last_event_id or running.events.now()  # before the look at the job: its end comes after one or the other
     state = running.jobs.get(job)
     if state.state in OVER:
         data = orjson.dumps(state.to_json(with_result=False))
@@ -51,7 +52,7 @@ async def stream_job(running: Running, job: JobId, last_event_id: LastEventId = 
 
     return event_stream(
         running.events,
-        last_event_id,
+        begin,
         of_this_job,
         lambda event: event.kind == "job" and orjson.loads(event.data)["state"] in OVER,
     )
