@@ -24,7 +24,7 @@ from residuum.service.window_queue.window_message import WindowMessage
 
 PATIENCE = 600
 ASSETS = ("press-1", "press-2", "press-3", "press-4")
-PER_GATEWAY = 40
+PER_GATEWAY, AT_FIRST = 40, 10
 
 
 def window(number):
@@ -80,14 +80,19 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
     DiskStore(data, f"sqlite:///{data / 'residuum.db'}").close()  # so that the scorers need not make it at the same time
     spools = [Spool(tmp_path / f"spool-{k}", 2**30) for k in (1, 2)]
     gateways = [Gateway(f"hall-{k}", spool, broker_address(mqtt), resend_after=5.0) for k, spool in enumerate(spools)]
-    for number in range(PER_GATEWAY):
-        for k, gateway in enumerate(gateways):  # two machines a gateway
-            gateway.handle(machine(ASSETS[2 * k + number % 2]), window(number), "", None)
+
+    def hand_over(numbers):
+        for number in numbers:
+            for k, gateway in enumerate(gateways):  # two machines a gateway
+                gateway.handle(machine(ASSETS[2 * k + number % 2]), window(number), "", None)
+
+    hand_over(range(AT_FIRST))
     for gateway in gateways:
         gateway.start()
     try:
         processes += [start_scorer(f"{k}/2", mqtt, data) for k in (1, 2)]
         wait_for(lambda: sum(gateway.stored for gateway in gateways) >= 8, lambda: [g.status() for g in gateways])
+        hand_over(range(AT_FIRST, PER_GATEWAY))  # only now: however late this test looks, there is work when they are killed
         for process in processes:  # all at once, so that whichever has work is killed in the midst of it
             process.send_signal(signal.SIGKILL)
         broker.kill()
@@ -122,7 +127,7 @@ def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mo
     gateway.start()
     try:
         processes.append(start_scorer("1/1", mqtt, tmp_path / "data"))
-        wait_for(lambda: len(gateway.spool) == 0, gateway.status)
+        wait_for(lambda: gateway.status()["waiting"] == 0, gateway.status)
         assert (gateway.status()["refused"], gateway.status()["stored"]) == (1, 1)
     finally:
         gateway.stop()

@@ -46,6 +46,7 @@ class Gateway:
         self.name, self.spool = name, spool
         self._address, self._resend_after = address, resend_after
         self.sent = self.stored = self.refused = 0
+        self._counting = threading.Lock()
         self._moved, self._connected = threading.Event(), threading.Event()
         self._stopped = threading.Event()
         self._progress = 0.0
@@ -77,9 +78,10 @@ class Gateway:
                     return None
 
     def status(self) -> dict[str, int]:
-        """What became of the windows so far."""
-        numbers = {"sent": self.sent, "stored": self.stored, "refused": self.refused}
-        return {**numbers, "waiting": len(self.spool), "dropped": self.spool.dropped}
+        """What became of the windows so far: one that is gone from the spool is counted."""
+        with self._counting:
+            numbers = {"sent": self.sent, "stored": self.stored, "refused": self.refused}
+            return {**numbers, "waiting": len(self.spool), "dropped": self.spool.dropped}
 
     def _send_all(self) -> None:
         receipts = [receipt_topic(self._address.prefix, self.name)]
@@ -128,12 +130,13 @@ class Gateway:
         except (orjson.JSONDecodeError, KeyError, TypeError):
             log.warning("not a receipt", topic=message.topic)
             key, refused = "", None
-        if self.spool.remove(key):
+        with self._counting:
+            known = self.spool.remove(key)
+            self.stored += known and refused is None
+            self.refused += known and refused is not None
+        if known:
             self._progress = time.monotonic()
-            if refused is None:
-                self.stored += 1
-            else:
-                self.refused += 1
-                log.error("a window was refused", reason=str(refused)[:300])
+        if known and refused is not None:
+            log.error("a window was refused", reason=str(refused)[:300])
         client.ack(message.mid, message.qos)
         self._moved.set()
