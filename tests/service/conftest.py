@@ -4,6 +4,7 @@ import contextlib
 import getpass
 import os
 import pwd
+import random
 import shutil
 import signal
 import socket
@@ -40,16 +41,36 @@ def not_here(what, untested):
     pytest.skip(message)
 
 
+_chance = random.SystemRandom()
+
+
 def _free_port():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
+    """A port that nobody listens at, and that no outgoing connection is given by the system before somebody does.
+
+    (Who tries again and again to connect to a port of those, is in the end connected to himself and holds the port.)
+    """
+    while True:
+        port = _chance.randint(20_000, 32_000)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 @pytest.fixture
 def free_port():
     """Gives ports that are free now."""
     return _free_port
+
+
+@pytest.fixture
+def free_channel():
+    """Gives multicast CAN buses of their own, on this machine alone."""
+
+    def channel():
+        group = ".".join(str(_chance.randint(1, 250)) for _ in range(3))
+        return f"udp_multicast:239.{group}:{_chance.randint(20_000, 32_000)}/0"
+
+    return channel
 
 
 def wait_for_port(port, process):

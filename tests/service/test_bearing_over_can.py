@@ -1,7 +1,6 @@
 """Real bearing recordings, replayed over CAN FD: held-out healthy parts stay healthy, damaged bearings come out faulty."""
 
 import json
-import random
 import time
 from pathlib import Path
 
@@ -26,11 +25,11 @@ def accelerometer(number):
 
 @pytest.mark.skipif(not RIG.is_dir(), reason="skipped: no real recordings here")
 @pytest.mark.parametrize(("number", "expected"), [(97, None), (105, "inner-race"), (130, "outer-race")])
-def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, run_service, tmp_path, capsys):
+def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, run_service, free_channel, tmp_path, capsys):
     healthy = accelerometer(97)
     half = healthy.n // 2
     Bearing(orders=ORDERS, speed_rpm=1797.0).fit([healthy.window(0, half)]).save(tmp_path / "baseline.zip")
-    channel = f"udp_multicast:239.83.{random.randint(1, 250)}.{random.randint(1, 250)}:{random.randint(33_000, 60_000)}/0"
+    channel = free_channel()
     watched = MachineSettings(
         asset="rig",
         diagnoser="bearing",
@@ -40,7 +39,7 @@ def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, ru
     service = run_service(machines=[watched.model_dump()])
     service.services.store.add_model_version("rig", "baseline", (tmp_path / "baseline.zip").read_bytes())
     record = healthy.window(half, healthy.n) if number == 97 else accelerometer(number)
-    end = time.monotonic() + 60
+    end = time.monotonic() + 120
     while service.services.pipeline.status()["machines"]["rig"]["state"] != "running":
         assert time.monotonic() < end, "the baseline was not taken up"
         time.sleep(0.1)

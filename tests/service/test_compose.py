@@ -2,7 +2,7 @@
 
 import json
 import random
-import socket
+import re
 import subprocess
 import sys
 import time
@@ -56,12 +56,6 @@ def test_the_services_settings_name_the_machines_of_the_compose_file():
             (read_dbc if source.kind == "can" else read_register_map)(source.map_file)
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def on_this_machine(command, ports, group):
     """A container's command with the addresses of containers replaced by those of this machine."""
     words = []
@@ -74,13 +68,12 @@ def on_this_machine(command, ports, group):
     return [sys.executable, "-c", "from residuum.service.cli import main; main()", *words[1:]]
 
 
-def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_path):
+def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_path, free_port):
     ports = {port: free_port() for port in ("8000", "5020", "5021")}
     group = f"239.{random.randint(1, 250)}.{random.randint(1, 250)}."
     settings = (ROOT / "deploy" / "settings.yaml").read_text().replace("239.74.163.", group).replace("/1", "/0")
     settings = settings.replace("host: gripping-pliers", "host: 127.0.0.1").replace("host: process-plant", "host: 127.0.0.1")
-    for port, ours in ports.items():
-        settings = settings.replace(port, str(ours))
+    settings = re.sub("|".join(ports), lambda port: str(ports[port[0]]), settings)  # in one go: ours may hold one of theirs
     (tmp_path / "settings.yaml").write_text(settings)
     key, digest = new_key()
     scraper, scraper_digest = new_key()
@@ -126,7 +119,7 @@ def wait_for_sources(url, key):
     request = urllib.request.Request(url, headers={"X-API-Key": key})
     while time.monotonic() < end:
         try:
-            with urllib.request.urlopen(request, timeout=5) as answer:
+            with urllib.request.urlopen(request, timeout=60) as answer:
                 sources = json.load(answer)["sources"]
         except OSError:
             sources = {}

@@ -2,7 +2,6 @@
 
 import json
 import queue
-import socket
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
@@ -11,12 +10,6 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.settings import BadSettings, load_settings
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def see(service, verdict):
@@ -51,7 +44,7 @@ class Hook:
         self.server.server_close()
 
 
-def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run_service):
+def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run_service, free_port):
     port = free_port()
     service = run_service(webhooks=[f"http://127.0.0.1:{port}/secret?token=x"])
     see(service, "faulty")
@@ -62,7 +55,7 @@ def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run
     assert states == ["unacknowledged", "returned-unacknowledged"]
 
 
-def test_a_webhook_that_refuses_is_not_asked_again(run_service):
+def test_a_webhook_that_refuses_is_not_asked_again(run_service, free_port):
     port = free_port()
     hook = Hook(port, statuses=[410])
     service = run_service(webhooks=[f"http://127.0.0.1:{port}/"])
@@ -72,7 +65,7 @@ def test_a_webhook_that_refuses_is_not_asked_again(run_service):
     hook.stop()
 
 
-def test_alarms_and_findings_reach_a_broker_that_came_later(run_service, start_mosquitto):
+def test_alarms_and_findings_reach_a_broker_that_came_later(run_service, start_mosquitto, free_port):
     mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
     port = free_port()
     service = run_service(mqtt=f"mqtt://127.0.0.1:{port}/plant-7")
@@ -86,7 +79,7 @@ def test_alarms_and_findings_reach_a_broker_that_came_later(run_service, start_m
     client.connect("127.0.0.1", port)
     client.loop_start()
     try:
-        assert subscribed.wait(30)
+        assert subscribed.wait(60)
         window = see(service, "healthy")
         found = {}
         while len(found) < 2 or found["plant-7/assets/press/finding"]["window"] != window:

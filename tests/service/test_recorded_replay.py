@@ -2,8 +2,6 @@
 
 import asyncio
 import importlib.util
-import random
-import socket
 import sys
 import threading
 import time
@@ -31,23 +29,21 @@ CASES = [
 ]
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+@pytest.fixture
+def watched(free_port, free_channel):
+    """Gives settings that watch a replay of a machine as `asset`, on a bus of its own."""
 
+    def settings(machine, asset, dbc):
+        if dbc:
+            source = SourceSettings(kind="can", channel=free_channel(), map=dbc)
+        else:
+            source = SourceSettings(kind="modbus", port=free_port(), map="process_plant.yaml")
+        window = WindowSettings(cut=CUT[machine], length=30, step=10)
+        return MachineSettings(
+            asset=asset, diagnoser=trained.DIAGNOSER_OF[machine], window=window, sources=[source], baseline=machine
+        )
 
-def watched(machine, asset, dbc):
-    """Settings that watch a replay of this machine as `asset`, on a bus of its own."""
-    if dbc:
-        channel = f"udp_multicast:239.81.{random.randint(1, 250)}.{random.randint(1, 250)}:{random.randint(33_000, 60_000)}/0"
-        source = SourceSettings(kind="can", channel=channel, map=dbc)
-    else:
-        source = SourceSettings(kind="modbus", port=free_port(), map="process_plant.yaml")
-    window = WindowSettings(cut=CUT[machine], length=30, step=10)
-    return MachineSettings(
-        asset=asset, diagnoser=trained.DIAGNOSER_OF[machine], window=window, sources=[source], baseline=machine
-    )
+    return settings
 
 
 def replay(file, source, speed):
@@ -72,7 +68,7 @@ def plain(finding):
 
 
 @pytest.mark.parametrize(("machine", "name", "speed", "expected"), CASES, ids=[case[0] for case in CASES])
-def test_replays_agree_with_each_other_and_with_rest(run_service, tmp_path, machine, name, speed, expected):
+def test_replays_agree_with_each_other_and_with_rest(run_service, watched, tmp_path, machine, name, speed, expected):
     dbc = f"{Path(name).stem}.dbc" if name.endswith(".blf") else None
     twice = [watched(machine, f"{machine}-{k}", dbc) for k in (1, 2)]
     service = run_service(machines=[settings.model_dump() for settings in twice])

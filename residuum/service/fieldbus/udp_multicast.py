@@ -12,6 +12,8 @@ import ipaddress
 import select
 import socket
 import struct
+import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import msgpack
@@ -23,6 +25,8 @@ from residuum.service.fieldbus.frames import FrameBatch, FrameBatchBuilder
 _MOST = 2048
 _LONGEST = 512
 _RECEIVE_BUFFER = 4 << 20
+_FORCED = 33
+"""Linux's SO_RCVBUFFORCE, which Python has no name for."""
 _PATTERNS = 256
 
 
@@ -178,7 +182,7 @@ def open_group(group: str, port: int, hops: int) -> socket.socket:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if hasattr(socket, "SO_REUSEPORT"):
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        _make_room(opened)
         opened.bind(("", port))
         (_join_ipv4 if version == 4 else _join_ipv6)(opened, group, hops)
         opened.setblocking(False)
@@ -186,6 +190,14 @@ def open_group(group: str, port: int, hops: int) -> socket.socket:
         opened.close()
         raise
     return opened
+
+
+def _make_room(opened: socket.socket) -> None:
+    """Let frames wait while this process does not get the processor: beyond the system's limit where we may (root)."""
+    with suppress(OSError):
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        if sys.platform == "linux":
+            opened.setsockopt(socket.SOL_SOCKET, _FORCED, _RECEIVE_BUFFER)
 
 
 def _join_ipv4(opened: socket.socket, group: str, hops: int) -> None:

@@ -5,6 +5,7 @@
 
 import asyncio
 import contextlib
+import random
 import struct
 import threading
 import time
@@ -43,7 +44,7 @@ class FaultyModbus:
         self._ready = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
-        assert self._ready.wait(10)
+        assert self._ready.wait(120)
 
     def publish(self, count):
         pages = STREAM.pages
@@ -58,7 +59,7 @@ class FaultyModbus:
     def stop(self):
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stopping.set)
-            self._thread.join(5)
+            self._thread.join(120)
 
     def _run(self):
         asyncio.set_event_loop(self._loop)
@@ -67,7 +68,7 @@ class FaultyModbus:
 
     async def _serve(self):
         self._stopping = asyncio.Event()
-        self._server = await asyncio.start_server(self._talk, "127.0.0.1", 0)
+        self._server = await self._listen_somewhere()
         self.port = self._server.sockets[0].getsockname()[1]
         self._ready.set()
         await self._stopping.wait()
@@ -77,6 +78,12 @@ class FaultyModbus:
             task.cancel()
         await asyncio.gather(*others, return_exceptions=True)
         await asyncio.sleep(0)  # the connections close
+
+    async def _listen_somewhere(self):
+        """At a port below those of outgoing connections: while this device is away, one of these could take its port."""
+        while True:
+            with contextlib.suppress(OSError):
+                return await asyncio.start_server(self._talk, "127.0.0.1", random.SystemRandom().randint(20_000, 32_000))
 
     async def _be_away(self):
         self._server.close()

@@ -48,7 +48,7 @@ class Bench:
         self.bus.send_many(DRIVE.frame_id, frames)
 
     def wait(self, condition):
-        end = time.monotonic() + 30
+        end = time.monotonic() + 120
         while not condition() and time.monotonic() < end:
             time.sleep(0.01)
         assert condition()
@@ -136,7 +136,7 @@ def test_a_sink_without_room_costs_counted_samples(bench):
 def test_a_bus_that_cannot_be_opened_is_tried_again_and_again():
     source = SOURCES["can"](SourceSettings(kind="can", channel="socketcan:no_such_can7", map="gate_actuator.dbc"), lambda _: True)
     source.start()
-    end = time.monotonic() + 30
+    end = time.monotonic() + 120
     while source.health["bus_errors"] < 2 and time.monotonic() < end:
         time.sleep(0.02)
     source.stop()

@@ -32,7 +32,7 @@ class Bench:
             "127.0.0.1", self.server.port, MAP, lambda block: self.blocks.append(block) or True, timeout=0.1 if faults else 5.0
         )  # without faults nothing may be counted, however busy this machine is
 
-    def wait(self, condition, seconds=30.0):
+    def wait(self, condition, seconds=120.0):
         end = time.monotonic() + seconds
         while not condition() and time.monotonic() < end:
             time.sleep(0.01)
@@ -98,7 +98,7 @@ def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
     rng = random.Random(5)
     bench = make_bench(rng.choice(KINDS) if rng.random() < 0.25 else None for _ in itertools.count())
     bench.source.start()
-    end = time.monotonic() + 25
+    end = time.monotonic() + 120
     while bench.server.done < 60 and time.monotonic() < end:
         bench.server.publish(3)
         time.sleep(0.02)
@@ -108,7 +108,7 @@ def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
     bench.assert_all_values_are_true()
     number, lost = bench.read(), bench.counted().get("lost", 0)
     assert len(number) + lost == bench.server.complete and np.all(np.diff(number) >= 1)
-    assert bench.server.done >= 25
+    assert bench.server.done >= 60
 
 
 def test_a_device_that_begins_anew_and_a_ring_that_went_round_are_counted(make_bench):

@@ -13,7 +13,7 @@ GROUP = "239.77.1.9"
 
 @pytest.fixture
 def buses():
-    port = random.Random().randint(33_000, 40_000)
+    port = random.SystemRandom().randint(20_000, 32_000)
     ours = MulticastFrames(GROUP, port)
     theirs = can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0, fd=True)
     yield ours, theirs
@@ -22,7 +22,7 @@ def buses():
 
 
 def collect(bus, frame_id, count):
-    got, end = [], time.monotonic() + 5.0
+    got, end = [], time.monotonic() + 60.0
     while sum(map(len, got)) < count and time.monotonic() < end:
         got += bus.read(0.1).frames.get(frame_id, [])
     return np.concatenate(got)
@@ -41,7 +41,7 @@ def test_python_can_understands_our_frames(buses):
     sent = np.random.default_rng(1).integers(0, 256, (20, 64), dtype=np.uint8)
     ours.send_many(0x1ABCDEF, sent, is_fd=True)
     for data in sent:
-        message = theirs.recv(2.0)
+        message = theirs.recv(60.0)
         assert (message.arbitration_id, message.is_extended_id, message.is_fd) == (0x1ABCDEF, True, True)
         assert bytes(message.data) == data.tobytes()
 
@@ -54,7 +54,7 @@ def test_what_is_no_data_frame_is_told_apart(buses):
     theirs._multicast.send(msgpack.packb({"arbitration_id": 5}), None)
     theirs.send(can.Message(arbitration_id=3, data=b"12345678"))
     errors = undecodable = 0
-    data, end = [], time.monotonic() + 5.0
+    data, end = [], time.monotonic() + 60.0
     while not data and time.monotonic() < end:
         batch = ours.read(0.1)
         errors, undecodable = errors + batch.errors, undecodable + batch.undecodable
