@@ -96,6 +96,7 @@ def campaign(jobs: int, kills: int, samples: int, workers: int, seed: int = 0) -
         results = folder / "results.jsonl"
         run_fleet(files, WORK, pool, results, workers=workers, tell=killer.tell)
         took = time.perf_counter() - begun
+        killer.join()  # its last kill may come after the last file
         pool.terminate()
         return {
             "jobs": jobs,

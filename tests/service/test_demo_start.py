@@ -5,7 +5,7 @@ import time
 
 def test_no_start_of_the_demo_counts_a_device_that_is_not_there_yet(run_service):
     service = run_service(demo=True)
-    end = time.monotonic() + 120
+    end = time.monotonic() + 300
     while True:
         sources = service.services.pipeline.status()["sources"]
         if all(source["quality"] == "good" for source in sources.values()) or time.monotonic() > end:

@@ -1,5 +1,6 @@
 """Who may in: sizes, hosts, origins, keys and roles, and what every answer carries."""
 
+import contextlib
 import socket
 
 import httpx
@@ -16,7 +17,7 @@ def test_a_body_over_the_limit_is_refused_before_it_is_read(run_service):
     with socket.create_connection(("127.0.0.1", service.port)) as connection:
         head = "POST /api/v1/score/bearing HTTP/1.1\r\nHost: localhost\r\nContent-Length: 104857600\r\n\r\n"
         connection.sendall(head.encode())  # and not one byte of the body
-        connection.settimeout(10)
+        connection.settimeout(60)
         answer = b"".join(iter(lambda: connection.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 413") and b"application/problem+json" in answer and b"at most 1000000" in answer
 
@@ -24,9 +25,10 @@ def test_a_body_over_the_limit_is_refused_before_it_is_read(run_service):
 def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
     service = run_service(body_limit=100_000)
     with socket.create_connection(("127.0.0.1", service.port)) as connection:
-        connection.settimeout(10)
+        connection.settimeout(60)
         head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
-        connection.sendall(head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3)))
+        with contextlib.suppress(ConnectionError):  # the answer may come, and the connection end, before all is sent
+            connection.sendall(head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3)))
         assert connection.recv(65536).startswith(b"HTTP/1.1 413")
 
 
