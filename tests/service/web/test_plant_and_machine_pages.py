@@ -216,7 +216,7 @@ def test_what_happens_while_the_state_is_read_is_not_forgotten(service, open_pag
         if not answered and answer.json()["items"] and page.locator("#connection").inner_text() == "live":
             answered.append(True)
             number = answer.json()["items"][0]["id"]
-            httpx.post(f"{service.url}/api/v1/alarms/{number}/acknowledge", json={}).raise_for_status()
+            httpx.post(f"{service.url}/api/v1/alarms/{number}/acknowledge", json={}, timeout=60).raise_for_status()
             expect(alarm).to_contain_text("acknowledged by local")
         route.fulfill(response=answer)
 
@@ -292,6 +292,17 @@ def test_the_page_comes_back_after_a_restart_of_the_service(run_service, open_pa
     expect(page.locator(".machine")).to_contain_text("1.9 m/s² above")
 
 
+def test_a_connection_that_died_in_silence_is_made_anew(service, open_page):
+    page = open_page(service.url)
+    page.clock.install()
+    page.reload()
+    expect(page.locator("#connection")).to_have_text("live")
+    page.clock.fast_forward(50_000)  # and not a word in that time
+    expect(page.locator("#connection")).to_contain_text("connection lost")
+    page.clock.fast_forward(2_000)
+    expect(page.locator("#connection")).to_have_text("live")
+
+
 def test_hostile_names_are_shown_as_text(run_service, open_page, fits):
     service = run_service()
     long = f"{HOSTILE} 😈 \u202e gnp.exe " + "W" * 10_000
@@ -347,7 +358,7 @@ def test_our_own_part_of_the_page_is_small_on_the_wire(service):
     folder = Path(residuum.service.web.__file__).parent / "assets"
     files = [path for path in folder.rglob("*") if path.is_file()]
     sizes = []
-    with httpx.Client(base_url=service.url, headers={"Accept-Encoding": "gzip"}) as client:
+    with httpx.Client(base_url=service.url, headers={"Accept-Encoding": "gzip"}, timeout=60) as client:
         sizes.append(int(client.get("/").headers["content-length"]))
         for path in files:
             answer = client.get(f"/web/{path.relative_to(folder)}")

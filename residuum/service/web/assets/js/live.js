@@ -3,6 +3,7 @@
 import { headers } from "./api.js";
 
 const SLOWEST = 10000;
+const SILENCE = 45000; // the service says something every 15 s, if only that it is still there
 
 export class Live {
   constructor(onEvent, onState) {
@@ -26,9 +27,25 @@ export class Live {
     }
   }
 
+  // Reads until the stream ends; a connection that has died in silence (a computer that slept) is given up.
   async read() {
+    const silent = new AbortController();
+    let waiting = null;
+    const heard = () => {
+      clearTimeout(waiting);
+      waiting = setTimeout(() => silent.abort(), SILENCE);
+    };
+    try {
+      heard();
+      await this.listen(silent.signal, heard);
+    } finally {
+      clearTimeout(waiting);
+    }
+  }
+
+  async listen(signal, heard) {
     const resume = this.last ? { "Last-Event-ID": this.last } : {};
-    const response = await fetch("/api/v1/events", { headers: headers(resume), cache: "no-store" });
+    const response = await fetch("/api/v1/events", { headers: headers(resume), cache: "no-store", signal });
     if (!response.ok) throw new Error(String(response.status));
     const missedNothing = this.last !== null;
     this.onState("live", missedNothing);
@@ -38,6 +55,7 @@ export class Live {
     for (;;) {
       const { done, value } = await reader.read();
       if (done) return;
+      heard();
       text += value;
       const blocks = text.split("\n\n");
       text = blocks.pop();
