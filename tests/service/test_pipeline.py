@@ -97,7 +97,7 @@ def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(run
 
 
 def _on(service, machine):
-    answer = httpx.get(f"{service.url}/api/v1/demo/machines/{machine}/fault").json()
+    answer = httpx.get(f"{service.url}/api/v1/demo/machines/{machine}/fault", timeout=60).json()
     return {fault["id"]: fault["size"] for fault in answer["faults"] if fault["on"]}
 
 

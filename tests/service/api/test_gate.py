@@ -62,7 +62,7 @@ def test_keys_and_roles(tmp_path, run_service):
     lines = ["# name role sha256", *(f"{role}-1 {role} {digest}" for role, (_, digest) in keys.items())]
     (tmp_path / "keys").write_text("\n".join(lines))
     service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys")
-    with httpx.Client(base_url=service.url, headers={"Host": "plant.example"}) as client:
+    with httpx.Client(base_url=service.url, headers={"Host": "plant.example"}, timeout=60) as client:
         assert client.get("/health/live").status_code == 200
         assert client.get("/").status_code == 200
         for key in (None, "wrong", keys["admin"][1]):
@@ -106,7 +106,7 @@ def test_a_client_that_asks_too_often_is_told_when_to_come_again(tmp_path, run_s
     (key, digest), (other, other_digest) = new_key(), new_key()
     (tmp_path / "keys").write_text(f"eva engineer {digest}\nudo viewer {other_digest}\n")
     service = run_service(host="0.0.0.0", api_keys=tmp_path / "keys", rate_limit=0.01)
-    with httpx.Client(base_url=service.url, headers={"X-API-Key": key}) as client:
+    with httpx.Client(base_url=service.url, headers={"X-API-Key": key}, timeout=60) as client:
         answers = [client.get("/api/v1/assets") for _ in range(3)]
         assert [answer.status_code for answer in answers] == [200, 429, 429]
         assert (

@@ -36,7 +36,7 @@ def store(service, asset="press", verdict="healthy"):
 
 
 def test_the_document_describes_every_route(service):
-    document = httpx.get(f"{service.url}/openapi.json").json()
+    document = httpx.get(f"{service.url}/openapi.json", timeout=60).json()
     assert document["openapi"].startswith("3.1")
     for path, methods in document["paths"].items():
         assert path.startswith("/api/v1/")
@@ -84,10 +84,11 @@ def test_events_resume_where_the_connection_broke(service):
 
 def test_health_and_metrics(service):
     store(service)
-    assert httpx.get(f"{service.url}/health/live").json()["status"] == "live"
-    assert httpx.get(f"{service.url}/health/ready").json()["status"] == "ready"
-    httpx.get(f"{service.url}/api/v1/assets/none")
-    text = httpx.get(f"{service.url}/metrics").text
+    with httpx.Client(base_url=service.url, timeout=60) as client:
+        assert client.get("/health/live").json()["status"] == "live"
+        assert client.get("/health/ready").json()["status"] == "ready"
+        client.get("/api/v1/assets/none")
+        text = client.get("/metrics").text
     assert 'residuum_findings_total{asset="press",verdict="healthy"}' in text
     assert re.search(r'route="[^"]*/assets/\{asset\}",status="404"', text)
 
@@ -100,7 +101,7 @@ def test_no_request_however_odd_breaks_the_service(service):
     def holds(case):
         nonlocal tried
         tried += 1
-        answer = case.call()
+        answer = case.call(timeout=60)
         assert answer.status_code < 500, (case.method, case.formatted_path, answer.content)
         if answer.status_code >= 400:
             assert answer.headers["content-type"] == ["application/problem+json"], (case.method, case.formatted_path)
