@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.schur import is_schur
 from residuum.identification.transfer_function import TransferFunction
@@ -151,6 +152,7 @@ class Loop:
             for k, plant in enumerate(self.plants)
         )
 
+    @one_thread_if_small(LARGEST)
     def is_certainly_stable(self, controller: TransferFunction) -> bool:
         """The same from the closed-loop roots themselves, for the final word; measured plants by Nyquist's criterion."""
         return all(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.identified_model import IdentifiedModel
 from residuum.identification.magnitude_fit import fit_magnitude
@@ -37,6 +38,7 @@ def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:
     return TransferFunction(mean, np.r_[1.0, np.zeros(length - 1)], models[0].sample_time)
 
 
+@one_thread_if_small(LARGEST)
 def overall_uncertainty(
     models: Sequence[IdentifiedModel],
     average: TransferFunction,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.transfer_function import TransferFunction
 from residuum.robust_control.controller_structure import ControllerStructure
@@ -40,8 +42,8 @@ class Synthesis:
         The largest cost on a grid 20 times finer.
     worst_frequency : float
         Where it is [rad/s].
-    stable : bool
-        From the closed-loop roots.
+    loop : Loop
+        The plants it was designed for.
     """
 
     structure: ControllerStructure
@@ -50,13 +52,19 @@ class Synthesis:
     cost: float
     certified: float
     worst_frequency: float
-    stable: bool
+    loop: Loop = field(repr=False)
+
+    @cached_property
+    def stable(self) -> bool:
+        """From the closed-loop roots; computed when asked for, since most designs of a search are dropped for their cost."""
+        return self.loop.is_certainly_stable(self.controller)
 
 
 class NoStabilisingStart(BadInput):
     """No first value of the structure stabilises the plants; the search cannot begin."""
 
 
+@one_thread_if_small(LARGEST)
 def synthesise(
     loop: Loop,
     weights: Weights,
@@ -167,7 +175,7 @@ def _result(loop: Loop, weights: Weights, structure: ControllerStructure, best: 
     fine = _fine_cost(loop, weights, structure, rho)
     where = float(loop.finer[0].omega[int(np.argmax(fine))])
     cost = float(np.exp(best.here.peak))
-    return Synthesis(structure, rho, controller, cost, float(fine.max()), where, loop.is_certainly_stable(controller))
+    return Synthesis(structure, rho, controller, cost, float(fine.max()), where, loop)
 
 
 def _fine_cost(loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray) -> FloatArray:
