@@ -19,6 +19,7 @@ from residuum.diagnosis.residual_evaluation import EVALUATIONS, evaluate
 from residuum.diagnosis.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.state_space import FloatArray, StateSpace
 from residuum.diagnosis.stored import load_stored, save_stored
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.identified_model import IdentifiedModel
 from residuum.identification.record import Record
@@ -167,6 +168,7 @@ class ResidualDesign:
 _NUMBERS = ("gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
 
 
+@one_thread_if_small(LARGEST)
 def design_residual(
     model: IdentifiedModel,
     W_T: TransferFunction | None,

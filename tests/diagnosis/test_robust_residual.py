@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, stats
 
 from residuum.diagnosis.cusum import cusum
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
@@ -342,3 +342,29 @@ def test_a_window_with_input_and_output_exchanged_is_not_called_faulty():
     exchanged = replace(healthy, channels={"u": healthy["y"], "y": healthy["u"]})
     finding = diagnoser.score(exchanged)
     assert finding.verdict == "not-assessable" and "look swapped" in finding.reason
+
+
+def test_bounded_noise_gives_away_no_power():
+    """Scores of uniform noise are normal, so a small offset is found sooner than under Gaussian noise of the same size."""
+    rng = np.random.default_rng(21)
+    delays = {}
+    for name, draw in (("gaussian", rng.standard_normal), ("uniform", lambda n: np.sqrt(3) * rng.uniform(-1, 1, n))):
+        fitted = fit_noise_model([draw(50_000)])
+        found = []
+        for _ in range(40):
+            scores = fitted.normal_scores(np.nan_to_num(fitted.whiten(draw(600) + 0.7 * (np.arange(600) >= 200))))
+            zero, valid = np.zeros(600), np.ones(600, dtype=bool)
+            bank = LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1)
+            found.append(int(np.argmax(bank.process(ResidualSignals(scores, scores, scores, zero, zero, valid)).alarm[200:])))
+        delays[name] = np.mean(found)
+    assert delays["uniform"] < 0.5 * delays["gaussian"]
+
+
+@pytest.mark.parametrize("shape", [2.0, 3.0, 8.0])
+def test_light_tails_are_recovered_and_bounds_hold(shape):
+    rng = np.random.default_rng(22)
+    e = 3.0 * stats.gennorm.rvs(shape, scale=shape ** (1 / shape), size=100_000, random_state=rng)
+    fitted = fit_noise_model([e])
+    assert fitted.shape == pytest.approx(shape, rel=0.1) and fitted.innovation_std == pytest.approx(e.std(), rel=0.02)
+    assert np.mean(np.abs(e) / fitted.innovation_std > fitted.limit(1e-3)) == pytest.approx(1e-3, rel=0.5)
+    assert fitted.normal_scores(np.array([-1e9, 0.0, 1e9])) == pytest.approx([-141.0, 0.0, 141.0], abs=1.0) or shape == 2.0

@@ -140,7 +140,7 @@ class RobustResidual(Diagnoser):
             estimate.kind if estimate is not None else None,
             indicators,
             {"glr": self._threshold},
-            {"residual_rms": design.model.output_unit},
+            {"glr": "σ", "residual_rms": design.model.output_unit or "1"},
             evidence,
             self._reason(indicators["glr"], evidence, estimate),
         )
