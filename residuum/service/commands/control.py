@@ -17,6 +17,7 @@ from residuum.robust_control.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.nominal_performance import Infeasible
 from residuum.robust_control.state_space import weighted_loop
 from residuum.robust_control.time_domain import StepResponse, over_plants
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report, to_plain
 from residuum.service.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
 
@@ -61,8 +62,7 @@ def design(
     wishes = Wishes(aim, overshoot, settling_time, slack, only)
     if structure not in STRUCTURES:
         raise BadInput(f"--structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
-    if not out.parent.is_dir():
-        raise BadInput(f"{out}: folder {str(out.parent)!r} does not exist")
+    check_output_file(out)
     _check_export(export, limits)
     problem = ControlProblem([load_identified(file) for file in identified], seed)
     law = _constrained(STRUCTURES[structure](problem.loop.sample_time), fix or [], within or [])
@@ -91,8 +91,7 @@ def _check_export(export: tuple[str, Path] | None, limits: tuple[float, float]) 
         return
     if export[0] not in LANGUAGES:
         raise BadInput(f"--export {export[0]!r}: there is no such language; known are {', '.join(LANGUAGES)}")
-    if not export[1].parent.is_dir():
-        raise BadInput(f"{export[1]}: folder {str(export[1].parent)!r} does not exist")
+    check_output_file(export[1])
 
 
 def _constrained(law: ControllerStructure, fix: list[str], within: list[str]) -> ControllerStructure:

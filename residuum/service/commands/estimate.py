@@ -20,6 +20,7 @@ from residuum.identification.physics import (
     write_model,
 )
 from residuum.identification.record import Record
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report
 
@@ -51,6 +52,7 @@ def estimate_command(
     """Estimate the free parameters; a note `# split: 0.7` in a record keeps its rest for validation."""
     if method not in METHODS:
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
+    check_output_file(out)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
     start, experiments = match(load_model(model), loaded, pairs("--map", channel_map), hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, loaded, strict=True)]

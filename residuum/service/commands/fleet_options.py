@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import progress, report
 from residuum.service.fleet import Work, open_executor, run_fleet
 from residuum.service.fleet_source import FleetSource
@@ -37,8 +38,7 @@ def run_over_fleet(
     counts: dict[str, str],
 ) -> None:
     """Do the work for every record of a fleet and report how many; `counts` maps a name to a dotted place and value."""
-    if not results.parent.is_dir():
-        raise BadInput(f"{results}: folder {str(results.parent)!r} does not exist")
+    check_output_file(results)
     files = [item for item in source.items() if item != str(results)]
     if not files:
         raise BadInput(f"{source}: holds no record")

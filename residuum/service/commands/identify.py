@@ -18,6 +18,7 @@ from residuum.identification.impulse_response import identify_impulse_response
 from residuum.identification.prediction_error import CRITERIA, STRUCTURES
 from residuum.identification.prediction_error import identify as identify_prediction_error
 from residuum.identification.record import Record
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 
@@ -106,8 +107,8 @@ def identify(
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     if criterion not in CRITERIA:
         raise BadInput(f"--criterion {criterion!r}: there is none of this name; known are {', '.join(CRITERIA)}")
-    if out is not None and not out.parent.is_dir():
-        raise BadInput(f"{out}: folder {str(out.parent)!r} does not exist")
+    if out is not None:
+        check_output_file(out)
     request = Request(input, output, order, _delay(delay), kernel, _noise_variance(noise_variance), not no_offset, criterion)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
     estimation, held_out = _split(loaded)

@@ -8,6 +8,7 @@ import typer
 from residuum.identification.discrepancy.improve import Improvement, improve
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model, write_model
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 
@@ -33,6 +34,7 @@ def improve_command(
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""
     if auto == bool(add):
         raise BadInput("improve: give either --add ID or --auto")
+    check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)

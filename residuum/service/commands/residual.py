@@ -9,10 +9,10 @@ import typer
 from residuum.diagnosis.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residual_detection import Detection, detect
 from residuum.diagnosis.threshold import EvaluationName, ThresholdKind
-from residuum.identification.errors import BadInput
 from residuum.identification.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.identification.uncertainty import design_uncertainty_weight
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 
@@ -35,8 +35,7 @@ def design(
 ) -> None:
     """Design a robust residual generator from an identified model."""
     model = load_identified(identified)
-    if not out.parent.is_dir():
-        raise BadInput(f"{out}: folder {str(out.parent)!r} does not exist")
+    check_output_file(out)
     records = load_records(healthy, channel_map=channel_map) if healthy else _own_records(model.provenance.get("records", ()))
     weight = design_uncertainty_weight(model, order=_WEIGHT_ORDER)
     made = design_residual(model, weight.weight, records, fault=fault, gamma=gamma)

@@ -10,6 +10,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import WRITERS, write_record
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report, to_plain
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 from residuum.simulation.machine import SIZES
@@ -39,6 +40,7 @@ def simulate(
     """Write a record of a simulated machine. The file does not say what is hidden in it, the report does."""
     if machine not in MACHINES:
         raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
+    check_output_file(out)
     given = {"profile": profile, "rate": rate, "noise_color": noise_color, **dict(map(_setting, setting or []))}
     settings = _settings(MACHINES[machine], {name: value for name, value in given.items() if value is not None})
     try:

@@ -9,6 +9,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import DiagnoserName, Hertz, Orders, SpeedRpm, bearing_settings, new_diagnoser
+from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report
 
@@ -32,10 +33,9 @@ def train(
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
     untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz))
+    check_output_file(out)
     names = read_labels(labels, records) if labels else None
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
-    if not out.parent.is_dir():
-        raise BadInput(f"{out}: folder {str(out.parent)!r} does not exist")
     untrained.fit(loaded, names).save(out)
     seconds = sum(record.duration for record in loaded)
     result = {
