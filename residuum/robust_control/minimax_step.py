@@ -11,6 +11,7 @@ from numba import njit
 from residuum.robust_control.nonnegative_least_squares import nonnegative_least_squares
 
 FloatArray = npt.NDArray[np.float64]
+_SMALLEST_PIVOT = 1e-12
 
 
 def minimax_step(
@@ -55,7 +56,7 @@ def minimax_step(
 @njit(cache=True, error_model="numpy")
 def _least_distance(c, A, H, low, high):
     m, n = A.shape
-    inverse = _inverse_of_lower(np.linalg.cholesky(H))
+    inverse = _inverse_of_lower(_lower_factor(H))
     E = np.zeros((n + 2, m + 2 * n))
     for i in range(n):
         for j in range(i + 1):
@@ -80,6 +81,24 @@ def _least_distance(c, A, H, low, high):
             d[j] -= inverse[i, j] * residual[i] / residual[n + 1]
         d[j] = min(max(d[j], low[j]), high[j])
     return d, u[:m] / -residual[n + 1], (c + A @ d).max()
+
+
+@njit(cache=True, error_model="numpy")
+def _lower_factor(H):
+    """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H may be all but singular."""
+    n = len(H)
+    L = np.zeros((n, n))
+    for j in range(n):
+        pivot = H[j, j]
+        for k in range(j):
+            pivot -= L[j, k] ** 2
+        L[j, j] = np.sqrt(max(pivot, _SMALLEST_PIVOT * H[j, j]))
+        for i in range(j + 1, n):
+            total = H[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total / L[j, j]
+    return L
 
 
 @njit(cache=True, error_model="numpy")

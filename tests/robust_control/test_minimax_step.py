@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
 from residuum.robust_control.minimax_step import minimax_step
+from residuum.robust_control.nonnegative_least_squares import nonnegative_least_squares
 
 
 def general_solver(c, A, H, low, high):
@@ -32,3 +33,20 @@ def test_the_step_is_the_minimum(seed):
     assert t + 0.5 * t * t + 0.5 * d @ H @ d <= general_solver(c, A, H, low, high) + 1e-7
     assert np.all(low <= d) and np.all(d <= high) and t == pytest.approx((c + A @ d).max())
     assert np.all(multipliers >= 0) and multipliers.sum() == pytest.approx(1 + t, abs=1e-6)
+
+
+def test_a_curvature_that_rounding_made_singular_gives_a_step():
+    direction = np.array([1.0, 1e-9, -1.0])
+    H = 1e8 * np.outer(direction, direction)
+    d, multipliers, t = minimax_step(np.zeros(2), np.eye(2, 3), H, -np.ones(3), np.ones(3))
+    assert np.isfinite(d).all() and np.isfinite(multipliers).all() and t < 0.0
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_nonnegative_least_squares_is_that_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    m, n = int(rng.integers(2, 9)), int(rng.integers(1, 40))
+    E, f = rng.normal(size=(m, n)) * np.exp(rng.normal(size=n) * (seed % 3)), rng.normal(size=m)
+    E[:, n // 2] = E[:, 0]  # two that cannot be told apart
+    u = nonnegative_least_squares(E, f)
+    assert np.all(u >= 0) and np.linalg.norm(E @ u - f) == pytest.approx(nnls(E, f)[1], abs=1e-9)
