@@ -36,7 +36,7 @@ async function read() {
   const came = meanwhile = [];
   try {
     const [assets, alarms] = await Promise.all([all("/assets?limit=500"), all("/alarms?limit=500"), readStatus()]);
-    const trends = await Promise.all(assets.map((asset) => readTrend(asset.id)));
+    const trends = await Promise.all(assets.map((asset) => readTrend(asset.id).catch(() => [asset.id, plant.trends.get(asset.id) ?? []]))); // no machine is missed for its trend
     plant.assets = new Map(assets.map((asset) => [asset.id, asset]));
     plant.alarms = new Map(alarms.map((alarm) => [alarm.id, alarm]));
     plant.trends = new Map(trends);
