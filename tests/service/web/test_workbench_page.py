@@ -62,7 +62,7 @@ def test_a_stranger_mends_a_model(service, open_page, drive_file, tmp_path):
     page = open_page(f"{service.url}/#/workbench")
     page.route("**/explain", ask_for_few)
     page.set_input_files("#file", str(drive_file))
-    expect(page.get_by_text("drive.csv")).to_be_visible()
+    expect(page.locator(".choice", has_text="drive.csv").get_by_role("checkbox", checked=True)).to_be_visible()
     page.get_by_label("model", exact=True).select_option(label="gate-drive (built in)")
     expect(page.get_by_label("Column for voltage")).to_have_value("motor voltage")
     expect(page.locator("math").first).to_be_visible()
@@ -90,6 +90,7 @@ def test_a_stranger_mends_a_model(service, open_page, drive_file, tmp_path):
     expect(page.locator(".cloud .legendtext", has_text="coulomb-friction")).to_be_visible(timeout=LONG_WORK)
 
     page.get_by_role("button", name="Add coulomb-friction to shaft").click()
+    page.get_by_label("store as a new version of").fill("strangers-drive")
     page.get_by_role("button", name="Add and estimate").click()
     expect(page.get_by_text("The error fell by")).to_be_visible(timeout=LONG_WORK)
     expect(page.locator(".overlay .main-svg").first).to_be_visible(timeout=LONG_WORK)
@@ -113,7 +114,7 @@ def test_a_record_that_does_not_fit_is_refused_in_one_line(service, open_page, t
     write_record(Record({HOSTILE: np.arange(50.0)}, {HOSTILE: "V"}, 0.1), path)
     page = open_page(f"{service.url}/#/workbench")
     page.set_input_files("#file", str(path))
-    expect(page.get_by_text("other.csv")).to_be_visible()
+    expect(page.locator(".choice", has_text="other.csv")).to_be_visible()
     page.get_by_label("model", exact=True).select_option(label="oven (built in)")
     expect(page.get_by_text("choose –").first).to_be_attached()
     assert page.evaluate("document.querySelectorAll('img[src=x]').length") == 0
