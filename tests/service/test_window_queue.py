@@ -1,9 +1,11 @@
 """Windows over a real broker: whatever is killed meanwhile, each is stored, once, and those of a machine in their order."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import msgpack
@@ -19,7 +21,7 @@ from residuum.service.settings import broker_address
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway
 from residuum.service.window_queue.spool import Spool
-from residuum.service.window_queue.topics import PARTITIONS, partition_of, window_topic, windows_of_part
+from residuum.service.window_queue.topics import PARTITIONS, partition_of, receipt_topic, window_topic, windows_of_part
 from residuum.service.window_queue.window_message import WindowMessage
 
 PATIENCE = 600
@@ -114,6 +116,39 @@ def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twic
         assert store.finding_of(kept[0].id).finding.diagnoser == "bearing"
     assert [gateway.status()["dropped"] + gateway.status()["refused"] for gateway in gateways] == [0, 0]
     store.close()
+
+
+def test_a_scorer_that_comes_late_gets_the_windows_of_a_machine_in_their_order(start_mosquitto, free_port, tmp_path):
+    """A broker forgets what nobody has subscribed to yet: what comes then must not overtake what is to be sent again."""
+    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    port = free_port()
+    start_mosquitto(port)
+    gateway = Gateway("hall-1", Spool(tmp_path, 2**30), broker_address(f"mqtt://127.0.0.1:{port}/plant-7"), resend_after=1.0)
+    for number in range(3):
+        gateway.handle(machine("press-1"), window(number), "", None)
+    came, subscribed = [], threading.Event()
+
+    def store(client, _data, message):
+        came.append(WindowMessage.unpack(message.payload).window.t0)
+        receipt = {"key": message.topic.rpartition("/")[2], "refused": None}
+        client.publish(receipt_topic("plant-7", "hall-1"), json.dumps(receipt), qos=1)
+
+    scorer = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    scorer.on_message, scorer.on_subscribe = store, lambda *_: subscribed.set()
+    gateway.start()
+    try:
+        wait_for(lambda: gateway.sent > 0, gateway.status)  # to nobody
+        scorer.connect("127.0.0.1", port)
+        scorer.loop_start()
+        scorer.subscribe("plant-7/windows/#", qos=1)
+        assert subscribed.wait(60)
+        gateway.handle(machine("press-1"), window(3), "", None)
+        wait_for(lambda: gateway.status()["waiting"] == 0, gateway.status)
+    finally:
+        gateway.stop()
+        scorer.disconnect()
+        scorer.loop_stop()
+    assert list(dict.fromkeys(came)) == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mosquitto, processes, free_port, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import dataclass, field
 from typing import Any
 
 import orjson
@@ -24,13 +25,26 @@ log = structlog.get_logger()
 _AHEAD = 16
 """Windows that are under way at once."""
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
-"""Seconds without any receipt after which what is under way is sent again; doubled each time, up to the second."""
+"""Seconds without a receipt for a machine after which its windows are sent again; doubled each time, up to the second."""
 _LOOK = 0.5
 _RETRY = 2.0
 
 
+@dataclass
+class _Machine:
+    """What is under way of one machine's windows; `progress` is when the last was sent or known to be stored."""
+
+    patience: float
+    under_way: dict[str, None] = field(default_factory=dict)
+    heard: bool = False
+    progress: float = 0.0
+
+
 class Gateway:
     """The sending side of the window queue.
+
+    The windows of a machine come to its scorer in their order. Before the scorer has ever subscribed, a broker forgets what it is
+    sent; so after each connecting a machine's first window goes alone, and the others once its receipt has come.
 
     Parameters
     ----------
@@ -49,7 +63,8 @@ class Gateway:
         self._counting = threading.Lock()
         self._moved, self._connected = threading.Event(), threading.Event()
         self._stopped = threading.Event()
-        self._progress = 0.0
+        self._machine_of: dict[str, str] = {}
+        self._answered: set[str] = set()
         self._thread = threading.Thread(target=self._send_all, name=f"gateway {name}", daemon=True)
 
     def start(self) -> None:
@@ -88,40 +103,60 @@ class Gateway:
         client = broker_client(
             self._address, f"residuum-gateway-{self.name}", receipts, self._take_receipt, self._connected.set, kept=False
         )
-        under_way: dict[str, None] = {}
-        patience = self._resend_after
+        machines: dict[str, _Machine] = {}
         try:
             while not self._stopped.is_set():
                 self._moved.wait(_LOOK)
                 self._moved.clear()
                 if self._connected.is_set():
                     self._connected.clear()
-                    under_way.clear()
-                if not client.is_connected():
-                    continue
-                waiting = self.spool.oldest(_AHEAD)
-                if any(key not in waiting for key in under_way):
-                    patience = self._resend_after
-                    under_way = {key: None for key in under_way if key in waiting}
-                if under_way and time.monotonic() - self._progress > patience:
-                    patience = min(2 * patience, _LONGEST_RESEND)
-                    under_way.clear()
-                for key in waiting:
-                    if key not in under_way:
-                        self._send(client, key)
-                        under_way[key] = None
+                    machines.clear()
+                    self._answered.clear()
+                if client.is_connected():
+                    self._send_what_is_due(client, machines)
         finally:
             client.disconnect()
             client.loop_stop()
 
-    def _send(self, client: Any, key: str) -> None:
+    def _send_what_is_due(self, client: Any, machines: dict[str, _Machine]) -> None:
+        waiting = self._waiting()
+        for asset in waiting.keys() | machines.keys():
+            machine, keys = machines.setdefault(asset, _Machine(self._resend_after)), waiting.get(asset, [])
+            self._follow(machine, keys)
+            for key in keys if machine.heard else keys[:1]:
+                if key not in machine.under_way:
+                    self._send(client, asset, key)
+                    machine.under_way[key] = None
+                    machine.progress = time.monotonic()
+
+    def _waiting(self) -> dict[str, list[str]]:
+        """The oldest windows of the spool, by machine."""
+        found: dict[str, list[str]] = {}
+        known, self._machine_of = self._machine_of, {}
+        for key in self.spool.oldest(_AHEAD):
+            if key not in known and (payload := self.spool.read(key)) is not None:
+                known[key] = WindowMessage.unpack(payload).asset
+            if key in known:
+                self._machine_of[key] = known[key]
+                found.setdefault(known[key], []).append(key)
+        return found
+
+    def _follow(self, machine: _Machine, waiting: list[str]) -> None:
+        """Note what has been stored since, or send all again when that takes too long."""
+        if gone := [key for key in machine.under_way if key not in waiting]:
+            machine.heard |= not self._answered.isdisjoint(gone)  # else the spool let them go
+            machine.patience, machine.progress = self._resend_after, time.monotonic()
+            self._answered.difference_update(gone)
+            machine.under_way = {key: None for key in machine.under_way if key in waiting}
+        elif machine.under_way and time.monotonic() - machine.progress > machine.patience:
+            machine.patience = min(2 * machine.patience, _LONGEST_RESEND)
+            machine.under_way.clear()
+
+    def _send(self, client: Any, asset: str, key: str) -> None:
         payload = self.spool.read(key)
-        if payload is None:
-            return
-        asset = WindowMessage.unpack(payload).asset
-        client.publish(window_topic(self._address.prefix, asset, self.name, key), payload, qos=1)
-        self.sent += 1
-        self._progress = time.monotonic()
+        if payload is not None:
+            client.publish(window_topic(self._address.prefix, asset, self.name, key), payload, qos=1)
+            self.sent += 1
 
     def _take_receipt(self, client: Any, message: Any) -> None:
         try:
@@ -131,11 +166,11 @@ class Gateway:
             log.warning("not a receipt", topic=message.topic)
             key, refused = "", None
         with self._counting:
-            known = self.spool.remove(key)
+            self._answered.add(key)
+            if not (known := self.spool.remove(key)):
+                self._answered.discard(key)
             self.stored += known and refused is None
             self.refused += known and refused is not None
-        if known:
-            self._progress = time.monotonic()
         if known and refused is not None:
             log.error("a window was refused", reason=str(refused)[:300])
         client.ack(message.mid, message.qos)
