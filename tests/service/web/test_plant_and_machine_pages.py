@@ -91,7 +91,8 @@ def store(service, asset, *arguments, **named):
 def test_the_plant_follows_what_happens(service, open_page):
     page = open_page(service.url)
     press = page.locator(".machine", has_text="Press")
-    expect(press).to_contain_text("RMS is 0.6 m/s², threshold 1 m/s².")
+    last = service.services.store.asset("press").last_finding.finding
+    expect(press).to_contain_text(last.reason)
     expect(page.locator(".machine", has_text="Gate")).to_contain_text("25 % movement 5 of 20")
     expect(page.locator("table")).to_contain_text("7 lost")
     expect(page.locator("table")).to_contain_text("Stale")
