@@ -21,7 +21,6 @@ FloatArray = npt.NDArray[np.float64]
 
 _STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
 _LEFT_BEHIND = 0.05
-_NEAR = 0.1
 _GAP = 1e-4
 
 
@@ -130,29 +129,22 @@ def synthesise(
 
 
 def _search(descents: list[Descent], target: float | None) -> Descent:
-    """Every descent begins; those that are not left far behind by the best go on, until they come to where it ended."""
+    """Every descent begins; those that are not left far behind by the best go on to the end.
+
+    Descents that come near to each other are not joined: two optima of one sign pattern can lie close, and differ by percents.
+    """
     goal = -np.inf if target is None else float(np.log(target))
     for descent in descents:
         descent.advance(_FIRST_STEPS if len(descents) > 1 else _STEPS, goal)
         if descent.here.peak <= goal:
             return descent
-    best, *others = sorted(descents, key=lambda descent: descent.here.peak)
-    best.advance(_STEPS, goal)
-    for descent in others:
-        if descent.here.peak >= best.here.peak + _LEFT_BEHIND:
-            continue
-        for _ in range(_STEPS):
-            if descent.finished or _in_one_valley(descent, best):
-                break
-            descent.advance(1, goal)
-        best = min(best, descent, key=lambda one: one.here.peak)
+    descents = sorted(descents, key=lambda descent: descent.here.peak)
+    best = descents[0]
+    for descent in descents:
+        if descent is best or descent.here.peak < best.here.peak + _LEFT_BEHIND:
+            descent.advance(_STEPS, goal)
+            best = min(best, descent, key=lambda one: one.here.peak)
     return best
-
-
-def _in_one_valley(descent: Descent, best: Descent) -> bool:
-    """Whether every parameter is within a tenth of where the best descent ended, which is a minimum."""
-    near = _NEAR * np.maximum(np.abs(best.here.rho), best.sizes)
-    return bool(np.all(np.abs(descent.here.rho - best.here.rho) <= near))
 
 
 def _valleys(descents: list[Descent]) -> list[Descent]:
