@@ -11,7 +11,7 @@ Arrays: U (n, inputs), p (NP,), x (NX,), S (NX, columns), A (NX, NX), B (NX, NP 
 D (NY, NP + NX). `u` has one element more than there are inputs: the time since the record's start.
 """
 
-# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator"
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from numba import njit, types
+from numba.extending import typeof_impl
 
 Array = npt.NDArray[np.float64]
 
@@ -46,6 +47,17 @@ class System(NamedTuple):
     surfaces: npt.NDArray[np.int64]
     delays: npt.NDArray[np.int64]
     own: npt.NDArray[np.int64]
+
+
+@typeof_impl.register(System)
+def _type_of_system(system, context):
+    """The numba type that all systems share: found once, for numba would look at every part of a system in every call."""
+    if not _SYSTEM:
+        _SYSTEM.append(types.NamedTuple([typeof_impl(part, context) for part in system], System))
+    return _SYSTEM[0]
+
+
+_SYSTEM: list[types.NamedTuple] = []
 
 
 class Memory(NamedTuple):
@@ -133,7 +145,10 @@ def inputs_move(delays, hold):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def resolve_standstill(q, w, p, j):
-    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state is zero (f⁺ = f⁻: no friction, no sticking)."""
+    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state is zero (f⁺ = f⁻: no friction, no sticking).
+
+    Returns f⁺ and f⁻, the state's rates on both sides.
+    """
     x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
     i = q.surfaces[j]
     m[j] = 1.0
@@ -150,6 +165,7 @@ def resolve_standstill(q, w, p, j):
     else:
         s[j] = 0.0
         m[j] = 1.0 if forward == backward else 0.0
+    return forward, backward
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -183,19 +199,44 @@ def stand(q, w, U, k, c, sample_time, hold, p):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def land(q, w, p):
-    """After a step: bring every surface that was crossed, and where the machine sticks, to zero."""
+def land(q, w, p, columns):
+    """After a step: bring every surface that was crossed, and where the machine sticks, to zero.
+
+    Where it slips on, the rest of the step after the crossing was walked at the rate of the side that it left: the state is
+    scaled to the rate of the side that it is on, and its derivatives with it (the saltation of Aizerman and Gantmacher 1958).
+    """
     for j in range(q.surfaces.shape[0]):
         i = q.surfaces[j]
-        reached = w.x[i]
-        if w.m[j] == 0.0 or w.s[j] * reached >= 0.0:
+        reached, side = w.x[i], w.s[j]
+        if w.m[j] == 0.0 or side * reached >= 0.0:
             continue
         w.x[i] = 0.0
-        resolve_standstill(q, w, p, j)
+        forward, backward = resolve_standstill(q, w, p, j)
+        left, there = (forward, backward) if side > 0.0 else (backward, forward)
         if w.m[j] == 0.0:
             w.S[i, :] = 0.0
+        elif left * there > 0.0:
+            there_side = w.s[j]
+            w.S[i, :] *= there / left
+            add_rate_slopes(q, w, p, columns, j, side, -reached * there / left**2)
+            add_rate_slopes(q, w, p, columns, j, there_side, reached / left)
+            w.x[i] = reached * there / left
         else:
             w.x[i] = reached
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_rate_slopes(q, w, p, columns, j, side, factor):
+    """Add to the derivatives of surface j's state those of its rate on one side, times a factor."""
+    i = q.surfaces[j]
+    w.s[j] = side
+    q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+    for c in range(columns.shape[0]):
+        slope = w.B[i, columns[c]]
+        for other in range(w.x.shape[0]):
+            if other != i:
+                slope += w.A[i, other] * w.S[other, c]
+        w.S[i, c] += factor * slope
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -242,7 +283,7 @@ def integrate(  # noqa: PLR0912
             else:
                 q.advance(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step)
             if crossed(x, surfaces, s, m):
-                land(q, w, p)
+                land(q, w, p, columns)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
