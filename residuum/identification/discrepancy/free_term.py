@@ -19,7 +19,7 @@ from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
 from residuum.identification.discrepancy.score_test import first_order_fit
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.physics import Experiment, Simulator, balance_variables
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -32,6 +32,8 @@ KNOTS: Mapping[str, tuple[int, ...]] = {
     "time": (17,),
 }
 """Axes of the free term, and how many hat functions are tried on each."""
+CHANGES = 5
+"""Hat functions by which an effect that was found may change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTe
         )
         price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
         d = pointwise - structure.pointwise
-        unit = model.balances[balance].unit
+        unit = model.balances[balance].unit if axis in KNOTS else ""  # a factor has none
         found.append(
             FreeTerm(
                 balance,
@@ -133,6 +135,26 @@ def _terms(
             for count in KNOTS[axis]:
                 knots = np.linspace(joined.min(), joined.max(), count)
                 yield name, axis, knots, [_hats(v, knots) for v in values]
+        yield from _changing(structure.model, name, signals, times)
+
+
+def _changing(
+    model: PhysicalModel, balance: str, signals: Sequence[Mapping[str, FloatArray]], times: Sequence[FloatArray]
+) -> Iterator[tuple[str, str, FloatArray, list[FloatArray]]]:
+    """Each effect of the balance with a size that changes with the speed, or with time: then it is not that effect."""
+    for use in model.effects:
+        name = f"term:{use.label.split('@')[0]}"
+        if use.target != balance or name not in signals[0]:
+            continue
+        axes = {"time": list(times)}
+        if "velocity" in signals[0]:
+            axes["velocity"] = [np.abs(s["velocity"]) for s in signals]
+        for axis, values in axes.items():
+            joined = np.concatenate(values)
+            if np.ptp(joined) > 0:
+                knots = np.linspace(joined.min(), joined.max(), CHANGES)
+                terms = [_hats(v, knots) * s[name][:, None] for v, s in zip(values, signals, strict=True)]
+                yield balance, f"{axis} (factor of {use.id})", knots, terms
 
 
 def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:

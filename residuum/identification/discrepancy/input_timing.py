@@ -5,12 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
+
 from residuum.identification.discrepancy.averaged import averaged
+from residuum.identification.discrepancy.innovations import ORDER
 from residuum.identification.discrepancy.prediction_windows import in_windows
-from residuum.identification.discrepancy.structures import Structure, base_structure
+from residuum.identification.discrepancy.structures import Structure, base_structure, plain_estimate
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+_NORMAL_MEDIAN = 0.6745
+OUTLYING = 30.0
+"""Spreads of an output's error beyond which its first one is not of their kind."""
 
 
 def experiments_and_base(
@@ -26,8 +36,25 @@ def experiments_and_base(
         turned = [replace(e, hold=1.0 - e.hold) if linear else e for e in experiments]
         reduced = in_windows(model, averaged(turned, most))
         try:
-            tried.append((reduced, base_structure(model, reduced)))
+            plain = plain_estimate(model, reduced)
+            settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]
+            tried.append((settled, base_structure(model, settled, plain)))
         except NotIdentifiable:
             if linear and not tried:
                 raise
     return max(tried, key=lambda pair: pair[1].log_likelihood)
+
+
+def _late(experiment: Experiment, residuals: FloatArray) -> Experiment:
+    """The experiment without the first samples of outputs whose beginning the model does not explain.
+
+    The first sample counts with its stationary density, which has no heavy tail. Where a record begins with a transient that the
+    model has no state for (a winding that is switched on), that one sample would decide over all others.
+    """
+    size = np.abs(residuals[:, experiment.measured])
+    outlying = np.flatnonzero(experiment.measured)[size[0] > OUTLYING * np.nanmedian(size, axis=0) / _NORMAL_MEDIAN]
+    if not outlying.size:
+        return experiment
+    Y = experiment.Y.copy()
+    Y[: ORDER * experiment.block, outlying] = np.nan
+    return replace(experiment, Y=Y)

@@ -47,6 +47,8 @@ class Screened:
         On the effect's leading parameter under the base's noise, all that is free projected out [1/unit²].
     own_parameters : int
         How many parameters the effect adds.
+    own : tuple of str
+        Its parameters that were free in the test; `slopes` those of the outputs by them, (blocks, outputs, own) an experiment.
     """
 
     effect: str
@@ -56,6 +58,8 @@ class Screened:
     chi_square: float
     information: float
     own_parameters: int
+    own: tuple[str, ...]
+    slopes: list[FloatArray]
 
     @property
     def key(self) -> tuple[str, str]:
@@ -161,6 +165,8 @@ class Screen:
                 NormalEquations.of(residuals, by_parameters, by_states, self.base.noises), len(names) - len(own)
             ),
             own_parameters=len(shapes),
+            own=tuple(n.removeprefix(f"{label}.") for n in own),
+            slopes=[J[:, :, len(names) - len(own) :] for J in by_parameters],
         )
 
     def _feasible_fit(self, model: PhysicalModel, names: list[str], first: int, linear: _Linear) -> tuple[FloatArray, FloatArray]:
@@ -197,7 +203,8 @@ class Screen:
             return np.inf
         power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
         for e, x, s in zip(self.experiments, self.base.initial, self.base.substeps, strict=True):
-            r = e.Y - simulator.run_vectors(e, x, simulator.p(), substeps=s).Y
+            x0 = np.pad(x, (0, len(simulator.states) - len(x)))  # an effect's own states are set by its kernel
+            r = e.Y - simulator.run_vectors(e, x0, simulator.p(), substeps=s).Y
             if not bounded(r[np.isfinite(e.Y)]):
                 return np.inf
             power += np.nansum(r**2, axis=0)

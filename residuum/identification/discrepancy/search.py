@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.evidence import ALIKE, preferred, relative_evidence
+from residuum.identification.discrepancy.evidence import ALIKE, preferred, relative_evidence, tempered_gain
 from residuum.identification.discrepancy.held_out import cross_checked
+from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.structures import Structure, base_structure, fit_structure, glimpse
 from residuum.identification.errors import NotIdentifiable
@@ -33,6 +34,8 @@ FALL, SLOW = 0.99, 10.0
 """Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
 ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins the structure: odds of 20 to 1."""
+PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
+"""An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0
 """The same for a second and third effect, which must not make up for what the first does not follow exactly."""
 EXCHANGES = 3
@@ -162,11 +165,37 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
 
 def _forward(base: Structure, task: _Task) -> Search:
     found = Search(base, base, len(task.candidates(base)))
+    _grow(found, task)
+    settled = [] if _two_instead(found, task) else found.accepted[-1:]
     for _ in range(EXCHANGES):
-        _grow(found, task)
-        if not _exchange(found, task):
+        if not _exchange(found, task, settled):
             break
+        _grow(found, task)
+        settled = found.accepted[-1:]
     return found
+
+
+def _two_instead(found: Search, task: _Task) -> bool:
+    """Put two effects in place of the only accepted one where they do more together; whether that was so."""
+    if len(found.accepted) != 1:
+        return False
+    pairs = promising_pairs(found.before[0], found.best, found.accepted[0], found.screened, task.experiments)
+    fitted = [fit_structure(m, task.experiments, found.best.initial, drifting=found.best.drifting) for m in pairs]
+    better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > _asked(found)]
+    if not better:
+        return False
+    pair = _polished(max(better, key=lambda s: s.log_likelihood - s.penalty(found.best)), task.experiments)
+    first, second = ((use.id, use.target) for use in pair.model.effects[-2:])
+    if not _holds_up(found, second, pair, task.experiments):
+        return False
+    found.accepted, found.best = [first, second], pair
+    found.before, found.alternatives = [found.base, found.base], [{first: pair}, {second: pair}]
+    return True
+
+
+def _asked(found: Search) -> float:
+    """Evidence that a second or third effect needs."""
+    return float(np.log(max(found.count, 1))) + ACCEPT_MORE
 
 
 def _grow(found: Search, task: _Task) -> None:
@@ -175,6 +204,7 @@ def _grow(found: Search, task: _Task) -> None:
     while len(found.accepted) < task.most_effects:
         refitted = _step(found, task)
         key, wins = _winner(refitted, found.best, found.count, ACCEPT_MORE if found.accepted else ACCEPT)
+        wins = wins or (key is not None and _rare_but_plain(found.best, refitted[key], found.count, task.experiments))
         if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
             found.timing.append(key)
             found.best = refitted[key]
@@ -187,7 +217,7 @@ def _grow(found: Search, task: _Task) -> None:
         if not _holds_up(found, key, refitted[key], task.experiments):
             found.refuted.append(key)
             break
-        refitted[key] = _polished(refitted[key], task.experiments)
+        refitted[key] = _followed(found.best, key, refitted[key], task)
         found.best = refitted[key]
         found.accepted.append(key)
 
@@ -200,13 +230,15 @@ def _winner(
     return preferred(refitted, before), bool(-nothing >= np.log(max(count, 1)) + asked)
 
 
-def _exchange(found: Search, task: _Task) -> bool:
+def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> bool:
     """Judge each of several effects again on top of the others: kept, exchanged for a better one, or dropped as needless.
 
     The first that a greedy search accepts may only stand for two that are missing together (viscous friction for drag and rolling
-    friction), which later steps bring to light. True when an effect was exchanged or dropped.
+    friction), which later steps bring to light. Those `settled` were judged on top of the others already.
+
+    True when an effect was exchanged or dropped.
     """
-    settled, exchanges = found.accepted[-1:], 0
+    exchanges = 0
     while exchanges < EXCHANGES and (waiting := [key for key in found.accepted if key not in settled]):
         key, at = waiting[0], found.accepted.index(waiting[0])
         others = _without(found.best, key, task.experiments)
@@ -263,6 +295,7 @@ def _tried(
     for key, structure in _grown(best, experiments, pairs, refitted):
         if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
             refitted[key] = structure
+    refitted |= _simplified(best, experiments, refitted)
     return _settled(refitted, best, experiments), tested
 
 
@@ -300,6 +333,18 @@ def _refitted(
     return found
 
 
+def _followed(before: Structure, key: tuple[str, str], structure: Structure, task: _Task) -> Structure:
+    """The structure climbed to its top, or a likelier top from another start of its effect: a contact's likelihood has many."""
+    tops = [_polished(structure, task.experiments)]
+    screen = Screen(before, task.experiments, task.origin(before))
+    if len(screen.starts(*key)) > 1:
+        starts = [screened.start for screened in screen.promising(*key)]
+        tops += _refitted(before, task.experiments, starts).values()
+        tops += [grown for _, grown in _grown(before, task.experiments, [key], {key: tops[0]})]
+    best = max(tops, key=lambda s: s.log_likelihood)
+    return best if best is tops[0] else _polished(best, task.experiments)
+
+
 def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
     """The structure climbed to its top: what it does not follow exactly would invite a next effect that is not there."""
     for _ in range(POLISHES):
@@ -326,9 +371,27 @@ def _grown(
                 {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
             ).with_effect(id, target, start)
             mark = special.log_likelihood
-            structure = fit_structure(model, experiments, best.initial, rival=mark, drifting=best.drifting)
+            structure = fit_structure(model, experiments, special.initial, rival=mark, drifting=best.drifting)
             if structure is not None and _simulates_no_worse(structure, best):
                 yield (id, target), structure
+
+
+def _simplified(
+    best: Structure, experiments: Sequence[Experiment], refitted: Mapping[tuple[str, str], Structure]
+) -> dict[tuple[str, str], Structure]:
+    """Effects refitted from the estimate of one that generalises them, where that one fits better: they may have been stuck."""
+    found = {}
+    for (id, target), general in refitted.items():
+        key = EFFECTS[id].generalises, target
+        special = refitted.get(key)
+        if special is None or general.log_likelihood < special.log_likelihood + CLOSE:
+            continue
+        known = general.model.values
+        start = {n: known.get(n.replace(key[0], id), value) for n, value in special.model.values.items()}
+        again = fit_structure(special.model.with_values(start), experiments, general.initial, drifting=best.drifting)
+        if again is not None and again.log_likelihood > special.log_likelihood and _simulates_no_worse(again, best):
+            found[key] = again
+    return found
 
 
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
@@ -373,18 +436,31 @@ def _within_a_sample(structure: Structure, key: tuple[str, str], experiments: Se
     return bool(shift < max(e.sample_time for e in experiments))
 
 
+def _rare_but_plain(before: Structure, better: Structure, count: int, experiments: Sequence[Experiment]) -> bool:
+    """Whether an effect that few moments speak for (a stop, a limit) takes most of the error away on data not used.
+
+    Tempering makes each moment worth two units, whatever it shows; an error that vanishes elsewhere too is no lucky moment.
+    """
+    gain = better.log_likelihood - better.penalty(before) - before.log_likelihood
+    if gain < PLAINLY_MORE + np.log(max(count, 1)):
+        return False
+    errors = [cross_checked(structure, experiments) for structure in (before, better)]
+    return errors[0] is not None and errors[1] is not None and _mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
+
+
 def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiments: Sequence[Experiment]) -> bool:
     """Whether the effect raises neither the simulation error nor that on data which were not used for the estimation.
 
     An unmeasured disturbance can let the likelihood win by the fast part of the error alone, while what the user sees grows.
     """
-    if not _simulates_no_worse(better, found.best, FALL if _times_its_innovations(better) > SLOW else RISE):
+    rise = FALL if found.accepted or _times_its_innovations(better) > SLOW else RISE
+    if not _simulates_no_worse(better, found.best, rise):
         return False
     errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
     if errors[0] is None or errors[1] is None:
         return True
     found.held_out[key] = errors[0], errors[1]
-    return _mean_ratio(errors[1], errors[0]) < RISE
+    return _mean_ratio(errors[1], errors[0]) < (FALL if found.accepted else RISE)
 
 
 def _simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:

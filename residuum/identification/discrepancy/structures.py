@@ -16,7 +16,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -275,17 +275,20 @@ def _least_simulation_error(
     return ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
 
 
-def base_structure(model: PhysicalModel, experiments: Sequence[Experiment]) -> Structure:
-    """The model as it is, its free parameters, initial states and noise colours re-estimated.
+def plain_estimate(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:
+    """The model at the least simulation error, found roughly: white noise, whose basin is wide."""
+    return estimate(model, experiments, settings=Settings(iterations=15, tolerance=1e-5))
 
-    Begins with the simulation error (white noise), whose basin is wide.
+
+def base_structure(model: PhysicalModel, experiments: Sequence[Experiment], plain: Estimate | None = None) -> Structure:
+    """The model as it is, its free parameters, initial states and noise colours re-estimated from the `plain` estimate on.
 
     Raises
     ------
     NotIdentifiable
         The model diverges on a record.
     """
-    first = estimate(model, experiments, settings=Settings(iterations=15, tolerance=1e-5))
+    first = plain_estimate(model, experiments) if plain is None else plain
     structure = fit_structure(first.model, experiments, first.initial, second_start=False)
     if structure is None:
         raise NotIdentifiable(f"model {model.name!r}: diverges on its records")

@@ -60,15 +60,19 @@ class NormalEquations:
         theta, own = self.step()
         return 0.5 * float(theta @ self.g + sum(z @ b for z, b in zip(own, self.own_gradient, strict=True)))
 
+    def reduced(self) -> tuple[FloatArray, FloatArray]:
+        """H (q, q) and g (q,) of the parameters once the experiments' own unknowns are free."""
+        return self._eliminated(0.0)[1:]
+
     def information(self) -> FloatArray:
         """Information on the parameters once the experiments' own unknowns are free, shape (q, q)."""
-        return self._eliminated(0.0)[1]
+        return self.reduced()[0]
 
     def std(self) -> FloatArray:
         """Standard deviations of the parameters (infinite along directions without information), shape (q,)."""
         H = self.information()
         scale = np.sqrt(np.maximum(np.diag(H), 0.0))
-        seen = scale > 0
+        seen = (scale > 0) & np.all(np.isfinite(H), axis=0)
         found = np.full(len(scale), np.inf)
         if seen.any():
             values, vectors = np.linalg.eigh(H[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen]))
@@ -104,9 +108,9 @@ def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, Flo
 
 
 def solve_symmetric(H: FloatArray, right: FloatArray) -> FloatArray:
-    """H⁻¹ right, scaled to unit diagonal, directions without information left at zero."""
-    if H.shape[0] == 0:
-        return np.zeros((0, right.shape[1]))
+    """H⁻¹ right, scaled to unit diagonal, directions without information left at zero; zero where the numbers have overflowed."""
+    if H.shape[0] == 0 or not (np.all(np.isfinite(H)) and np.all(np.isfinite(right))):
+        return np.zeros((H.shape[0], right.shape[1]))
     scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))

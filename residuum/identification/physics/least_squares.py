@@ -27,9 +27,9 @@ def damped(H: Array, damping: float) -> Array:
 
 
 def solve_scaled(H: Array, right: Array) -> Array:
-    """H⁻¹ right for a symmetric H scaled to unit diagonal; components without curvature stay where they are."""
-    if H.shape[0] == 0:
-        return np.zeros((0, right.shape[1]))
+    """H⁻¹ right for a symmetric H scaled to unit diagonal; components without curvature, or all after an overflow, stay zero."""
+    if H.shape[0] == 0 or not (np.all(np.isfinite(H)) and np.all(np.isfinite(right))):
+        return np.zeros((H.shape[0], right.shape[1]))
     scale = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))

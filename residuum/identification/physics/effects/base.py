@@ -190,7 +190,8 @@ class Effect(ABC):
     natural_bounds : tuple of str
         Parameters that may well lie on a bound; any other estimate on a bound is another effect, or none, in disguise.
     generalises : str
-        Effect that this one contains as a special case; where that one fits, this one is tried from there as well (`grown`).
+        Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
+        (`grown`).
     """
 
     id: ClassVar[str]

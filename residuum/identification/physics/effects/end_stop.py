@@ -36,6 +36,7 @@ class EndStop(Effect):
     sizes = ("k", "d")
     natural_bounds = ("d",)
     follows = ("lack",)
+    generalises = "end-stop"
     rest = 0.001
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
@@ -65,6 +66,12 @@ class EndStop(Effect):
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
             found.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
         return found
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """The stops moved by parts of what the machine travels in a sample: each moment of contact is a small summit."""
+        motion = float(np.quantile(np.abs(np.diff(conditions.variables["position"])), 0.9))
+        moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
+        return [dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves]
 
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
         """Pushes inwards beyond the ends, does nothing between them."""

@@ -1,0 +1,76 @@
+"""Pairs of effects that together promise more than one which stands for both: a first-order look at all pairs at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.score_test import Screened
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+
+FloatArray = npt.NDArray[np.float64]
+Key = tuple[str, str]
+
+_MOST = 3
+_WORTH_REFITTING = 5.0
+"""Log-likelihood by which a pair has to promise more than the effect that it would replace."""
+
+
+def promising_pairs(
+    base: Structure, single: Structure, key: Key, screened: Mapping[Key, Screened], experiments: Sequence[Experiment]
+) -> list[PhysicalModel]:
+    """The base with two effects that, to first order, do more than the one (`key`) which `single` has; the best first.
+
+    All candidates' slopes on top of the base go into one set of normal equations, weighted as the single's residuals are:
+    with H, g its curvature and gradient there and a the single's own size, a subset S of the columns (and what the base leaves
+    free) promises ½ g₀ᵀ H_SS⁻¹ g₀ where g₀ = g + H a is the gradient with the single taken away.
+    """
+    tested = [s for s in screened.values() if all(np.all(np.isfinite(J)) for J in s.slopes)]
+    if key not in [s.key for s in tested]:
+        return []
+    equations, first = _equations(base, single, tested, experiments)
+    H, g = equations.reduced()
+    own = {s.key: np.arange(at, at + s.slopes[0].shape[2]) for s, at in zip(tested, first, strict=True)}
+    sizes = [single.model.values[f"{single.label_of(key)}.{n}"] for n in screened[key].own]
+    g = g + H[:, own[key]] @ np.array(sizes)
+    free = np.arange(len(base.parameters))
+
+    def promise(*keys: Key) -> float:
+        S = np.concatenate([free, *(own[k] for k in keys)])
+        return 0.5 * float(g[S] @ solve_symmetric(H[np.ix_(S, S)], g[S, None])[:, 0])
+
+    mark = promise(key) + _WORTH_REFITTING
+    pairs = [(promise(*pair), pair) for pair in combinations([s.key for s in tested if s.key != key], 2)]
+    best = sorted((found for found in pairs if found[0] > mark), key=lambda found: -found[0])
+    return [_joined(base.model, [screened[k].start for k in pair]) for _, pair in best[:_MOST]]
+
+
+def _equations(
+    base: Structure, single: Structure, tested: Sequence[Screened], experiments: Sequence[Experiment]
+) -> tuple[NormalEquations, list[int]]:
+    """The joint normal equations, and where each candidate's columns begin."""
+    simulator = Simulator(base.model)
+    states = [f"initial:{name}" for name in base.model.states if name not in base.model.initial]
+    q = len(base.parameters)
+    by_parameters, by_states = [], []
+    for k, (e, x, steps) in enumerate(zip(experiments, base.initial, base.substeps, strict=True)):
+        run = simulator.run_vectors(e, x, simulator.p(), slopes=[*base.parameters, *states], substeps=steps)
+        slopes = e.means(np.zeros((e.n, e.Y.shape[1], 0)) if run.dY is None else run.dY)
+        by_parameters.append(np.concatenate([slopes[:, :, :q], *(s.slopes[k] for s in tested)], axis=2))
+        by_states.append(slopes[:, :, q:])
+    widths = [s.slopes[0].shape[2] for s in tested]
+    first = q + np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(int)
+    return NormalEquations.of(single.residuals, by_parameters, by_states, single.noises), first.tolist()
+
+
+def _joined(model: PhysicalModel, starts: Sequence[PhysicalModel]) -> PhysicalModel:
+    """The model with the last effect of each of these."""
+    for start in starts:
+        use = start.effects[-1]
+        model = model.with_effect(use.id, use.target, {n: p.value for n, p in use.parameters.items()})
+    return model

@@ -1,0 +1,94 @@
+"""The search for missing effects where the model has gone astray; the machines are integrated here, in fine Euler steps."""
+
+import numpy as np
+
+from residuum.identification.discrepancy.explain import explain
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+
+VAN = """
+name: van
+inputs:      {traction: N}
+states:      {s: {unit: m, rate: v}, v: {unit: m/s}}
+parameters:  {m: {value: 2200, unit: kg, lower: 500}}
+balances:
+  chassis:   {kind: force, storage: m * der(v), terms: {wheels: traction}, position: s, velocity: v}
+outputs:     {speed: {value: v, unit: m/s}}
+"""
+AXIS = """
+name: axis
+inputs:      {force: N}
+states:      {q: {unit: m, rate: v}, v: {unit: m/s}}
+parameters:  {M: {value: 42, unit: kg, lower: 5, upper: 500}, d: {value: 60, unit: N*s/m, lower: 0}}
+balances:
+  slide:     {kind: force, storage: M * der(v), terms: {motor: force, guide: -d * v}, position: q, velocity: v}
+outputs:     {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
+"""
+FINE = 20
+
+
+def van(drag, rolling, seed=4, n=4000, sample_time=0.01):
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-2500.0, 4200.0, n // 400 + 1), 400)[:n]
+    v, speed = 8.0, np.empty(n)
+    for k in range(n):
+        speed[k] = v
+        for _ in range(FINE):
+            v += sample_time / FINE * (u[k] - drag * v * abs(v) - rolling * np.sign(v)) / 2380.0
+    noise = np.zeros(n)
+    for k in range(1, n):
+        noise[k] = 0.5 * noise[k - 1] + 0.004 * rng.standard_normal()
+    return Record({"traction": u, "speed": speed + noise}, {"traction": "N", "speed": "m/s"}, sample_time)
+
+
+def controlled_axis(load, seed=6, n=5000, sample_time=0.002):
+    """An axis that a controller moves to and fro; `load(q, v)` is what the model does not know."""
+    rng = np.random.default_rng(seed)
+    wanted = np.cumsum(np.clip(np.diff(np.repeat(rng.uniform(-0.2, 0.2, n // 600 + 1), 600)[: n + 1]), -0.4, 0.4))
+    wanted = np.convolve(wanted, np.full(300, 1 / 300), mode="same")
+    q = v = 0.0
+    F, Q, V = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        Q[k], V[k] = q + 2e-5 * rng.standard_normal(), v + 2e-3 * rng.standard_normal()
+        F[k] = np.clip(2.5e4 * (wanted[k] - Q[k]) - 1.8e3 * V[k], -500.0, 500.0)
+        for _ in range(FINE):
+            v += sample_time / FINE * (F[k] - 57.0 * v + load(q, v)) / 40.0
+            q += sample_time / FINE * v
+    return Record({"force": F, "position": Q, "velocity": V}, {"force": "N", "position": "m", "velocity": "m/s"}, sample_time)
+
+
+def test_two_effects_for_which_a_third_could_stand_are_both_found():
+    """Drag and rolling friction of a vehicle, whose position nobody records: alone, viscous friction fits best."""
+    effects = ["viscous-friction", "quadratic-drag", "coulomb-friction", "linear-spring", "stribeck-friction"]
+    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 320.0)], effects=effects)
+    accepted = dict.fromkeys(id for id, _ in found.search.accepted)
+    assert list(accepted) in (["quadratic-drag", "coulomb-friction"], ["coulomb-friction", "quadratic-drag"])
+    drag = next(c for c in found.candidates if c.effect == "quadratic-drag").parameters["c"]
+    assert abs(drag.value - 1.1) < 4 * drag.std
+
+
+def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
+    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 0.0)], effects=["quadratic-drag", "linear-spring", "cubic-spring"])
+    assert [id for id, _ in found.search.accepted] == ["quadratic-drag"]
+
+
+def test_an_end_stop_that_the_machine_hammers_is_found_where_it_is():
+    def stop(q, v):
+        return -max(8e4 * (q - 0.12) + 400.0 * v, 0.0) if q > 0.12 else 0.0
+
+    found = explain(
+        read_model(AXIS, "axis.yaml"), [controlled_axis(stop)], effects=["end-stop", "cubic-spring", "coulomb-friction"]
+    )
+    assert found.candidates[0].effect == "end-stop" and found.verdict == "missing-effect"
+    values = found.candidates[0].parameters
+    assert abs(values["q_max"].value - 0.12) < 1e-4 and abs(values["k"].value / 8e4 - 1.0) < 0.05
+
+
+def test_cogs_that_hold_an_axis_are_found_with_their_pitch():
+    pitch = 2 * np.pi / 0.032
+    record = controlled_axis(lambda q, _v: -30.0 * np.sin(pitch * q))
+    found = explain(read_model(AXIS, "axis.yaml"), [record], effects=["tooth-ripple", "coulomb-friction", "input-dead-zone"])
+    assert [id for id, _ in found.search.accepted] == ["tooth-ripple"]
+    values = found.candidates[0].parameters
+    assert abs(values["n"].value / pitch - 1.0) < 1e-3
+    assert abs(np.hypot(values["a"].value, values["b"].value) - 30.0) < 0.5
