@@ -288,9 +288,10 @@ def _tried(
         tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
     promising = [s.start for s in tested if s.gain > 2.0][: task.refits]
-    promising += _overlooked(best, experiments, [s.start for s in tested if s.gain < 0.0])
+    promising += _overlooked(best, experiments, [s.start for s in tested if s.gain < 0.0][:MOST_GLIMPSES])
     if _times_its_innovations(best) > SLOW:
-        promising += _overlooked(best, experiments, _from_the_track(screen, pairs))
+        promising += _overlooked(best, experiments, _from_the_track(screen, pairs)[:MOST_GLIMPSES])
+        promising += _overlooked(best, experiments, _with_states(screen, pairs))
     refitted = _refitted(best, experiments, promising)
     for key, structure in _grown(best, experiments, pairs, refitted):
         if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
@@ -404,12 +405,11 @@ def _grown_starts(id: str, target: str, special: Structure, experiments: Sequenc
 
 
 def _overlooked(best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
-    """Of the first few of these starts those that a few full steps speak for, the most promising first.
+    """The starts that a few full steps speak for, the most promising first.
 
     The first-order test misjudges effects where its linearisation fails: it finds a negative gain, which a least-squares step can
     only cause there, or none at all.
     """
-    starts = starts[:MOST_GLIMPSES]
     with ThreadPoolExecutor(_THREADS) as pool:
         gains = [gain - best.log_likelihood for gain in pool.map(lambda start: glimpse(start, experiments, best), starts)]
     ranked = sorted(zip(gains, range(len(starts)), strict=True), reverse=True)
@@ -420,6 +420,13 @@ def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[Ph
     """Starts of the effects that resemble what their balances lacked where the machine was, the most alike first."""
     found = [regressed for pair in pairs if (regressed := screen.regressed(*pair)) is not None]
     return [model for _, model in sorted(found, key=lambda one: -one[0])]
+
+
+def _with_states(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
+    """Starts of the effects with states of their own: no track shows those, and slow noise hides what they would explain."""
+    model = screen.base.model
+    own = [(id, at) for id, at in pairs if EFFECTS[id].states(model.site(at, EFFECTS[id]))]
+    return [screened.start for pair in own for screened in screen.promising(*pair, most=2)]
 
 
 def _is_timing(
