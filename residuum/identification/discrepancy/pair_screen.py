@@ -18,40 +18,41 @@ Key = tuple[str, str]
 
 _MOST = 3
 _WORTH_REFITTING = 5.0
-"""Log-likelihood by which a pair has to promise more than the effect that it would replace."""
+"""Log-likelihood by which a pair has to promise more than a single effect that it would replace."""
 
 
 def promising_pairs(
-    base: Structure, single: Structure, key: Key, screened: Mapping[Key, Screened], experiments: Sequence[Experiment]
+    base: Structure, found: Structure, keys: Sequence[Key], screened: Mapping[Key, Screened], experiments: Sequence[Experiment]
 ) -> list[PhysicalModel]:
-    """The base with two effects that, to first order, do more than the one (`key`) which `single` has; the best first.
+    """The base with two effects that, to first order, do more than those (`keys`) which `found` has; the best first.
 
-    All candidates' slopes on top of the base go into one set of normal equations, weighted as the single's residuals are:
-    with H, g its curvature and gradient there and a the single's own size, a subset S of the columns (and what the base leaves
-    free) promises ½ g₀ᵀ H_SS⁻¹ g₀ where g₀ = g + H a is the gradient with the single taken away.
+    All candidates' slopes on top of the base go into one set of normal equations, weighted as the residuals of `found` are:
+    with H, g its curvature and gradient there and a the sizes of its effects, a subset S of the columns (and what the base leaves
+    free) promises ½ g₀ᵀ H_SS⁻¹ g₀ where g₀ = g + H a is the gradient with those effects taken away.
     """
     tested = [s for s in screened.values() if all(np.all(np.isfinite(J)) for J in s.slopes)]
-    if key not in [s.key for s in tested]:
+    if not {s.key for s in tested} >= set(keys):
         return []
-    equations, first = _equations(base, single, tested, experiments)
+    equations, first = _equations(base, found, tested, experiments)
     H, g = equations.reduced()
     own = {s.key: np.arange(at, at + s.slopes[0].shape[2]) for s, at in zip(tested, first, strict=True)}
-    sizes = [single.model.values[f"{single.label_of(key)}.{n}"] for n in screened[key].own]
-    g = g + H[:, own[key]] @ np.array(sizes)
+    for key in keys:
+        g = g + H[:, own[key]] @ np.array([found.model.values[f"{found.label_of(key)}.{n}"] for n in screened[key].own])
     free = np.arange(len(base.parameters))
 
     def promise(*keys: Key) -> float:
         S = np.concatenate([free, *(own[k] for k in keys)])
         return 0.5 * float(g[S] @ solve_symmetric(H[np.ix_(S, S)], g[S, None])[:, 0])
 
-    mark = promise(key) + _WORTH_REFITTING
-    pairs = [(promise(*pair), pair) for pair in combinations([s.key for s in tested if s.key != key], 2)]
-    best = sorted((found for found in pairs if found[0] > mark), key=lambda found: -found[0])
+    mark = promise(*keys) + (_WORTH_REFITTING if len(keys) == 1 else 0.0)
+    others = [s.key for s in tested if len(keys) > 1 or s.key != keys[0]]
+    pairs = [(promise(*pair), pair) for pair in combinations(others, 2) if set(pair) != set(keys)]
+    best = sorted((pair for pair in pairs if pair[0] > mark), key=lambda pair: -pair[0])
     return [_joined(base.model, [screened[k].start for k in pair]) for _, pair in best[:_MOST]]
 
 
 def _equations(
-    base: Structure, single: Structure, tested: Sequence[Screened], experiments: Sequence[Experiment]
+    base: Structure, found: Structure, tested: Sequence[Screened], experiments: Sequence[Experiment]
 ) -> tuple[NormalEquations, list[int]]:
     """The joint normal equations, and where each candidate's columns begin."""
     simulator = Simulator(base.model)
@@ -65,7 +66,7 @@ def _equations(
         by_states.append(slopes[:, :, q:])
     widths = [s.slopes[0].shape[2] for s in tested]
     first = q + np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(int)
-    return NormalEquations.of(single.residuals, by_parameters, by_states, single.noises), first.tolist()
+    return NormalEquations.of(found.residuals, by_parameters, by_states, found.noises), first.tolist()
 
 
 def _joined(model: PhysicalModel, starts: Sequence[PhysicalModel]) -> PhysicalModel:

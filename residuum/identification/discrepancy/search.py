@@ -166,30 +166,60 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
 def _forward(base: Structure, task: _Task) -> Search:
     found = Search(base, base, len(task.candidates(base)))
     _grow(found, task)
+    first = dict(found.alternatives[0]) if found.alternatives else {}
+    _settle(found, task)
+    if len(found.accepted) > 1 and _times_its_innovations(found.base) > SLOW:
+        other = _from_the_runner_up(found, first, task)
+        if other is not None and _score(other.best, found.base) > _score(found.best, found.base):
+            return other
+    return found
+
+
+def _settle(found: Search, task: _Task) -> None:
+    """Exchange what was accepted one by one for what does more together, until nothing changes."""
     settled = [] if _two_instead(found, task) else found.accepted[-1:]
     for _ in range(EXCHANGES):
         if not _exchange(found, task, settled):
             break
         _grow(found, task)
         settled = found.accepted[-1:]
-    return found
+
+
+def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], task: _Task) -> Search | None:
+    """The search from the second best of its first candidates: where a base is far off, the first best may lead astray."""
+    others = {key: s for key, s in first.items() if key not in found.accepted}
+    key = preferred(others, found.base)
+    if key is None:
+        return None
+    best = _polished(others[key], task.experiments)
+    other = replace(found, best=best, before=[found.base], alternatives=[first | {key: best}], accepted=[key], refuted=[])
+    _grow(other, task)
+    _settle(other, task)
+    return other
+
+
+def _score(structure: Structure, base: Structure) -> float:
+    """Schwarz's criterion."""
+    return structure.log_likelihood - structure.penalty(base)
 
 
 def _two_instead(found: Search, task: _Task) -> bool:
-    """Put two effects in place of the only accepted one where they do more together; whether that was so."""
-    if len(found.accepted) != 1:
+    """Put two effects in place of those accepted where they do more together; whether that was so."""
+    if not found.accepted:
         return False
-    pairs = promising_pairs(found.before[0], found.best, found.accepted[0], found.screened, task.experiments)
+    base = found.base
+    pairs = promising_pairs(base, found.best, found.accepted, found.screened, task.experiments)
     fitted = [fit_structure(m, task.experiments, found.best.initial, drifting=found.best.drifting) for m in pairs]
-    better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > _asked(found)]
+    asked = _asked(found) if len(found.accepted) == 1 else 0.0
+    better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > asked]
     if not better:
         return False
-    pair = _polished(max(better, key=lambda s: s.log_likelihood - s.penalty(found.best)), task.experiments)
+    pair = _polished(max(better, key=lambda s: _score(s, base)), task.experiments)
     first, second = ((use.id, use.target) for use in pair.model.effects[-2:])
     if not _holds_up(found, second, pair, task.experiments):
         return False
     found.accepted, found.best = [first, second], pair
-    found.before, found.alternatives = [found.base, found.base], [{first: pair}, {second: pair}]
+    found.before, found.alternatives = [base, base], [{first: pair}, {second: pair}]
     return True
 
 
