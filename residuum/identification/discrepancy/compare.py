@@ -12,6 +12,7 @@ from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.features import features
 from residuum.identification.discrepancy.locate import Axis, Region
 from residuum.identification.discrepancy.noise_floor import noise_floor
+from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.regions import regions
 from residuum.identification.discrepancy.structured_error import StructuredError, test_structured_error
 from residuum.identification.errors import BadInput, NotIdentifiable
@@ -122,6 +123,7 @@ def compare(
     ]
     refitted = _refitted(model, experiments, simulation)
     structured = structured_errors(experiments, simulation.residuals, axes, model, refitted, level=level, seed=seed)
+    structured |= _structured_in_windows(model, experiments, structured, level, seed)
     ahead = _prediction_errors(kalman, experiments, smoothed)
     outputs = _output_errors(model, experiments, simulation, ahead, structured)
     seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
@@ -203,6 +205,27 @@ def structured_errors(
         except BadInput:  # not measured, or too short a record for the test: no claim is made
             continue
     return found
+
+
+def _structured_in_windows(
+    model: PhysicalModel, experiments: list[Experiment], whole: Mapping[str, StructuredError], level: float, seed: int
+) -> dict[str, StructuredError]:
+    """The test on windows with first states of their own, of a plant that integrates; nothing for other plants.
+
+    Over a whole record such a plant drifts with every small error, and the drift passes for noise that is integrated.
+    """
+    parts = in_windows(model, experiments)
+    if len(parts) == len(experiments):
+        return {}
+    try:
+        simulation = estimate(model, parts, free=())
+    except NotIdentifiable:
+        return {}
+    starts = zip(parts, simulation.initial, strict=True)
+    axes = [signal_axes(model, part, _simulated_states(model, part, x0)) for part, x0 in starts]
+    refitted = _refitted(model, parts, simulation)
+    found = structured_errors(parts, simulation.residuals, axes, model, refitted, level=level, seed=seed)
+    return {name: replace(test, predicted=whole[name].predicted) for name, test in found.items() if name in whole}
 
 
 def _simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray) -> FloatArray:

@@ -183,7 +183,7 @@ def pass_output(adjoint, Adjoint, a, gain, e, V):
 
 @njit(cache=True, error_model="numpy")
 def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold):
-    """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); the first `steps` rows are NaN."""
+    """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); NaN in the first `steps` rows."""
     n, w = U.shape[0], new_memory(q, 0)
     Y = np.full((n, q.sizes[3]), np.nan)
     nx, p, no_columns = w.x.shape[0], p.copy(), np.zeros(0, dtype=np.int64)
