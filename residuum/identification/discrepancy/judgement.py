@@ -28,8 +28,9 @@ _REFUTED = 0.9
 _MOSTLY = 0.7
 _PLAINLY = 6.0
 """Times the noise floor beyond which no noise of up to ρ = .995 gets (at most 5.3 in 600 trials)."""
-_MUCH, _DOUBTED = 3.0, 0.3
-"""Times the noise floor that no error keeps with the right effect added (at most 2), and how probable something else then is."""
+_MUCH, _NEARLY_ALL, _DOUBTED = 3.0, 100.0, 0.3
+"""Times the noise floor that no error keeps with the right effect added (at most 2); beyond which no name stands; and how
+probable something else is between them."""
 _CERTAIN, _SHARE = 1e-4, 0.2
 """Level of the test, and share of the error's power, from which on a model errs by its own signals."""
 
@@ -91,8 +92,9 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     unknown = float(np.clip((share - _NEGLIGIBLE) / (_MOST - _NEGLIGIBLE), 0.0, 1.0))
     if incomplete or ((found.refuted or found.base.drifting) and not found.accepted):
         unknown = max(unknown, _REFUTED)
-    if found.accepted and max(map(_times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True))) > _MUCH:
-        unknown = max(unknown, _DOUBTED)
+    left = max(map(_times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True)))
+    if found.accepted and left > _MUCH:
+        unknown = max(unknown, _DOUBTED if left < _NEARLY_ALL else _REFUTED)
     listed: list[Candidate] = []
     none = 1.0
     for step in range(min(max(1, len(found.accepted)), len(found.alternatives))):
