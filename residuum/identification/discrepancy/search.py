@@ -234,7 +234,8 @@ def _grow(found: Search, task: _Task) -> None:
     while len(found.accepted) < task.most_effects:
         refitted = _step(found, task)
         key, wins = _winner(refitted, found.best, found.count, ACCEPT_MORE if found.accepted else ACCEPT)
-        wins = wins or (key is not None and _rare_but_plain(found.best, refitted[key], found.count, task.experiments))
+        if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
+            key, wins = plain, True
         if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
             found.timing.append(key)
             found.best = refitted[key]
@@ -318,7 +319,9 @@ def _tried(
         tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
     promising = [s.start for s in tested if s.gain > 2.0][: task.refits]
-    promising += _overlooked(best, experiments, [s.start for s in tested if s.gain < 0.0][:MOST_GLIMPSES])
+    negative = [s for s in tested if s.gain < 0.0]
+    stateful = [s for s in negative[MOST_GLIMPSES:] if _has_states(best.model, s.key)]
+    promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *stateful)])
     if _times_its_innovations(best) > SLOW:
         promising += _overlooked(best, experiments, _from_the_track(screen, pairs)[:MOST_GLIMPSES])
         promising += _overlooked(best, experiments, _with_states(screen, pairs))
@@ -397,12 +400,13 @@ def _grown(
         special = refitted.get((EFFECTS[id].generalises, target))
         if special is None or special.log_likelihood - best.log_likelihood < ACCEPT:
             continue
+        initial = special.initial if EFFECTS[id].generalises == id else best.initial
         for start in _grown_starts(id, target, special, experiments):
             model = best.model.with_values(
                 {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
             ).with_effect(id, target, start)
             mark = special.log_likelihood
-            structure = fit_structure(model, experiments, special.initial, rival=mark, drifting=best.drifting)
+            structure = fit_structure(model, experiments, initial, rival=mark, drifting=best.drifting)
             if structure is not None and _simulates_no_worse(structure, best):
                 yield (id, target), structure
 
@@ -454,9 +458,14 @@ def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[Ph
 
 def _with_states(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
     """Starts of the effects with states of their own: no track shows those, and slow noise hides what they would explain."""
-    model = screen.base.model
-    own = [(id, at) for id, at in pairs if EFFECTS[id].states(model.site(at, EFFECTS[id]))]
+    own = [pair for pair in pairs if _has_states(screen.base.model, pair)]
     return [screened.start for pair in own for screened in screen.promising(*pair, most=2)]
+
+
+def _has_states(model: PhysicalModel, key: tuple[str, str]) -> bool:
+    """Whether an effect remembers: play, a second store, hysteresis."""
+    effect = EFFECTS[key[0]]
+    return bool(effect.states(model.site(key[1], effect)))
 
 
 def _is_timing(
@@ -473,16 +482,20 @@ def _within_a_sample(structure: Structure, key: tuple[str, str], experiments: Se
     return bool(shift < max(e.sample_time for e in experiments))
 
 
-def _rare_but_plain(before: Structure, better: Structure, count: int, experiments: Sequence[Experiment]) -> bool:
-    """Whether an effect that few moments speak for (a stop, a limit) takes most of the error away on data not used.
+def _rare_but_plain(
+    found: Search, refitted: Mapping[tuple[str, str], Structure], experiments: Sequence[Experiment]
+) -> tuple[str, str] | None:
+    """The likeliest effect where few moments speak for it (a stop, a limit), but most of the error goes with it on data not used.
 
     Tempering makes each moment worth two units, whatever it shows; an error that vanishes elsewhere too is no lucky moment.
     """
-    gain = better.log_likelihood - better.penalty(before) - before.log_likelihood
-    if gain < PLAINLY_MORE + np.log(max(count, 1)):
-        return False
-    errors = [cross_checked(structure, experiments) for structure in (before, better)]
-    return errors[0] is not None and errors[1] is not None and _mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
+    inside = {key: s for key, s in refitted.items() if preferred({key: s}, found.best) is not None}
+    key = max(inside, key=lambda each: _score(inside[each], found.best), default=None)
+    if key is None or _score(inside[key], found.best) - found.best.log_likelihood < PLAINLY_MORE + np.log(max(found.count, 1)):
+        return None
+    errors = [cross_checked(structure, experiments) for structure in (found.best, inside[key])]
+    plain = errors[0] is not None and errors[1] is not None and _mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
+    return key if plain else None
 
 
 def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiments: Sequence[Experiment]) -> bool:
