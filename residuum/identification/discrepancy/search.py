@@ -192,7 +192,17 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
     if key is None:
         return None
     best = _polished(others[key], task.experiments)
-    other = replace(found, best=best, before=[found.base], alternatives=[first | {key: best}], accepted=[key], refuted=[])
+    present = {(use.id, use.target) for use in found.base.model.effects}
+    other = replace(
+        found,
+        best=best,
+        before=[found.base],
+        alternatives=[first | {key: best}],
+        accepted=[key],
+        refuted=[],
+        held_out={},
+        timing=[shift for shift in found.timing if shift in present],
+    )
     _grow(other, task)
     _settle(other, task)
     return other
@@ -210,7 +220,7 @@ def _two_instead(found: Search, task: _Task) -> bool:
     base = found.base
     pairs = promising_pairs(base, found.best, found.accepted, found.screened, task.experiments)
     fitted = [fit_structure(m, task.experiments, found.best.initial, drifting=found.best.drifting) for m in pairs]
-    asked = _asked(found) if len(found.accepted) == 1 else 0.0
+    asked = _asked(found, ACCEPT_MORE) if len(found.accepted) == 1 else 0.0
     better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > asked]
     if not better:
         return False
@@ -223,9 +233,9 @@ def _two_instead(found: Search, task: _Task) -> bool:
     return True
 
 
-def _asked(found: Search) -> float:
-    """Evidence that a second or third effect needs."""
-    return float(np.log(max(found.count, 1))) + ACCEPT_MORE
+def _asked(found: Search, beyond: float) -> float:
+    """Evidence that an effect needs: so much beyond the logarithm of how many there are to choose from."""
+    return float(np.log(max(found.count, 1))) + beyond
 
 
 def _grow(found: Search, task: _Task) -> None:
@@ -233,7 +243,7 @@ def _grow(found: Search, task: _Task) -> None:
     del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
     while len(found.accepted) < task.most_effects:
         refitted = _step(found, task)
-        key, wins = _winner(refitted, found.best, found.count, ACCEPT_MORE if found.accepted else ACCEPT)
+        key, wins = _winner(refitted, found.best, _asked(found, ACCEPT_MORE if found.accepted else ACCEPT))
         if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
             key, wins = plain, True
         if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
@@ -254,11 +264,11 @@ def _grow(found: Search, task: _Task) -> None:
 
 
 def _winner(
-    refitted: Mapping[tuple[str, str], Structure], before: Structure, count: int, asked: float
+    refitted: Mapping[tuple[str, str], Structure], before: Structure, asked: float
 ) -> tuple[tuple[str, str] | None, bool]:
     """The preferred candidate, and whether its evidence against adding nothing is enough."""
     nothing = relative_evidence(refitted, before)[1]
-    return preferred(refitted, before), bool(-nothing >= np.log(max(count, 1)) + asked)
+    return preferred(refitted, before), bool(-nothing >= asked)
 
 
 def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> bool:
@@ -278,7 +288,7 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
             continue
         tried = _tried(others, [pair for pair in task.candidates(others) if pair != key], task)[0]
         refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)} | {key: found.best}
-        best, wins = _winner(refitted, others, found.count, ACCEPT_MORE)
+        best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
             found.before[at], found.alternatives[at] = others, refitted
             settled.append(key)
@@ -337,7 +347,7 @@ def _settled(
     refitted: dict[tuple[str, str], Structure], best: Structure, experiments: Sequence[Experiment]
 ) -> dict[tuple[str, str], Structure]:
     """Structures that lie close are climbed to their tops before they are compared: the order must not be that of haste."""
-    score = {key: s.log_likelihood - s.penalty(best) for key, s in refitted.items()}
+    score = {key: _score(s, best) for key, s in refitted.items()}
     highest = max(score.values(), default=0.0)
     close = [key for key in score if score[key] > max(highest - CLOSE, best.log_likelihood)]
     return refitted | {key: _polished(refitted[key], experiments) for key in close if len(close) > 1}
@@ -491,7 +501,7 @@ def _rare_but_plain(
     """
     inside = {key: s for key, s in refitted.items() if preferred({key: s}, found.best) is not None}
     key = max(inside, key=lambda each: _score(inside[each], found.best), default=None)
-    if key is None or _score(inside[key], found.best) - found.best.log_likelihood < PLAINLY_MORE + np.log(max(found.count, 1)):
+    if key is None or _score(inside[key], found.best) - found.best.log_likelihood < _asked(found, PLAINLY_MORE):
         return None
     errors = [cross_checked(structure, experiments) for structure in (found.best, inside[key])]
     plain = errors[0] is not None and errors[1] is not None and _mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
