@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from residuum.identification.discrepancy.innovation_sums import whitened
+from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened
 from residuum.identification.errors import BadInput
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,16 +41,20 @@ class ColouredNoise:
 
     def whiten(self, x: FloatArray) -> FloatArray:
         """A(z) x along axis 0, without the first p samples; shape (n − p, …). NaN spreads over p samples."""
-        x = np.ascontiguousarray(x, dtype=float)
-        return np.asarray(whitened(x.reshape(len(x), -1), self.a).reshape(-1, *x.shape[1:]))
+        rows = np.ascontiguousarray(np.reshape(x, (len(x), -1)).T, dtype=float)
+        return np.asarray(whitened(rows, self.a).T.reshape(-1, *x.shape[1:]))
 
     def innovations(self, x: FloatArray) -> FloatArray:
         """A(z) x along axis 0 with the first p samples too: each has its own predictor from those before it, and is scaled to
         the innovations' variance. Shape of x; NaN spreads over p samples.
         """
-        known = min(self.order, len(x))
-        first = np.tensordot(self._first[0][:known, :known], x[:known], axes=1)
-        return np.concatenate([first, self.whiten(x)])
+        return np.asarray(self.innovations_of_rows(np.reshape(x, (len(x), -1)).T).T.reshape(x.shape))
+
+    def innovations_of_rows(self, rows: FloatArray) -> FloatArray:
+        """`innovations` of each of several signals, which lie along axis 1."""
+        known = min(self.order, rows.shape[1])
+        first = rows[:, :known] @ self._first[0][:known, :known].T
+        return np.concatenate([first, whitened(np.ascontiguousarray(rows, dtype=float), self.a)], axis=1)
 
     def log_spreads(self, n: int) -> FloatArray:
         """log of the prediction errors' standard deviation over that of the innovations, at each of n samples."""
@@ -61,16 +65,8 @@ class ColouredNoise:
     @cached_property
     def _first(self) -> tuple[FloatArray, FloatArray]:
         """Rows of the scaled predictors of the first p samples, and the logarithms of their spreads (Levinson's recursion)."""
-        rows, spreads = np.zeros((self.order, self.order)), np.zeros(self.order)
-        a, spread = self.a, 0.0
-        for k in range(self.order, 0, -1):
-            reflection = float(np.clip(a[-1], -_STABLE, _STABLE))
-            left = 1.0 - reflection**2
-            spread -= 0.5 * float(np.log(left))
-            a = (a[:-1] - reflection * a[:-1][::-1]) / left
-            rows[k - 1, :k] = np.exp(-spread) * np.r_[a[::-1], 1.0]
-            spreads[k - 1] = spread
-        return rows, spreads
+        rows, spreads = first_predictors(self.a, _STABLE)
+        return np.asarray(rows), np.asarray(spreads)
 
     def simulate(self, n: int, rng: np.random.Generator) -> FloatArray:
         """A realisation of v of n samples, after a run-in that forgets the zero start."""

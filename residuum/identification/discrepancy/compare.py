@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -187,11 +188,14 @@ def structured_errors(
     level: float = 0.01,
     seed: int = 0,
     drifting: bool = True,
+    least_share: float = 0.0,
 ) -> dict[str, StructuredError]:
     """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
 
-    `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict the error.
+    `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict the error;
+    the other arguments are those of `test_structured_error`.
     """
+    how: dict[str, Any] = {"level": level, "seed": seed, "drifting": drifting, "least_share": least_share}
     total = sum(e.n for e in experiments)
     block = max(1, total // TEST_SAMPLES)
     designs = [block_means(features(record_axes), block) for record_axes in axes]
@@ -201,7 +205,7 @@ def structured_errors(
         changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
         own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
         try:
-            found[name] = test_structured_error(errors, own, level=level, seed=seed, drifting=drifting)
+            found[name] = test_structured_error(errors, own, **how)
         except BadInput:  # not measured, or too short a record for the test: no claim is made
             continue
     return found

@@ -72,25 +72,13 @@ def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTe
     ]
     if not all(np.all(np.isfinite(r.F)) for r in responses):
         return None
-    simulator = Simulator(model)
-    states = [f"initial:{name}" for name in model.states if name not in model.initial]
-    slopes = [*structure.parameters, *states]
-    runs = [
-        simulator.run_vectors(e, x, simulator.p(), slopes=slopes, substeps=s).dY
-        for e, x, s in zip(experiments, structure.initial, structure.substeps, strict=True)
-    ]
-    slopes_of = [e.means(run) for e, run in zip(experiments, runs, strict=True) if run is not None and np.all(np.isfinite(run))]
-    if len(slopes_of) < len(runs):
-        return None
     q = len(structure.parameters)
     found, tried = [], 0
     for balance, axis, knots, terms in _terms(structure, experiments, responses):
         tried += 1
         columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
-        by_parameters = [np.concatenate([run[:, :, :q], c], axis=2) for run, c in zip(slopes_of, columns, strict=True)]
-        step, pointwise, rest = first_order_fit(
-            structure, structure.residuals, by_parameters, [run[:, :, q:] for run in slopes_of]
-        )
+        by_parameters = [np.concatenate([J, c], axis=2) for J, c in zip(structure.by_parameters, columns, strict=True)]
+        step, pointwise, rest = first_order_fit(structure, structure.residuals, by_parameters, structure.by_states)
         price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
         d = pointwise - structure.pointwise
         unit = model.balances[balance].unit if axis in KNOTS else ""  # a factor has none

@@ -16,65 +16,68 @@ _LOW = 0.53
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-def whitened(x, a):
-    """A(z) x of the columns of x without the first p samples, shape (n − p, columns)."""
-    order, n, columns = a.shape[0], x.shape[0], x.shape[1]
-    found = np.empty((max(n - order, 0), columns))
-    for t in range(order, n):
-        for c in range(columns):
-            found[t - order, c] = x[t, c]
-        for lag in range(order):
-            coefficient = a[lag]
-            for c in range(columns):
-                found[t - order, c] += coefficient * x[t - lag - 1, c]
+def whitened(rows, a):
+    """A(z) x of each row x without the first p samples, shape (rows, n − p); NaN where one of its samples is missing."""
+    order, count, n = a.shape[0], rows.shape[0], rows.shape[1]
+    found = np.empty((count, max(n - order, 0)))
+    for row in range(count):
+        x, e = rows[row], found[row]
+        for t in range(order, n):
+            sum_ = x[t]
+            for lag in range(order):
+                sum_ += a[lag] * x[t - lag - 1]
+            e[t - order] = sum_
     return found
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-def innovations(v, a):
-    """A(z) v without the first p samples; NaN where one of its samples is missing."""
-    order, n = a.shape[0], v.shape[0]
-    e = np.empty(max(n - order, 0))
-    for t in range(order, n):
-        sum_ = v[t]
-        for lag in range(order):
-            sum_ += a[lag] * v[t - lag - 1]
-        e[t - order] = sum_
-    return e
-
-
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
 def add_lag_products(v, a, variance, G, g):
-    """Add Σ w·φφᵀ to G and Σ w·φ·v(t) to g, φ = v(t−1) … v(t−p), w the t weight of the innovation (1 for variance 0).
+    """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, φ = v(t−1) … v(t−p), w the t weight of the innovation (1 for
+    variance 0, 0 where a sample is missing).
 
     Returns how many complete rows there were.
     """
-    order, rows = a.shape[0], 0
-    past = np.empty(order)
-    for t in range(order, v.shape[0]):
-        e = v[t]
+    order, rows, count = a.shape[0], 0, v.shape[0] - a.shape[0]
+    if count <= 0:
+        return 0
+    w, known = np.empty(count), np.empty(v.shape[0])
+    for t in range(v.shape[0]):
+        known[t] = v[t] if np.isfinite(v[t]) else 0.0
+    for t in range(count):
+        e = v[t + order]
         for lag in range(order):
-            past[lag] = v[t - lag - 1]
-            e += a[lag] * past[lag]
-        if not np.isfinite(e):
-            continue
-        rows += 1
-        w = 1.0 if variance == 0.0 else (FREEDOM + 1.0) / (FREEDOM + e * e / variance)
-        for i in range(order):
-            weighted = w * past[i]
-            g[i] += weighted * v[t]
-            for j in range(i + 1):
-                G[i, j] += weighted * past[j]
+            e += a[lag] * v[t + order - lag - 1]
+        complete = np.isfinite(e)
+        rows += complete
+        w[t] = 0.0 if not complete else (1.0 if variance == 0.0 else (FREEDOM + 1.0) / (FREEDOM + e * e / variance))
+    weighted = np.empty(count)
+    for i in range(order):
+        past = known[order - i - 1 :]
+        for t in range(count):
+            weighted[t] = w[t] * past[t]
+        g[i] += product(weighted, known[order:], count)
+        for j in range(i + 1):
+            G[i, j] += product(weighted, known[order - j - 1 :], count)
     return rows
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-def squared_scale(e):
-    """Maximum-likelihood squared scale of t-distributed innovations (none of them missing)."""
+def product(x, y, count):
+    """Σ x·y over the first `count` samples."""
+    sum_ = 0.0
+    for t in range(count):
+        sum_ += x[t] * y[t]
+    return sum_
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+def squared_scale(e, near):
+    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere)."""
     n = e.shape[0]
     square = e * e
-    mean = np.mean(square)
-    variance = max(np.median(square) / _LOW, 1e-24 * mean, 1e-300)
+    variance = near
+    if near == 0.0:
+        variance = max(np.median(square) / _LOW, 1e-24 * np.mean(square), 1e-300)
     for _ in range(_SCALINGS):
         sum_ = 0.0
         for t in range(n):
@@ -83,3 +86,22 @@ def squared_scale(e):
         if abs(variance - before) < 1e-6 * before:
             break
     return variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def first_predictors(a, stable):
+    """Levinson's recursion downwards: rows of the scaled predictors of the first p samples, and the logarithms of their spreads.
+
+    Reflection coefficients are kept within ±`stable`.
+    """
+    order = a.shape[0]
+    rows, spreads, spread, a = np.zeros((order, order)), np.zeros(order), 0.0, a.copy()
+    for k in range(order, 0, -1):
+        reflection = min(max(a[k - 1], -stable), stable)
+        left = 1.0 - reflection**2
+        spread -= 0.5 * np.log(left)
+        a = (a[: k - 1] - reflection * a[: k - 1][::-1]) / left
+        rows[k - 1, : k - 1] = np.exp(-spread) * a[::-1]
+        rows[k - 1, k - 1] = np.exp(-spread)
+        spreads[k - 1] = spread
+    return rows, spreads

@@ -146,7 +146,7 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
         for e, x, s in zip(experiments, plain.initial, plain.substeps, strict=True)
     ]
     axes = [signal_axes(plain.model, e, X) for e, X in zip(experiments, runs, strict=True)]
-    tests = structured_errors(experiments, plain.residuals, axes, plain.model, level=_CERTAIN, drifting=False)
+    tests = structured_errors(experiments, plain.residuals, axes, plain.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
     return any(test.present and test.share > _SHARE for test in tests.values())
 
 

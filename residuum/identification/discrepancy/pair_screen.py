@@ -11,7 +11,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.score_test import Screened
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.physics import PhysicalModel
 
 FloatArray = npt.NDArray[np.float64]
 Key = tuple[str, str]
@@ -22,7 +22,7 @@ _WORTH_REFITTING = 5.0
 
 
 def promising_pairs(
-    base: Structure, found: Structure, keys: Sequence[Key], screened: Mapping[Key, Screened], experiments: Sequence[Experiment]
+    base: Structure, found: Structure, keys: Sequence[Key], screened: Mapping[Key, Screened]
 ) -> list[PhysicalModel]:
     """The base with two effects that, to first order, do more than those (`keys`) which `found` has; the best first.
 
@@ -33,7 +33,7 @@ def promising_pairs(
     tested = [s for s in screened.values() if all(np.all(np.isfinite(J)) for J in s.slopes)]
     if not {s.key for s in tested} >= set(keys):
         return []
-    equations, first = _equations(base, found, tested, experiments)
+    equations, first = _equations(base, found, tested)
     H, g = equations.reduced()
     own = {s.key: np.arange(at, at + s.slopes[0].shape[2]) for s, at in zip(tested, first, strict=True)}
     for key in keys:
@@ -51,22 +51,13 @@ def promising_pairs(
     return [_joined(base.model, [screened[k].start for k in pair]) for _, pair in best[:_MOST]]
 
 
-def _equations(
-    base: Structure, found: Structure, tested: Sequence[Screened], experiments: Sequence[Experiment]
-) -> tuple[NormalEquations, list[int]]:
+def _equations(base: Structure, found: Structure, tested: Sequence[Screened]) -> tuple[NormalEquations, list[int]]:
     """The joint normal equations, and where each candidate's columns begin."""
-    simulator = Simulator(base.model)
-    states = [f"initial:{name}" for name in base.model.states if name not in base.model.initial]
     q = len(base.parameters)
-    by_parameters, by_states = [], []
-    for k, (e, x, steps) in enumerate(zip(experiments, base.initial, base.substeps, strict=True)):
-        run = simulator.run_vectors(e, x, simulator.p(), slopes=[*base.parameters, *states], substeps=steps)
-        slopes = e.means(np.zeros((e.n, e.Y.shape[1], 0)) if run.dY is None else run.dY)
-        by_parameters.append(np.concatenate([slopes[:, :, :q], *(s.slopes[k] for s in tested)], axis=2))
-        by_states.append(slopes[:, :, q:])
+    by_parameters = [np.concatenate([J, *(s.slopes[k] for s in tested)], axis=2) for k, J in enumerate(base.by_parameters)]
     widths = [s.slopes[0].shape[2] for s in tested]
     first = q + np.concatenate([[0], np.cumsum(widths)[:-1]]).astype(int)
-    return NormalEquations.of(found.residuals, by_parameters, by_states, found.noises), first.tolist()
+    return NormalEquations.of(found.residuals, by_parameters, base.by_states, found.noises), first.tolist()
 
 
 def _joined(model: PhysicalModel, starts: Sequence[PhysicalModel]) -> PhysicalModel:

@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.structures import Structure, bounded
+from residuum.identification.discrepancy.structures import VISIBLE_SUBSTEPS, Structure, bounded
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.effects.base import Conditions, Effect
 
 FloatArray = npt.NDArray[np.float64]
 
 _WORTH_A_PASS = 2.0
 """Gain or loss of log-likelihood from which on a second pass, with the noise of the first, may matter."""
-_MOST_SUBSTEPS = 16
-"""An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
 _FRACTIONS = (1.0, 0.3, 0.1, 0.03)
+_COARSER = 2
+"""Factor by which an integration may be coarser where it serves a first-order look alone (a Runge–Kutta step errs by 3e-4)."""
+_MOVED = 1e-6
+"""Part of the errors by which an effect at rest may change the outputs, by rounding."""
+_FALLEN = 0.98
+"""Share of the errors to which a step in white noise has to take them to be followed."""
 
 
+_Fitted = tuple[FloatArray, FloatArray, list[FloatArray], Noises]
+"""Step, pointwise log-likelihood, residuals and their noise after it."""
 _Linear = tuple[list[FloatArray], list[FloatArray], list[FloatArray]]
 """Per experiment: residuals (blocks, outputs), and their slopes by parameters and by initial states."""
 
@@ -88,13 +94,17 @@ class Screen:
         ]
 
         self.track = track(self.origin, base, self.experiments, self.X)
+        self._conditions: dict[tuple[str, str], Conditions] = {}
 
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
         """First values of an effect's parameters in the conditions of the experiments."""
-        found = []
-        for missing in self._lacks(EFFECTS[id], target):
-            conditions = conditions_at(self.origin, EFFECTS[id], target, self.track.experiment, self.track.X, missing)
-            found += [dict(start) for start in EFFECTS[id].starts(conditions)]
+        effect, found = EFFECTS[id], []
+        if (effect.place, target) not in self._conditions:
+            there = conditions_at(self.origin, effect, target, self.track.experiment, self.track.X)
+            self._conditions[effect.place, target] = there
+        for missing in self._lacks(effect, target):
+            conditions = replace(self._conditions[effect.place, target], missing=missing)
+            found += [dict(start) for start in effect.starts(conditions)]
         return [start for k, start in enumerate(found) if start not in found[:k]]
 
     def _lacks(self, effect: Effect, target: str) -> Sequence[FloatArray | None]:
@@ -148,7 +158,7 @@ class Screen:
         shapes = [n for n in model.effects[-1].parameters if f"{label}.{n}" in model.free]
         own = [f"{label}.{n}" for n in shapes if not effect.sizes or n in effect.sizes]
         names = [*self.base.parameters, *own]
-        linear = self._linearised(model, names)
+        linear = (self._at_rest(model, own) if effect.rest == 0 and effect.sizes else None) or self._linearised(model, names)
         if linear is None:
             return None
         residuals, by_parameters, by_states = linear
@@ -211,6 +221,28 @@ class Screen:
             count += np.isfinite(e.Y).sum(axis=0)
         return float(np.sum(np.log(np.maximum(power[count > 0] / count[count > 0], 1e-300))))
 
+    def _at_rest(self, model: PhysicalModel, own: list[str]) -> _Linear | None:
+        """The linearisation where an effect without size leaves everything as it is: the base's, and its own slopes beside.
+
+        None where it does not.
+        """
+        base = self.base
+        try:
+            simulator = Simulator(model)
+        except (BadInput, NotImplementedError):
+            return None
+        if len(simulator.states) > len(base.initial[0]):
+            return None
+        by_parameters = []
+        known = zip(self.experiments, base.initial, base.substeps, base.residuals, base.by_parameters, strict=True)
+        for e, x, steps, before, slopes in known:
+            run = simulator.run_vectors(e, x, simulator.p(), slopes=own, substeps=steps)
+            moved = np.abs(e.means(e.Y - run.Y) - before)
+            if run.dY is None or not bounded(run.dY) or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
+                return None
+            by_parameters.append(np.concatenate([slopes, e.means(run.dY)], axis=2))
+        return base.residuals, by_parameters, base.by_states
+
     def _linearised(self, model: PhysicalModel, names: list[str]) -> _Linear | None:
         try:
             simulator = Simulator(model)
@@ -223,8 +255,8 @@ class Screen:
             p = simulator.p()
             steps = s
             if len(x0) > len(x):  # only new states can be faster than the base's
-                steps = max(s, simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p))
-            if steps > _MOST_SUBSTEPS:
+                steps = max(s, -(-simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p) // _COARSER))
+            if steps > VISIBLE_SUBSTEPS:
                 return None
             run = simulator.run_vectors(e, x0, p, slopes=[*names, *states], substeps=steps)
             if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
@@ -246,20 +278,31 @@ def first_order_fit(
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
 
-    The better of two beginnings: white noise, and the base's.
+    The better of two beginnings: the base's noise, and white noise where the errors themselves fall in it.
     """
 
-    def pass_on(noises: Noises) -> tuple[FloatArray, FloatArray, list[FloatArray], Noises]:
+    def solved(noises: Noises) -> tuple[FloatArray, list[FloatArray]]:
         step, initial = NormalEquations.of(residuals, by_parameters, by_states, noises).step()
-        rest = [r - J @ step - Z @ z for r, J, Z, z in zip(residuals, by_parameters, by_states, initial, strict=True)]
-        colour = fit_noises(rest, drifting=base.drifting)
+        return step, [r - J @ step - Z @ z for r, J, Z, z in zip(residuals, by_parameters, by_states, initial, strict=True)]
+
+    def judged(step: FloatArray, rest: list[FloatArray], near: Noises | None) -> _Fitted:
+        colour = fit_noises(rest, drifting=base.drifting, near=near)
         return step, pointwise_log_likelihood(rest, colour), rest, colour
 
     white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
-    best = max((pass_on(noises) for noises in (white, base.noises)), key=lambda found: found[1].sum())
+    best = judged(*solved(base.noises), base.noises)
+    step, rest = solved(white)
+    if _error_ratio(rest, residuals) < _FALLEN:
+        best = max(best, judged(step, rest, None), key=lambda found: found[1].sum())
     if abs(best[1].sum() - base.log_likelihood) > _WORTH_A_PASS:
-        best = max(best, pass_on(best[3]), key=lambda found: found[1].sum())
+        best = max(best, judged(*solved(best[3]), best[3]), key=lambda found: found[1].sum())
     return best[:3]
+
+
+def _error_ratio(after: list[FloatArray], before: list[FloatArray]) -> float:
+    """The smallest, over the outputs, of the ratios of the mean square errors' roots."""
+    power = [sum(np.nansum(r**2, axis=0) for r in rest) for rest in (after, before)]
+    return float(np.sqrt(np.nanmin(power[0] / np.where(power[1] > 0, power[1], np.nan))))
 
 
 def _information(equations: NormalEquations, leading: int) -> float:

@@ -218,7 +218,7 @@ def _two_instead(found: Search, task: _Task) -> bool:
     if not found.accepted:
         return False
     base = found.base
-    pairs = promising_pairs(base, found.best, found.accepted, found.screened, task.experiments)
+    pairs = promising_pairs(base, found.best, found.accepted, found.screened)
     fitted = [fit_structure(m, task.experiments, found.best.initial, drifting=found.best.drifting) for m in pairs]
     asked = _asked(found, ACCEPT_MORE) if len(found.accepted) == 1 else 0.0
     better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > asked]

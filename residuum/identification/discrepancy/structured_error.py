@@ -52,6 +52,7 @@ def test_structured_error(
     n_bootstrap: int = 40,
     seed: int = 0,
     drifting: bool = True,
+    least_share: float = 0.0,
 ) -> StructuredError:
     """Test whether `features` predict `residuals` beyond what coloured noise would allow.
 
@@ -72,6 +73,8 @@ def test_structured_error(
         AR order of the noise.
     drifting : bool
         Whether noise may be integrated. It then explains every slow error; otherwise it forgets within the data.
+    least_share : float
+        Of no interest is what takes less of the error's power: then not `present`, and without a p-value (NaN).
 
     Raises
     ------
@@ -95,15 +98,16 @@ def test_structured_error(
     designs = _orthonormal(designs)
     null = _noise(segments, order, drifting)
     statistic, coefficients, noise = _likelihood_ratio(segments, designs, null, drifting)
-    rng = np.random.default_rng(seed)
-    lengths = [len(segment) for segment in segments]
-    draws = np.array([_null_draw(null, lengths, designs, drifting, rng) for _ in range(n_bootstrap)])
-    p_value = _tail(statistic, draws)
     predicted = [design @ coefficients for design in designs]
     total = sum(float(segment @ segment) for segment in segments)
     rest = sum(float(np.sum((segment - part) ** 2)) for segment, part in zip(segments, predicted, strict=True))
-    excess = max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)  # what pure noise would also have given
-    share = max(0.0, 1.0 - rest / total) * excess if total > 0 else 0.0
+    share, p_value = max(0.0, 1.0 - rest / total) if total > 0 else 0.0, np.nan
+    if share >= least_share:
+        rng = np.random.default_rng(seed)
+        lengths = [len(segment) for segment in segments]
+        draws = np.array([_null_draw(null, lengths, designs, drifting, rng) for _ in range(n_bootstrap)])
+        p_value = _tail(statistic, draws)
+        share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)  # what pure noise would also have given
     return StructuredError(
         present=bool(p_value < level),
         p_value=p_value,

@@ -24,6 +24,8 @@ _HARDEST = 1e4
 _DIVERGED = 1e60
 _DONE = 0.02
 """Stop when a step gains less log-likelihood than this."""
+VISIBLE_SUBSTEPS = 16
+"""An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
 _OPTIMISM, _CLOSE = 3.0, 20.0
 """A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
 
@@ -44,6 +46,8 @@ class Structure:
         y − ŷ in the outputs' units, means over the experiments' blocks.
     noises : tuple
         Colour of each output's residual.
+    by_parameters, by_states : list of array, shapes (blocks, outputs, q) and (blocks, outputs, free initial states)
+        Derivatives of ŷ there, in the outputs' units a unit of each.
     pointwise : array
         Log-likelihood of each innovation; their sum is `log_likelihood`.
     rmse : array, shape (outputs,)
@@ -59,6 +63,8 @@ class Structure:
     initial: list[FloatArray]
     substeps: tuple[int, ...]
     residuals: list[FloatArray]
+    by_parameters: list[FloatArray]
+    by_states: list[FloatArray]
     noises: Noises
     pointwise: FloatArray
     rmse: FloatArray
@@ -132,7 +138,7 @@ class _Ascent:
         """Simulate with derivatives; None when that diverges."""
         q = len(self.names)
         if not self.substeps:
-            self.substeps = tuple(self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True))
+            self.substeps = self.steps_from(p, initial)
         residuals, by_parameters, by_states = [], [], []
         power = np.zeros(self.count.size)
         for e, x, s in zip(self.experiments, initial, self.substeps, strict=True):
@@ -148,6 +154,10 @@ class _Ascent:
         rmse = np.sqrt(power / np.where(self.count > 0, self.count, np.nan))
         pointwise = pointwise_log_likelihood(residuals, noises)
         return _Point(p, initial, residuals, by_parameters, by_states, noises, pointwise, rmse)
+
+    def steps_from(self, p: FloatArray, initial: list[FloatArray]) -> tuple[int, ...]:
+        """Integration steps a sample that each experiment asks for."""
+        return tuple(self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True))
 
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
@@ -231,6 +241,8 @@ def fit_structure(
         initial=found.initial,
         substeps=ascent.substeps,
         residuals=found.residuals,
+        by_parameters=found.by_parameters,
+        by_states=found.by_states,
         noises=found.noises,
         pointwise=found.pointwise,
         rmse=found.rmse,
@@ -240,13 +252,16 @@ def fit_structure(
 
 
 def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Structure) -> float:
-    """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges.
+    """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges or is too fast.
 
     A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
     trajectory that the base model gets wrong.
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, len(ascent.simulator.states))
+    visible = max(VISIBLE_SUBSTEPS, *before.substeps)
+    if max(ascent.steps_from(ascent.simulator.p(), start)) > visible:
+        return -np.inf
     point = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
     return -np.inf if point is None else point.log_likelihood
 

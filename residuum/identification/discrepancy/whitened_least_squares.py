@@ -100,10 +100,13 @@ def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, Flo
             continue
         e = noise.innovations(r[:, o])
         known = np.isfinite(e)
-        A = noise.innovations(J[:, o])[known]
-        weighted = A * likelihood_weights(e, noise.innovation_variance)[known, None]
-        G += weighted.T @ A
-        b += weighted.T @ e[known]
+        A = noise.innovations_of_rows(J[:, o].T)
+        w = likelihood_weights(e, noise.innovation_variance)
+        if not known.all():
+            e, w, A = e[known], w[known], A[:, known]
+        weighted = A * w
+        G += weighted @ A.T
+        b += weighted @ e
     return G, b
 
 

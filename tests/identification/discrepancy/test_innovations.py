@@ -72,3 +72,11 @@ def test_a_transient_that_decays_as_the_noise_does_is_not_free():
     transient = 100.0 * 0.9 ** np.arange(500)
     likelihood = [pointwise_log_likelihood([x[:, None]], noises).sum() for x in (v, v + transient)]
     assert likelihood[0] - likelihood[1] > 100.0
+
+
+def test_a_noise_that_is_near_leads_to_the_same():
+    rng = np.random.default_rng(5)
+    v = lfilter([1.0], [1.0, -1.2, 0.4], rng.standard_t(5, size=6000))[:, None]
+    (cold,), (warm,) = fit_noises([v]), fit_noises([v + 0.01], near=fit_noises([0.9 * v]))
+    np.testing.assert_allclose(warm.a, cold.a, atol=0.005)
+    assert warm.innovation_variance == pytest.approx(cold.innovation_variance, rel=0.01)

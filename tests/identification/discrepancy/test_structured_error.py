@@ -62,3 +62,13 @@ def test_colour_is_recovered_from_segments():
     np.testing.assert_allclose(found.a, true.a, atol=0.03)
     assert found.innovation_variance == pytest.approx(2.0, rel=0.05)
     assert found.whiten(true.simulate(4000, rng)).std() == pytest.approx(np.sqrt(2.0), rel=0.05)
+
+
+def test_a_share_of_no_interest_is_not_drawn_for():
+    rng = np.random.default_rng(6)
+    X, x = features(3000, rng)
+    error = lfilter([0.05], [1, -0.95], np.sign(x)) + coloured(3000, 0.5, rng)
+    share = structured_error([error], [X], n_bootstrap=25).share
+    small = structured_error([error], [X], n_bootstrap=25, least_share=min(1.0, 2.0 * share))
+    assert not small.present and np.isnan(small.p_value)
+    assert structured_error([error], [X], n_bootstrap=25, least_share=0.5 * share).present
