@@ -19,7 +19,6 @@ import io
 import json
 import multiprocessing
 import random
-import socket
 import sys
 import tempfile
 import threading
@@ -33,6 +32,7 @@ import numpy as np
 import uvicorn
 from sqlalchemy import func, select, text
 
+from benchmarks.free_port import free_port
 from residuum.service.app import create_app
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
@@ -99,7 +99,7 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
     moments = random.Random(seed)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["residuum.service.app", "uvicorn"])
-    port = _free_port()
+    port = free_port()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         url = url or f"sqlite:///{folder / 'residuum.db'}"
@@ -107,9 +107,13 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
         for client in clients:
             client.start()
         for _ in range(kills):
-            process = context.Process(target=serve, args=(name, url, port), daemon=True)
+            process = context.Process(target=serve, args=(name, url, port))  # no daemon: it has workers
             process.start()
-            _wait_and_kill(process, clients, moments, per_kill)
+            try:
+                _wait(process, clients, moments, per_kill)
+            finally:
+                process.kill()
+                process.join()
         for client in clients:
             client.stop()
         found = count(folder, url, clients)
@@ -117,7 +121,8 @@ def hundred(url: str | None, kills: int, per_kill: int, seed: int) -> dict[str, 
         return {"kills": kills} | found
 
 
-def _wait_and_kill(process: BaseProcess, clients: list[Client], moments: random.Random, per_kill: int) -> None:
+def _wait(process: BaseProcess, clients: list[Client], moments: random.Random, per_kill: int) -> None:
+    """Return at the moment of the next kill."""
     if moments.random() < AT_START:
         time.sleep(moments.uniform(0.0, 0.5))
     else:
@@ -128,8 +133,6 @@ def _wait_and_kill(process: BaseProcess, clients: list[Client], moments: random.
             if time.monotonic() > end or not process.is_alive():
                 raise RuntimeError(f"the service does not answer: {[dict(client.outcomes) for client in clients]}")
             time.sleep(0.001)
-    process.kill()
-    process.join()
 
 
 def _answers(clients: list[Client]) -> int:
@@ -186,12 +189,6 @@ def _npy(number: int) -> bytes:
     file = io.BytesIO()
     np.save(file, np.full(N, float(number)))
     return file.getvalue()
-
-
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def campaign(kills: int, per_kill: int, url: str | None, seed: int, keep: Path | None) -> dict[str, int]:

@@ -25,6 +25,7 @@ import uvicorn
 from fastapi import FastAPI, Request, Response
 from pydantic import BaseModel
 
+from benchmarks.free_port import free_port
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Finding
@@ -81,9 +82,7 @@ def service(data: str) -> FastAPI:
 
 def serve(make: Callable[..., FastAPI], *arguments: str) -> tuple[int, int]:
     """Run an app in a process of its own; gives its port and process number."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = int(free.getsockname()[1])
+    port = free_port()
     process = multiprocessing.get_context("spawn").Process(target=_run, args=(make, arguments, port))
     process.start()
     atexit.register(process.kill)

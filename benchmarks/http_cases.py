@@ -27,6 +27,7 @@ from urllib.parse import quote, urlencode
 import numpy as np
 
 from benchmarks.durability import serve
+from benchmarks.free_port import free_port
 from residuum.service.app import create_app
 from residuum.service.settings import load_settings
 
@@ -226,10 +227,8 @@ def campaign(cases: int, seed: int = 0) -> dict[str, Any]:
     """Ask, and count what was answered."""
     with tempfile.TemporaryDirectory() as data:
         document = create_app(load_settings(data=Path(data), workers=1)).openapi()
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = int(free.getsockname()[1])
-        process = multiprocessing.get_context("spawn").Process(target=serve, args=(data, "", port), daemon=True)
+        port = free_port()
+        process = multiprocessing.get_context("spawn").Process(target=serve, args=(data, "", port))
         process.start()
         try:
             _wait(port)

@@ -21,6 +21,7 @@ from typing import Any
 
 import uvicorn
 
+from benchmarks.free_port import free_port
 from benchmarks.http_cases import _npy, _resident, _wait
 from residuum.service.access import new_key
 from residuum.service.app import create_app
@@ -44,10 +45,8 @@ def campaign(seconds: float) -> dict[str, Any]:
     (key, digest), (monitor, monitor_digest) = new_key(), new_key()
     with tempfile.TemporaryDirectory() as data:
         (Path(data) / "keys").write_text(f"gateway engineer {digest}\nlooker monitor {monitor_digest}\n")
-        port = _free_port()
-        process = multiprocessing.get_context("spawn").Process(
-            target=serve, args=(data, port, str(Path(data) / "keys")), daemon=True
-        )
+        port = free_port()
+        process = multiprocessing.get_context("spawn").Process(target=serve, args=(data, port, str(Path(data) / "keys")))
         process.start()
         try:
             _wait(port)
@@ -107,14 +106,6 @@ def _counted(port: int, key: str) -> int:
     text = connection.getresponse().read().decode()
     found = re.findall(r'^residuum_http_requests_total\{[^}]*status="429"[^}]*\} ([0-9.e+]+)$', text, re.M)
     return int(sum(map(float, found)))
-
-
-def _free_port() -> int:
-    import socket
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def main() -> None:

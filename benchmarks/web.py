@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import resource
 import shutil
-import socket
 import statistics
 import subprocess
 import sys
@@ -25,6 +24,7 @@ import numpy as np
 from playwright.sync_api import Browser, Page, sync_playwright
 
 import residuum.service.web
+from benchmarks.free_port import free_port
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.settings import load_settings
@@ -53,9 +53,7 @@ def started(data: Path) -> tuple[subprocess.Popen[bytes], str]:
         "press", spiked(), Finding("bearing", "healthy", None, {"rms": 1.0}, {"rms": 2.0}, {"rms": "m/s²"}, {}, None)
     )
     store.close()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--data", str(data)]
     server = subprocess.Popen([*command, "--port", str(port)], stdout=subprocess.DEVNULL)
     url = f"http://127.0.0.1:{port}"

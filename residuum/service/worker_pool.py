@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable
@@ -112,5 +113,17 @@ def _nothing() -> None:
 
 
 def _begin_worker() -> None:
-    """Ctrl-C is for the service."""
+    """Ctrl-C is for the service; without the service there is nothing to do."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_service, name="end with the service", daemon=True).start()
+
+
+def _end_with_the_service() -> None:
+    """End this worker when the process that it works for has ended, however it did (a kill tells nobody).
+
+    A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that nobody is left; and the
+    server of workers stays as long as one of them does.
+    """
+    if (service := multiprocessing.parent_process()) is not None:
+        service.join()
+        os._exit(1)
