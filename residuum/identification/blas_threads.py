@@ -15,6 +15,13 @@ def one_thread_if_small(size: int) -> Iterator[None]:
     if size > LARGEST:
         yield
         return
+    with one_thread():
+        yield
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Pin BLAS to one thread: for work that runs in threads of its own on products of a few columns (also as a decorator)."""
     with _controller().limit(limits=1, user_api="blas"):
         yield
 

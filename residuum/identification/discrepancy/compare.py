@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.features import features
 from residuum.identification.discrepancy.locate import Axis, Region
@@ -88,6 +89,7 @@ class Comparison:
         return sum(power[name] * test.share for name, test in self.structured.items()) / total if total > 0 else 0.0
 
 
+@one_thread()
 def compare(
     model: PhysicalModel,
     records: Sequence[Record],

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
@@ -57,6 +58,7 @@ class Explanation:
     seconds: float
 
 
+@one_thread()
 def explain(
     model: PhysicalModel,
     records: Sequence[Record],

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, Tell, explain, untold
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base
@@ -46,6 +47,7 @@ class Improvement:
     explanation: Explanation | None
 
 
+@one_thread()
 def improve(
     model: PhysicalModel,
     records: Sequence[Record],

@@ -95,6 +95,7 @@ class Screen:
 
         self.track = track(self.origin, base, self.experiments, self.X)
         self._conditions: dict[tuple[str, str], Conditions] = {}
+        self._tested: dict[tuple[str, str], list[Screened]] = {}
 
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
         """First values of an effect's parameters in the conditions of the experiments."""
@@ -134,14 +135,18 @@ class Screen:
 
     def best(self, id: str, target: str) -> Screened | None:
         """The candidate at the start that explains most; None when it diverges at every start."""
-        tried = [self.test(id, target, start) for start in self.starts(id, target)]
-        found = [screened for screened in tried if screened is not None]
-        return max(found, key=lambda s: s.gain, default=None)
+        return max(self.tests(id, target), key=lambda s: s.gain, default=None)
+
+    def tests(self, id: str, target: str) -> list[Screened]:
+        """The candidate at every start where it does not diverge; each is tested once."""
+        if (id, target) not in self._tested:
+            tried = [self.test(id, target, start) for start in self.starts(id, target)]
+            self._tested[id, target] = [screened for screened in tried if screened is not None]
+        return self._tested[id, target]
 
     def promising(self, id: str, target: str, most: int = 3) -> list[Screened]:
         """The candidate at its few starts that explain most, to first order or by what its simulation there leaves."""
-        tried = [self.test(id, target, start) for start in self.starts(id, target)]
-        found = [screened for screened in tried if screened is not None]
+        found = self.tests(id, target)
         by_gain = sorted(found, key=lambda s: -s.gain)
         by_error = sorted(found, key=lambda s: self._error(s.start))
         return list(dict.fromkeys([by_gain[k] for k in range(min(most, len(found)))] + by_error[:1]))

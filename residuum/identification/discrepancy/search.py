@@ -242,7 +242,7 @@ def _grow(found: Search, task: _Task) -> None:
     """Add effects while the evidence wants one more; what the last step tried stands after those of the accepted ones."""
     del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
     while len(found.accepted) < task.most_effects:
-        refitted = _step(found, task)
+        refitted, screen = _step(found, task)
         key, wins = _winner(refitted, found.best, _asked(found, ACCEPT_MORE if found.accepted else ACCEPT))
         if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
             key, wins = plain, True
@@ -258,7 +258,7 @@ def _grow(found: Search, task: _Task) -> None:
         if not _holds_up(found, key, refitted[key], task.experiments):
             found.refuted.append(key)
             break
-        refitted[key] = _followed(found.best, key, refitted[key], task)
+        refitted[key] = _followed(screen, key, refitted[key])
         found.best = refitted[key]
         found.accepted.append(key)
 
@@ -286,7 +286,8 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         if others is None:
             settled.append(key)
             continue
-        tried = _tried(others, [pair for pair in task.candidates(others) if pair != key], task)[0]
+        screen = Screen(others, task.experiments, task.origin(others))
+        tried = _tried(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
         refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)} | {key: found.best}
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
@@ -312,23 +313,23 @@ def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[E
     return fit_structure(less, experiments, structure.initial, drifting=structure.drifting)
 
 
-def _step(found: Search, task: _Task) -> dict[tuple[str, str], Structure]:
-    refitted, tested = _tried(found.best, task.candidates(found.best), task)
+def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
+    screen = Screen(found.best, task.experiments, task.origin(found.best))
+    refitted, tested = _tried(screen, task.candidates(found.best), task.refits)
     if not found.accepted:
         found.screened = {s.key: s for s in tested}
-    return refitted
+    return refitted, screen
 
 
 def _tried(
-    best: Structure, pairs: Sequence[tuple[str, str]], task: _Task
+    screen: Screen, pairs: Sequence[tuple[str, str]], refits: int
 ) -> tuple[dict[tuple[str, str], Structure], list[Screened]]:
-    """Candidates that promise something on top of `best`, re-estimated in full; and all as they were screened."""
-    experiments = task.experiments
-    screen = Screen(best, experiments, task.origin(best))
+    """Candidates that promise something on top of what was screened, re-estimated in full; and all as they were screened."""
+    best, experiments = screen.base, screen.experiments
     with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
         tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
-    promising = [s.start for s in tested if s.gain > 2.0][: task.refits]
+    promising = [s.start for s in tested if s.gain > 2.0][:refits]
     negative = [s for s in tested if s.gain < 0.0]
     stateful = [s for s in negative[MOST_GLIMPSES:] if _has_states(best.model, s.key)]
     promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *stateful)])
@@ -377,16 +378,16 @@ def _refitted(
     return found
 
 
-def _followed(before: Structure, key: tuple[str, str], structure: Structure, task: _Task) -> Structure:
+def _followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Structure:
     """The structure climbed to its top, or a likelier top from another start of its effect: a contact's likelihood has many."""
-    tops = [_polished(structure, task.experiments)]
-    screen = Screen(before, task.experiments, task.origin(before))
+    before, experiments = screen.base, screen.experiments
+    tops = [_polished(structure, experiments)]
     if len(screen.starts(*key)) > 1:
         starts = [screened.start for screened in screen.promising(*key)]
-        tops += _refitted(before, task.experiments, starts).values()
-        tops += [grown for _, grown in _grown(before, task.experiments, [key], {key: tops[0]})]
+        tops += _refitted(before, experiments, starts).values()
+        tops += [grown for _, grown in _grown(before, experiments, [key], {key: tops[0]})]
     best = max(tops, key=lambda s: s.log_likelihood)
-    return best if best is tops[0] else _polished(best, task.experiments)
+    return best if best is tops[0] else _polished(best, experiments)
 
 
 def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:

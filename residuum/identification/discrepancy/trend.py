@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
@@ -40,6 +41,7 @@ class Trend:
         return abs(self.slope) > SIGNIFICANT * self.slope_std
 
 
+@one_thread()
 def trends(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None) -> list[Trend]:
     """Every free parameter of the model, its effects' included, estimated on each record by itself.
 
