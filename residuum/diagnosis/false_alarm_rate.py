@@ -65,12 +65,14 @@ def _normal_density(x: npt.ArrayLike) -> FloatArray:
 def scan_threshold(rate: float, scans: Sequence[tuple[int, Sequence[int]]]) -> float:
     """b such that all `scans` together, each (number of sides, window lengths), cross at `rate` per sample.
 
-    The sum over windows about √2 apart overstates the joint rate; the factor that corrects it was measured once.
+    The sum over windows about √2 apart overstates the joint rate; the factor that corrects it was measured once. A single
+    window, on one side or two, crosses alone.
     """
+    overlap = _OVERLAP if max(len(windows) for _, windows in scans) > 1 else 1.0
 
     def excess(b: float) -> float:
         scanned = sum(sides * scan_rate(b, windows) for sides, windows in scans)
-        return float(np.log(_OVERLAP * scanned / rate))
+        return float(np.log(overlap * scanned / rate))
 
     return float(optimize.brentq(excess, 1.0, 30.0)) if excess(1.0) > 0 else 1.0
 

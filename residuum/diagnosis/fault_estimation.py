@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import linalg, stats
 
 from residuum.diagnosis.fault_signatures import FAULT_KINDS, FaultContext
 from residuum.diagnosis.residual_generator import ResidualGenerator
@@ -50,6 +50,11 @@ class FaultEstimate:
     indistinguishable_from: tuple[str, ...] = ()
     adequate: bool = True
 
+    @property
+    def shape(self) -> str:
+        """How the size goes over time: `step`, `ramp`, or what the kind's own name says (`stuck-sensor`, `plant-change`)."""
+        return FAULT_KINDS[self.kind].shape if self.kind in FAULT_KINDS else self.kind
+
     def moved(self, samples: int) -> FaultEstimate:
         """The same with its onset counted from `samples` earlier."""
         return replace(self, onset=self.onset + samples)
@@ -64,10 +69,12 @@ class FaultEstimator:
     """Fits every fault kind to the residual of one stretch of data without gap.
 
     The whitened residual is Φ δ + f s(t; onset) + ε, with the model error δ ~ N(0, Σ_g) and Φ the whitened input at the
-    model's lags, so its covariance is C = I + Φ Σ_g Φᵀ. For each kind and onset the size is the generalised least-squares
-    f̂ = sᵀ C⁻¹ r/sᵀ C⁻¹ s, the log likelihood ratio ½ (sᵀ C⁻¹ r)²/sᵀ C⁻¹ s (Basseville and Nikiforov, Detection of Abrupt
-    Changes, 1993, ch. 7), and the onset is the one of the largest ratio. A stuck sensor is one whose reading does not move
-    at all. When no kind leaves a residual as small as a healthy one, the plant itself has changed.
+    model's lags, and a constant of variance 1/n beside them for the operating point taken from n healthy samples, so its
+    covariance is C = I + Φ Σ_g Φᵀ (Σ_g with that variance as its last entry). For each kind and onset the size is the
+    generalised least-squares f̂ = sᵀ C⁻¹ r/sᵀ C⁻¹ s, the log likelihood ratio ½ (sᵀ C⁻¹ r)²/sᵀ C⁻¹ s (Basseville and
+    Nikiforov, Detection of Abrupt Changes, 1993, ch. 7), and the onset is the one of the largest ratio. A stuck sensor is
+    one whose reading does not move at all. When no kind leaves a residual as small as a healthy one, the plant itself has
+    changed.
 
     It fails for two faults at once, and cannot tell apart kinds that the input of this stretch makes look the same; these
     it names. The size is estimated on samples after the onset's own uncertainty, which would bias it.
@@ -155,15 +162,16 @@ class _Fit:
     def _shrinkage(self) -> FloatArray:
         """K of (I + Φ Σ_g Φᵀ)⁻¹ = I − Φ K Φᵀ: K = B (I + Bᵀ Φᵀ Φ B)⁻¹ Bᵀ with Σ_g = B Bᵀ (Woodbury)."""
         phi = np.lib.stride_tricks.sliding_window_view(self._padded, len(self.estimator.covariance))[self.first :, ::-1]
-        B = self.estimator.root
-        scaled = phi @ B
+        B = linalg.block_diag(self.estimator.root, np.sqrt(1.0 / self.estimator.generator.noise.samples))
+        scaled = np.column_stack([phi @ self.estimator.root, np.full(len(phi), B[-1, -1])])
         return np.asarray(B @ np.linalg.solve(np.eye(B.shape[1]) + scaled.T @ scaled, B.T))
 
     def _on_lags(self, s: FloatArray) -> FloatArray:
-        """Φᵀ s: the part of a signal that an error of the impulse response could explain."""
+        """Φᵀ s: the part of a signal that an error of the impulse response, or of the operating point, could explain."""
         start = int(np.argmax(s != 0.0))
         m = len(self.estimator.covariance)
-        return np.correlate(self._padded[start : len(s) + m - 1], s[start:], "valid")[::-1]
+        lags = np.correlate(self._padded[start : len(s) + m - 1], s[start:], "valid")[::-1]
+        return np.append(lags, np.sum(s))
 
     def fit(self, columns: list[FloatArray]) -> tuple[FloatArray, FloatArray, float]:
         """Sizes, their covariance and the log likelihood ratio of signatures X: f̂ = (Xᵀ C⁻¹ X)⁻¹ Xᵀ C⁻¹ ε."""

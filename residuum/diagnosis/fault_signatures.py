@@ -37,12 +37,13 @@ class FaultKind:
     """One kind of fault.
 
     `signature(context, onset)` is the change of the primary residual for size 1, shape (n,). `per` says what the size is
-    counted in: `output`, `input`, `output/s` or `` (a fraction).
+    counted in: `output`, `input`, `output/s` or `` (a fraction). `shape` is that of the size over time: a step or a ramp.
     """
 
     meaning: str
     per: str
     signature: Callable[[FaultContext, int], FloatArray]
+    shape: str = "step"
 
 
 def _sensor_offset(context: FaultContext, onset: int) -> FloatArray:
@@ -73,7 +74,7 @@ def _actuator_offset(context: FaultContext, onset: int) -> FloatArray:
 FAULT_KINDS: dict[str, FaultKind] = {
     "sensor-offset": FaultKind("y reads this much too high", "output", _sensor_offset),
     "actuator-gain": FaultKind("this fraction of the input's effect is lost", "", _actuator_gain),
-    "sensor-drift": FaultKind("y runs away at this rate from the onset on", "output/s", _sensor_drift),
+    "sensor-drift": FaultKind("y runs away at this rate from the onset on", "output/s", _sensor_drift, "ramp"),
     "sensor-gain": FaultKind("y is multiplied by 1 + this", "", _sensor_gain),
     "actuator-offset": FaultKind("the plant gets this much more input than is recorded", "input", _actuator_offset),
 }

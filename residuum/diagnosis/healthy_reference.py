@@ -15,6 +15,7 @@ from residuum.identification.errors import BadInput
 BLOCK = 128  # samples a peak is taken from; far longer than a whitened residual remembers
 FEWEST_BLOCKS = 10
 _CONFIDENCE = 0.95
+_UPPER = 0.9  # quantile above which peaks are asked how often they come alone
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,9 @@ def calibrated_threshold(peaks: FloatArray, rate: float, sample_time: float) -> 
     Gaussian scores of any evaluation, are extrapolated by a generalised Pareto law of non-negative shape (a bounded tail
     is never assumed), and nothing is promised.
 
+    Of neighbouring peaks only the largest counts: a statistic that stands out for longer than a block, or at the seam of
+    two, is one alarm.
+
     Raises
     ------
     BadInput
@@ -63,14 +67,23 @@ def calibrated_threshold(peaks: FloatArray, rate: float, sample_time: float) -> 
     p, n = min(BLOCK * rate, 0.5), len(peaks)
     days = n * BLOCK * sample_time / SECONDS_A_DAY
     needed = float(np.log(1 - _CONFIDENCE) / np.log1p(-min(2 * p, 0.99))) * BLOCK * sample_time / SECONDS_A_DAY
-    descending = np.sort(peaks)[::-1]
+    alone = _largest_of_neighbours(peaks)
+    descending = np.sort(alone)[::-1]
     ranks = np.arange(1, n + 1)
     allowed = np.flatnonzero(stats.binom.cdf(ranks - 1, n, min(2 * p, 0.99)) <= 1 - _CONFIDENCE)
     if len(allowed):
         # The rank that is right on average, unless it would not keep the promise.
         k = min(int(allowed[-1]) + 1, max(1, int(np.floor(p * (n + 1)))))
         return CalibratedThreshold(float(descending[k - 1]), True, days, needed)
-    return CalibratedThreshold(float(np.sqrt(_extrapolated(descending**2, p))), False, days, needed)
+    upper = peaks >= np.quantile(peaks, _UPPER)
+    share = float(np.mean(alone[upper] > 0.0))
+    return CalibratedThreshold(float(np.sqrt(_extrapolated(np.sort(peaks**2)[::-1], p / share))), False, days, needed)
+
+
+def _largest_of_neighbours(peaks: FloatArray) -> FloatArray:
+    """The peaks, those smaller than one beside them set to zero."""
+    beside = np.concatenate([[-np.inf], peaks, [-np.inf]])
+    return np.where((peaks >= beside[:-2]) & (peaks > beside[2:]), peaks, 0.0)
 
 
 def _extrapolated(squares: FloatArray, p: float) -> float:

@@ -75,10 +75,11 @@ class LikelihoodRatioBank:
 
     For a window of ℓ samples and a template p (1 for an offset, 1 … ℓ for a ramp, the whitened prediction for a gain),
 
-        z = Σ s p / √(Σ p² + wᵀ Σ_g w),   w = Σ p(t) φ(t),
+        z = Σ s p / √(Σ p² + wᵀ Σ_g w + v (Σ p)²),   w = Σ p(t) φ(t),
 
     is standard normal while healthy: φ(t) is the whitened input at the model's lags and Σ_g the covariance of the identified
-    impulse response, so the second term is exactly what the model's own uncertainty adds for the input that was applied.
+    impulse response, so the second term is exactly what the model's own uncertainty adds for the input that was applied; the
+    third is what an operating point adds that was itself estimated, v being 1/n for n Gaussian samples.
     z²/2 is the log likelihood ratio of a fault of unknown size in that window (Willsky and Jones, 1976), the largest over
     the windows that of a fault of unknown onset. The power scan compares Σ s² with χ²_ℓ by the cube-root normal of Wilson
     and Hilferty. Beside the windows run the statistics of Shiryaev and Roberts for an offset of ±1,
@@ -105,6 +106,8 @@ class LikelihoodRatioBank:
         Longest window [samples].
     threshold : float or None
         b, when it comes from elsewhere (calibration); then `rate` is not used.
+    level_variance : float
+        v: variance of the scores' mean that the operating point's own error makes.
     restart : bool
         Whether the windows start empty after an alarm; False gives the undisturbed statistic.
     """
@@ -117,6 +120,7 @@ class LikelihoodRatioBank:
         longest: int = LONGEST_WINDOW,
         *,
         threshold: float | None = None,
+        level_variance: float = 0.0,
         restart: bool = True,
     ) -> None:
         if longest < 1:
@@ -124,6 +128,7 @@ class LikelihoodRatioBank:
         self.windows = window_lengths(longest)
         self.b = bank_threshold(rate, longest) if threshold is None else float(threshold)
         self.delay = delay
+        self.level_variance = level_variance
         self.restart = restart
         self.covariance: FloatArray = np.ascontiguousarray(covariance, dtype=float)
         self._root = _root(self.covariance)
@@ -145,8 +150,8 @@ class LikelihoodRatioBank:
         output = BankOutput(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64))
         _scan(
             signals.scores, signals.gain_template, signals.white_input, signals.valid, self.windows, self.b,
-            self._root, self.delay, self._power_quantile, self.restart, self._sums, self._past, self._steps, self._counts,
-            *output,
+            self._root, self.level_variance, self.delay, self._power_quantile, self.restart, self._sums, self._past,
+            self._steps, self._counts, *output,
         )  # fmt: skip
         return output
 
@@ -187,8 +192,8 @@ def _upper_mean_square(covariance: FloatArray, b: float) -> float:
 
 
 @numba.njit(cache=True)
-def _model_error(template, white_input, now, count, delay, root, enough, shape):  # type: ignore[no-untyped-def]
-    """‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
+def _model_error(template, white_input, now, count, delay, root, level, enough, shape):  # type: ignore[no-untyped-def]
+    """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
 
     `shape` says whether the fault is a step, a ramp or the template; for a step w follows from lag to lag by one sample that
     enters and one that leaves.
@@ -199,7 +204,9 @@ def _model_error(template, white_input, now, count, delay, root, enough, shape):
     for i in range(count + m):
         past[i] = white_input[(now - delay - count - m + 1 + i) % size]
     w = np.zeros(m)
+    sum_p = 0.0
     if shape == _STEP:
+        sum_p = float(count)
         for i in range(count):
             w[0] += past[m + i]
         for k in range(1, m):
@@ -207,9 +214,10 @@ def _model_error(template, white_input, now, count, delay, root, enough, shape):
     else:
         for i in range(count):
             p = i + 1.0 if shape == _RAMP else template[(now - count + 1 + i) % size]
+            sum_p += p
             for k in range(m):
                 w[k] += p * past[m + i - k]
-    total = 0.0
+    total = level * sum_p * sum_p
     for j in range(r):  # the largest directions first, so that it is soon enough
         part = 0.0
         for k in range(m):
@@ -255,6 +263,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
     windows,
     b,
     root,
+    level,
     delay,
     quantile,
     restart,
@@ -308,7 +317,8 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
             if z2 + start2 > largest:
                 if z2 + start2 > square:
                     enough = offset * offset / (square - start2) - length
-                    z2 = offset * offset / (length + _model_error(past[0], past[1], now, length, delay, root, enough, _STEP))
+                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _STEP)
+                    z2 = offset * offset / (length + error)
                 z2 += start2
                 if z2 > largest:
                     largest = z2
@@ -322,7 +332,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 z2 = matched * matched / energy
                 if z2 > square:
                     enough = matched * matched / square - energy
-                    error = _model_error(past[0], past[1], now, length, delay, root, enough, _TEMPLATE)
+                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _TEMPLATE)
                     z2 = matched * matched / (energy + error)
                 if z2 > largest:
                     largest = z2
@@ -335,7 +345,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 z2 = ramp * ramp / ramp_energy[i]
                 if z2 > square:
                     enough = ramp * ramp / square - ramp_energy[i]
-                    error = _model_error(past[0], past[1], now, length, delay, root, enough, _RAMP)
+                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _RAMP)
                     z2 = ramp * ramp / (ramp_energy[i] + error)
                 if z2 > largest:
                     largest = z2
@@ -364,7 +374,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 offset = log_ratio + 0.5 * length
                 least = 0.5 * square - _HEAD_START + 0.5 * length
                 enough = length * (offset * offset / (least * least) - 1.0)
-                error = _model_error(past[0], past[1], now, length, delay, root, enough, _STEP)
+                error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _STEP)
                 z2 = 2.0 * (offset * np.sqrt(length / (length + error)) - 0.5 * length + _HEAD_START)
             if z2 > largest:
                 largest = z2

@@ -18,6 +18,7 @@ _HIGHEST_ORDER = 20
 _FEWEST = 50
 _LIGHTEST_TAILS = 200.0  # degrees of freedom from which a Student t is called Gaussian
 _STEEPEST = 30.0  # β from which lighter tails are not told apart: nearly uniform
+_NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard deviations out
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
 _LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
@@ -39,6 +40,11 @@ class NoiseModel:
         Healthy samples it was fitted on; 0 when taken from an identified model.
     shape : float
         β of exp(−|ε|^β/β): 2 is Gaussian, more are the lighter tails of noise with bounds (Subbotin's exponential power law).
+    freedom : float
+        Degrees of freedom of σ: it is as uncertain as the root of a mean of that many squared Gaussian samples; infinite = known.
+    blur : float
+        Standard deviation, in σ, of the model error that a residual carries besides its noise. Noise with bounds must allow for
+        it: beyond the bound the noise alone has no probability left, and every small error would count as a fault.
     """
 
     ar: FloatArray
@@ -46,6 +52,8 @@ class NoiseModel:
     dof: float = float("inf")
     n: int = 0
     shape: float = 2.0
+    freedom: float = float("inf")
+    blur: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ar", np.ascontiguousarray(self.ar, dtype=float))
@@ -67,6 +75,38 @@ class NoiseModel:
     def limit(self, rate: float) -> float:
         """|innovation| over its standard deviation that is exceeded at `rate` per sample."""
         return float(self._law.isf(rate / 2.0)) * self.sigma / self.innovation_std
+
+    @property
+    def samples(self) -> float:
+        """Healthy samples it rests on; infinite when it was given."""
+        return float(self.n or self.freedom)
+
+    @property
+    def level_variance(self) -> float:
+        """Variance of the scores' mean by the error of an operating point taken from the same samples: 1/n if Gaussian."""
+        return (self.score_slope * self.innovation_std / self.sigma) ** 2 / self.samples
+
+    def allowing_for_size(self, b: float) -> float:
+        """Limit for scores by an estimated σ that is exceeded as rarely, averaged over the estimates, as b by standard normals.
+
+        Scores divided by an estimated σ have the tails of Student's t with its degrees of freedom.
+
+        >>> round(NoiseModel(np.ones(1), 1.0, freedom=500.0).allowing_for_size(5.0), 3)
+        5.066
+        """
+        if np.isinf(self.freedom):
+            return b
+        return float(stats.t.isf(stats.norm.sf(b), self.freedom))
+
+    def rate_factor(self, b: float) -> float:
+        """F: the real rate of crossings of b lies between 1/F and F times the chosen one for 95 % of all σ̂.
+
+        ln φ(b σ̂/σ) changes by b² a relative error of σ̂, whose standard deviation is 1/√(2 freedom).
+
+        >>> round(NoiseModel(np.ones(1), 1.0, freedom=4000.0).rate_factor(5.0), 2)
+        1.73
+        """
+        return float(np.exp(stats.norm.ppf(0.975) * b * b / np.sqrt(2.0 * self.freedom)))
 
     def output_std(self, post_filter: FloatArray) -> float:
         """Standard deviation of the noise after a filter with this impulse response [unit of the residual times its gain]."""
@@ -91,7 +131,7 @@ class NoiseModel:
     def score_table(self) -> tuple[FloatArray, FloatArray]:
         """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
         knots = _LIGHT_TABLE if np.isinf(self.dof) else _TABLE
-        scores = -special.ndtri_exp(np.minimum(self._log_tail(np.sinh(knots)), np.log(0.5)))
+        scores = -special.ndtri_exp(np.minimum(self._blurred_log_tail(np.sinh(knots)), np.log(0.5)))
         return np.concatenate([[0.0], knots]), np.concatenate([[0.0], scores])
 
     @cached_property
@@ -106,6 +146,16 @@ class NoiseModel:
     def _law(self) -> Any:
         """Distribution of ε."""
         return stats.gennorm(self.shape, scale=_unit_scale(self.shape)) if np.isinf(self.dof) else stats.t(self.dof)
+
+    def _blurred_log_tail(self, epsilon: FloatArray) -> FloatArray:
+        """ln P(ε' + ξ > ε) with ξ ~ N(0, blur²), for ε ≥ 0; heavier tails than Gaussian drown it."""
+        if self.blur == 0.0 or np.isfinite(self.dof):
+            return self._log_tail(epsilon)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+        at = epsilon[:, None] - self.blur * nodes
+        tails = self._log_tail(np.abs(at))
+        both = np.where(at >= 0.0, tails, np.log1p(-np.exp(np.minimum(tails, np.log(0.5)))))
+        return np.asarray(np.maximum(special.logsumexp(both, axis=1, b=weights / weights.sum()), _RAREST))
 
     def _log_tail(self, epsilon: FloatArray) -> FloatArray:
         """ln P(ε' > ε) for ε ≥ 0."""

@@ -13,7 +13,8 @@ from scipy import signal, stats
 from residuum.diagnosis.approximate_fault_detection import FaultKind, PostFilter, approximate_fault_detection
 from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.healthy_reference import block_peaks
-from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank
+from residuum.diagnosis.innovation_size import with_unbiased_size
+from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.noise_model import NoiseModel, fit_noise_model
 from residuum.diagnosis.residual_evaluation import EVALUATIONS, evaluate
 from residuum.diagnosis.residual_generator import ResidualGenerator, ResidualSignals, generator_of
@@ -76,6 +77,17 @@ class ResidualDesign:
         """The filters that run on u and y."""
         return generator_of(self.model, self.post_filter.Q, self.noise, (self.input_mean, self.output_mean))
 
+    def bank(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
+        """A likelihood-ratio bank that knows how uncertain this model and its operating point are."""
+        model, level_variance = self.model, self.noise.level_variance
+        return LikelihoodRatioBank(
+            1e-3, model.covariance, model.delay, threshold=threshold, level_variance=level_variance, restart=restart
+        )
+
+    def bank_threshold(self, rate: float) -> float:
+        """b at which that bank alarms `rate` times per healthy sample, averaged over the healthy records σ may come from."""
+        return self.noise.allowing_for_size(bank_threshold(rate))
+
     def signals_of(self, record: Record) -> tuple[FloatArray, FloatArray]:
         """u and y of a record in the design's units.
 
@@ -130,7 +142,7 @@ class ResidualDesign:
         meta = {
             "model": {name: _jsonable(value) for name, value in model.items() if not isinstance(value, np.ndarray)},
             "post_filter": filter_numbers,
-            "noise": {name: _jsonable(getattr(self.noise, name)) for name in ("sigma", "dof", "n", "shape")},
+            "noise": {name: _jsonable(getattr(self.noise, name)) for name in ("sigma", "dof", "n", "shape", "freedom", "blur")},
             "settings": settings or {},
             "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
         }
@@ -199,12 +211,13 @@ def design_residual(
 
 def model_noise(model: IdentifiedModel) -> NoiseModel:
     """The noise that an identified model claims, as an autoregression."""
+    freedom = float(model.provenance.get("n", np.inf))
     if model.noise_numerator is None or model.noise_denominator is None:
-        return NoiseModel(np.ones(1), float(np.sqrt(model.noise_variance)))
+        return NoiseModel(np.ones(1), float(np.sqrt(model.noise_variance)), freedom=freedom)
     impulse = np.concatenate([[1.0], np.zeros(200)])
     inverse = signal.lfilter(model.noise_denominator, model.noise_numerator, impulse)
     length = int(np.flatnonzero(np.abs(inverse) > 1e-6)[-1]) + 1
-    return NoiseModel(inverse[:length], float(np.sqrt(model.noise_variance)))
+    return NoiseModel(inverse[:length], float(np.sqrt(model.noise_variance)), freedom=freedom)
 
 
 def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> ResidualDesign:
@@ -214,13 +227,15 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     pairs = [design.signals_of(record) for record in healthy]
     input_mean = float(np.nanmean(np.concatenate([u for u, _ in pairs])))
     gain = float(design.model.frequency_response([0.0])[0].real)
-    point = {"input_mean": input_mean, "output_mean": design.model.offset + gain * input_mean}
-    first = _replaced(design, **point)
-    primary = [_primary(first.generator, u, y) for u, y in pairs]
-    second = _replaced(first, noise=fit_noise_model(primary))
+    first = _replaced(design, input_mean=input_mean, output_mean=design.model.offset + gain * input_mean)
+    level = float(np.nanmean(np.concatenate([_primary(first.generator, u, y) for u, y in pairs])))
+    centred = _replaced(first, output_mean=first.output_mean + level)
+    primary = [_primary(centred.generator, u, y) for u, y in pairs]
+    noise = with_unbiased_size(fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model)
+    second = _replaced(centred, noise=noise)
     signals = [second.generator.run(u, y) for u, y in pairs]
     peaks = {
-        name: block_peaks([evaluate(name, second.model, part) for part in signals], [part.valid for part in signals])
+        name: block_peaks([evaluate(name, second.bank, part) for part in signals], [part.valid for part in signals])
         for name in EVALUATIONS
     }
     return _replaced(
@@ -246,7 +261,7 @@ def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) ->
     expected = 0.3
     alarms = 0
     for part in signals:
-        bank = LikelihoodRatioBank(min(expected / n, 0.01), design.model.covariance, design.model.delay)
+        bank = design.bank(bank_threshold(min(expected / n, 0.01)))
         alarms += int(bank.process(part).alarm.sum())
     return float(stats.poisson.sf(alarms - 1, expected)) if alarms else 1.0
 

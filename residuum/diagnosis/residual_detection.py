@@ -9,7 +9,6 @@ import numpy as np
 from residuum.diagnosis.cusum import cusum
 from residuum.diagnosis.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.fault_estimation import FaultEstimate, FaultEstimator
-from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.residual_design import ResidualDesign
 from residuum.diagnosis.residual_evaluation import CUSUM_REFERENCE, evaluate
 from residuum.diagnosis.residual_generator import BoolArray, ResidualSignals
@@ -117,13 +116,12 @@ def _threshold(
 
 def _alarms(design: ResidualDesign, signals: ResidualSignals, threshold: Threshold) -> tuple[FloatArray, BoolArray]:
     if threshold.evaluation == "glr":
-        bank = LikelihoodRatioBank(1e-3, design.model.covariance, design.model.delay, threshold=threshold.typical)
-        output = bank.process(signals)
+        output = design.bank(threshold.typical).process(signals)
         return output.statistic, output.alarm
     if threshold.evaluation == "cusum":
         sums = cusum(signals.scores, signals.valid, CUSUM_REFERENCE, threshold.typical)
         return sums.statistic, np.asarray(sums.alarm != 0)
-    statistic = evaluate(threshold.evaluation, design.model, signals)
+    statistic = evaluate(threshold.evaluation, design.bank, signals)
     return statistic, np.asarray((statistic > threshold.level) & signals.valid)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -10,31 +11,36 @@ from residuum.diagnosis.cusum import cusum
 from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.residual_generator import ResidualSignals
 from residuum.diagnosis.state_space import FloatArray
-from residuum.identification.identified_model import IdentifiedModel
 
 RMS_WINDOW = 50
 CUSUM_REFERENCE = 0.5
 _LAZY = 2.5  # below it the likelihood ratio need not know the model error exactly
 
 
-def _point(model: IdentifiedModel, signals: ResidualSignals) -> FloatArray:
+class BankAt(Protocol):
+    """Makes the likelihood-ratio bank of a design for a threshold."""
+
+    def __call__(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
+        """The bank."""
+
+
+def _point(bank: BankAt, signals: ResidualSignals) -> FloatArray:
     return np.abs(signals.robust)
 
 
-def _rms(model: IdentifiedModel, signals: ResidualSignals) -> FloatArray:
+def _rms(bank: BankAt, signals: ResidualSignals) -> FloatArray:
     return moving_rms(signals)
 
 
-def _cusum(model: IdentifiedModel, signals: ResidualSignals) -> FloatArray:
+def _cusum(bank: BankAt, signals: ResidualSignals) -> FloatArray:
     return cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic
 
 
-def _glr(model: IdentifiedModel, signals: ResidualSignals) -> FloatArray:
-    bank = LikelihoodRatioBank(1e-3, model.covariance, model.delay, threshold=_LAZY, restart=False)
-    return bank.process(signals).statistic
+def _glr(bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    return bank(_LAZY, restart=False).process(signals).statistic
 
 
-EVALUATIONS: dict[str, Callable[[IdentifiedModel, ResidualSignals], FloatArray]] = {
+EVALUATIONS: dict[str, Callable[[BankAt, ResidualSignals], FloatArray]] = {
     "point": _point,
     "rms": _rms,
     "cusum": _cusum,
@@ -42,13 +48,13 @@ EVALUATIONS: dict[str, Callable[[IdentifiedModel, ResidualSignals], FloatArray]]
 }
 
 
-def evaluate(name: str, model: IdentifiedModel, signals: ResidualSignals) -> FloatArray:
+def evaluate(name: str, bank: BankAt, signals: ResidualSignals) -> FloatArray:
     """Undisturbed statistic (no restart after an alarm) of an evaluation, shape (n,), zero where the residual is not valid.
 
     `point` |r| [output unit × γ]; `rms` root mean square of 50 whitened scores; `cusum` two-sided CUSUM of the scores;
-    `glr` generalised likelihood ratio of offset, gain and power over windows of 1 … 1024 samples.
+    `glr` generalised likelihood ratio of offset, gain and power over windows of 1 … 1024 samples, by the design's `bank`.
     """
-    return np.where(signals.valid, EVALUATIONS[name](model, signals), 0.0)
+    return np.where(signals.valid, EVALUATIONS[name](bank, signals), 0.0)
 
 
 def moving_rms(signals: ResidualSignals, window: int = RMS_WINDOW) -> FloatArray:

@@ -98,8 +98,8 @@ def generator_of(
     input_mean, output_mean = operating_point
     if model.is_parametric and not _has_died_out(model):
         factors = left_coprime(StateSpace.from_transfer_function(model.transfer_function()))
-        return ResidualGenerator(None, factors.observer, Q, noise, model.sample_time, input_mean, output_mean)
-    return ResidualGenerator(model_taps(model), None, Q, noise, model.sample_time, input_mean, output_mean)
+        return ResidualGenerator(None, factors.observer.modal, Q.modal, noise, model.sample_time, input_mean, output_mean)
+    return ResidualGenerator(model_taps(model), None, Q.modal, noise, model.sample_time, input_mean, output_mean)
 
 
 def model_taps(model: IdentifiedModel) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -14,6 +15,8 @@ from residuum.identification.transfer_function import TransferFunction
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
+_WORTH_MODES = 4  # states from which a recursion by modes is faster
+_PARALLEL_MODES = 1e6  # condition of the modes from which six digits would be lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,13 +161,40 @@ class StateSpace:
         v = np.ascontiguousarray(v, dtype=float).reshape(-1, self.D.shape[1])
         x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
         w = np.empty((len(v), self.D.shape[0]))
-        _recursion(self.A, self.B, self.C, self.D, x, v, w)
+        _recursion(self.A, self.B, self.C, self.D, self._bands, x, v, w)
         return w, x
+
+    @cached_property
+    def _bands(self) -> npt.NDArray[np.int64]:
+        """First and one past the last column that is not zero of each row of A, shape (n, 2)."""
+        if not self.order:
+            return np.zeros((0, 2), dtype=np.int64)
+        filled = self.A != 0.0
+        first, last = filled.argmax(axis=1), self.order - filled[:, ::-1].argmax(axis=1)
+        return np.stack([first, np.where(filled.any(axis=1), last, first)], axis=1).astype(np.int64)
+
+    @cached_property
+    def modal(self) -> StateSpace:
+        """The same system with A block diagonal, a real mode or a complex pair a block: n, not n², products a sample.
+
+        Where the modes are too nearly parallel to be told apart without losing digits, A is upper triangular instead.
+        """
+        if self.order < _WORTH_MODES:
+            return self
+        eigenvalues, vectors = np.linalg.eig(self.A)
+        upper, real = eigenvalues.imag > 0, eigenvalues.imag == 0
+        T = np.column_stack([vectors[:, real].real, *(part for v in vectors[:, upper].T for part in (v.real, v.imag))])
+        if T.shape[1] != self.order or np.linalg.cond(T) > _PARALLEL_MODES:
+            A, T = linalg.schur(self.A, output="real")
+            return StateSpace(A, T.T @ self.B, self.C @ T, self.D, self.sample_time)
+        pairs = [np.array([[p.real, p.imag], [-p.imag, p.real]]) for p in eigenvalues[upper]]
+        A = linalg.block_diag(*eigenvalues[real].real[:, None, None], *pairs)
+        return StateSpace(A, np.linalg.solve(T, self.B), self.C @ T, self.D, self.sample_time)
 
 
 @numba.njit(cache=True)
 def _recursion(  # type: ignore[no-untyped-def]
-    A, B, C, D, x, v, w
+    A, B, C, D, bands, x, v, w
 ) -> None:
     n, (p, q) = A.shape[0], D.shape
     following = np.empty(n)
@@ -180,7 +210,7 @@ def _recursion(  # type: ignore[no-untyped-def]
             total = 0.0
             for j in range(q):
                 total += B[i, j] * v[t, j]
-            for j in range(n):
+            for j in range(bands[i, 0], bands[i, 1]):
                 total += A[i, j] * x[j]
             following[i] = total
         x[:] = following

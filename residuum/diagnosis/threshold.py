@@ -12,7 +12,6 @@ from residuum.diagnosis.approximate_fault_detection import noise_path
 from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.false_alarm_rate import cusum_threshold, scan_threshold
 from residuum.diagnosis.healthy_reference import calibrated_threshold
-from residuum.diagnosis.likelihood_ratio import bank_threshold
 from residuum.diagnosis.residual_design import ResidualDesign
 from residuum.diagnosis.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
 from residuum.diagnosis.state_space import FloatArray, StateSpace
@@ -31,6 +30,8 @@ class Threshold:
 
     `level` is a number, or shape (n,) where it follows the input; `false_alarms_per_day` is the chosen or predicted rate
     (0 = never under the stated bounds, None = nothing is known); `guarantee` says what holds, in one sentence.
+    `rate_factor` is F: for 95 % of designs learnt from as many healthy samples the real rate lies within 1/F … F times that
+    rate (None: not known).
     """
 
     kind: ThresholdKind
@@ -39,6 +40,7 @@ class Threshold:
     unit: str
     false_alarms_per_day: float | None
     guarantee: str
+    rate_factor: float | None = None
 
     @property
     def typical(self) -> float:
@@ -81,19 +83,23 @@ def posterior_threshold(design: ResidualDesign, u: FloatArray, rate: float, eval
     """The threshold of a chosen false-alarm rate, from the noise model and the posterior of the identified model.
 
     `point`: τ(t) = q √(φ_Qᵀ Σ_g φ_Q + σ_r²), φ_Q the input applied so far through Q: it follows the input. `glr`: b of the
-    likelihood-ratio bank, which carries the same variance in its statistic. `rms`, `cusum`: of the whitened scores, whose
+    likelihood-ratio bank, which carries the same variance in its statistic, and that of the operating point; it allows for
+    a σ that was estimated. `rms`, `cusum`: of the whitened scores, whose
     variance these two do not enlarge by the model error. The rate holds over the joint draw of identification data and
     noise while the noise keeps the colour and tails it had when healthy; scores of bounded noise alarm less often.
     """
     per_day = rate * 86400.0 / design.model.sample_time
     said = "the chosen rate, while noise and model are as identified"
     if evaluation == "glr":
-        return Threshold("posterior", "glr", bank_threshold(rate), "σ", per_day, said)
+        b = design.bank_threshold(rate)
+        factor = design.noise.rate_factor(b)
+        known = f"{said}; within a factor of {factor:.2g} of it for 95 % of designs from as much healthy data"
+        return Threshold("posterior", "glr", b, "σ", per_day, known, factor)
     if evaluation == "cusum":
         return Threshold("posterior", "cusum", cusum_threshold(rate, CUSUM_REFERENCE), "σ", per_day, said)
     if evaluation == "rms":
         return Threshold("posterior", "rms", _rms_level(rate), "σ", per_day, said)
-    filtered = design.post_filter.Q.simulate((u - design.input_mean)[:, None])[0][:, 0]
+    filtered = design.post_filter.Q.modal.simulate((u - design.input_mean)[:, None])[0][:, 0]
     spread = design.noise.output_std(_impulse(design.post_filter.Q))
     level = design.noise.limit(rate) * np.hypot(design.model.simulation_std(filtered), spread)
     return Threshold("posterior", "point", level, design.model.output_unit, per_day, said)

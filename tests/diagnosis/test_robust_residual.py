@@ -143,7 +143,8 @@ def test_cusum_rate_and_single_window_rate_are_the_closed_forms():
     h = cusum_threshold(1e-4, 0.5)
     assert np.count_nonzero(cusum(x, np.ones(len(x), dtype=bool), 0.5, h).alarm) / 200 == pytest.approx(1.0, abs=0.3)
     b = scan_threshold(1e-5, [(2, [1])])
-    assert 2 * scan_rate(b, [1]) * 0.6 == pytest.approx(1e-5, rel=1e-6)
+    assert 2 * scan_rate(b, [1]) == pytest.approx(1e-5, rel=1e-6)
+    assert 2 * stats.norm.sf(b) == pytest.approx(1e-5, rel=0.1)
     assert bank_threshold(1e-6, 1024) > bank_threshold(1e-4, 1024)
 
 
@@ -205,7 +206,8 @@ def test_size_is_unbiased_and_its_band_covers():
     for drawn in model.sample(100, seed=17):
         u = 3.0 + rng.standard_normal(600)
         offset = rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 4.0)
-        y = model.offset + np.convolve(np.concatenate([[0.0], drawn]), u)[:600] + base.noise.sigma * rng.standard_normal(600)
+        moved = np.convolve(np.concatenate([[0.0], drawn]), u - base.input_mean)[:600]
+        y = base.output_mean + moved + base.noise.sigma * rng.standard_normal(600)
         y += offset * (np.arange(600) >= 300)
         found = FaultEstimator(base.generator, model.covariance, model.delay).estimate(u, y, 310)
         errors.append(((found.value - offset) / found.std, found.kind))

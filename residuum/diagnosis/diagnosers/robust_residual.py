@@ -15,7 +15,7 @@ from residuum.diagnosis.fault_estimation import FaultEstimate, FaultEstimator
 from residuum.diagnosis.fault_signatures import FAULT_KINDS
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
-from residuum.diagnosis.likelihood_ratio import BankOutput, LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.likelihood_ratio import BankOutput
 from residuum.diagnosis.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residual_generator import ResidualGenerator, ResidualSignals
 from residuum.diagnosis.state_space import FloatArray
@@ -104,7 +104,7 @@ class RobustResidual(Diagnoser):
     def _use(self, design: ResidualDesign) -> Self:
         self._design, self._generator = design, design.generator
         rate = alarms_per_sample(self.false_alarms_per_day, design.model.sample_time)
-        self._threshold = bank_threshold(rate)
+        self._threshold = design.bank_threshold(rate)
         if design.structured_p < STRUCTURED_P:
             self._threshold = max(self._threshold, _widened(design, rate))
         return self
@@ -244,7 +244,7 @@ class ResidualMonitor:
 
     def __init__(self, design: ResidualDesign, threshold: float) -> None:
         self._residual = design.generator.stream()
-        self._bank = LikelihoodRatioBank(1e-6, design.model.covariance, design.model.delay, threshold=threshold)
+        self._bank = design.bank(threshold)
 
     @property
     def gaps(self) -> int:
@@ -271,7 +271,7 @@ def _widened(design: ResidualDesign, rate: float) -> float:
     """Threshold of healthy records that a right model would not give; with too few of them, well above their largest peak."""
     peaks = design.peaks["glr"]
     if len(peaks) < FEWEST_BLOCKS:
-        return _MARGIN * float(np.max(peaks, initial=bank_threshold(rate)))
+        return _MARGIN * float(np.max(peaks, initial=design.bank_threshold(rate)))
     return calibrated_threshold(peaks, rate, design.model.sample_time).value
 
 

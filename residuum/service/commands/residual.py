@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 
+from residuum.diagnosis.noise_model import NoiseModel
 from residuum.diagnosis.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residual_detection import Detection, detect
 from residuum.diagnosis.threshold import EvaluationName, ThresholdKind
@@ -70,7 +71,15 @@ def _design_result(made: ResidualDesign, identified: Path, out: Path, records: l
         "W_T": None if made.W_T is None else {"numerator": made.W_T.num, "denominator": made.W_T.den},
         "sample_time": made.model.sample_time,
         "warm_up_samples": made.generator.warm_up,
-        "noise": {"sigma": noise.sigma, "unit": made.model.output_unit, "ar_order": len(noise.ar) - 1, "tail_dof": noise.dof},
+        "noise": {
+            "sigma": noise.sigma,
+            "unit": made.model.output_unit,
+            "ar_order": len(noise.ar) - 1,
+            "tail_dof": noise.dof,
+            "shape": noise.shape,
+            "tails": _tails(noise),
+            "degrees_of_freedom": noise.freedom,
+        },
         "healthy_samples": sum(record.n for record in records),
         "structured_error": {"present": made.structured_p < _STRUCTURED_P, "p_value": made.structured_p},
     }
@@ -82,6 +91,7 @@ def _design_text(made: ResidualDesign, out: Path) -> str:
         f"residual for {made.fault} faults of {made.model.output_name!r}: γ = {f.gamma:.4g} (verified), β = {f.beta:.4g}, "
         f"β/γ = {f.decoupling:.3g}",
         f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g}) → {out}",
+        f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise)}",
     ]
     if made.structured_p < _STRUCTURED_P:
         lines.append(
@@ -89,6 +99,22 @@ def _design_text(made: ResidualDesign, out: Path) -> str:
             "in the model; find it with `residuum explain` before trusting small residuals"
         )
     return "\n".join(lines)
+
+
+def _size(made: ResidualDesign) -> str:
+    return f"σ = {made.noise.innovation_std:.4g} {made.model.output_unit}".rstrip()
+
+
+def _tails(noise: NoiseModel) -> str:
+    """The law of the noise in words, with the parameter that shapes it."""
+    if np.isfinite(noise.dof):
+        return f"heavier than Gaussian (Student t, {noise.dof:.3g} degrees of freedom)"
+    return "Gaussian" if noise.is_gaussian else f"lighter than Gaussian (exponential power, β = {noise.shape:.3g})"
+
+
+def _colour(noise: NoiseModel) -> str:
+    order = len(noise.ar) - 1
+    return f"coloured (autoregression of order {order})" if order else "white"
 
 
 @app.command()
@@ -131,6 +157,7 @@ def _run_result(made: ResidualDesign, record: Record, found: Detection) -> dict[
         "first_alarm_time": None if first is None else float(record.time[first]),
         "false_alarm_rate": found.threshold.false_alarms_per_day,
         "false_alarm_rate_unit": "1/day",
+        "false_alarm_rate_factor_95": found.threshold.rate_factor,
         "fault_estimate": _estimate_result(record, found),
         "exceedances": int(found.alarm.sum()),
         "judged_samples": int(found.signals.valid.sum()),
@@ -146,6 +173,7 @@ def _estimate_result(record: Record, found: Detection) -> dict[str, Any] | None:
         return None
     return {
         "kind": estimate.kind,
+        "shape": estimate.shape,
         "value": estimate.value,
         "std": estimate.std,
         "unit": estimate.unit,
@@ -170,7 +198,7 @@ def _run_text(made: ResidualDesign, record: Record, found: Detection) -> str:
         since = record.t0 + estimate.onset * record.sample_time
         alike = f"; cannot be told from {', '.join(estimate.indistinguishable_from)}" if estimate.indistinguishable_from else ""
         size = f"{estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".strip()
-        lines.insert(1, f"{estimate.kind}: {size}, since {since:.6g} s{alike}")
+        lines.insert(1, f"{estimate.kind} ({estimate.shape}): {size}, since {since:.6g} s{alike}")
     if made.structured_p < _STRUCTURED_P:
         lines.append("the healthy records already carried structured error: this may be missing physics, see `residuum explain`")
     return "\n".join(lines)

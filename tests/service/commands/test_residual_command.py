@@ -44,6 +44,8 @@ def test_design_reports_what_it_verified(folder, capsys):
     assert result["stable"] and result["gamma_verified"] == pytest.approx(0.1) and result["gamma_on_grid"] <= 0.1 * (1 + 1e-9)
     assert result["filter_order"] < result["full_order"] and result["healthy_samples"] == 4000
     assert result["fault"] == "actuator" and not result["structured_error"]["present"]
+    noise = result["noise"]
+    assert noise["shape"] == 2.0 and noise["tails"] == "Gaussian" and 3500 < noise["degrees_of_freedom"] < 4000
 
 
 @pytest.mark.parametrize("threshold", ["posterior", "peak", "source", "calibrated"])
@@ -56,6 +58,8 @@ def test_run_answers_in_the_contracts_words(folder, capsys, threshold):
         faulty = answer(capsys, "run", folder / "d", folder / "bad.csv", *common)
         assert faulty["alarm"] is True and 100.0 <= faulty["first_alarm_time"] < 102.0 and faulty["false_alarm_rate"] == 2.0
         estimate = faulty["fault_estimate"]
+        assert estimate["kind"] == "sensor-offset" and estimate["shape"] == "step"
+        assert (faulty["false_alarm_rate_factor_95"] is not None) == (threshold == "posterior")
         assert abs(estimate["value"] - 1.0) < 4 * estimate["std"] and abs(estimate["onset_time"] - 100.0) < 1.0
 
 
