@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.axes import signal_axes
+from residuum.identification.discrepancy.coloured_noise import forgetting, longest_memory
 from residuum.identification.discrepancy.features import features
 from residuum.identification.discrepancy.locate import Axis, Region
-from residuum.identification.discrepancy.noise_floor import noise_floor
+from residuum.identification.discrepancy.noise_floor import CHANCE, PLAINLY, fast_floor, noise_floor, times_the_noise
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.regions import regions
 from residuum.identification.discrepancy.structured_error import StructuredError, test_structured_error
@@ -126,7 +127,8 @@ def compare(
     ]
     refitted = _refitted(model, experiments, simulation)
     structured = structured_errors(experiments, simulation.residuals, axes, model, refitted, level=level, seed=seed)
-    structured |= _structured_in_windows(model, experiments, structured, level, seed)
+    in_parts = _structured_in_windows(model, experiments, structured, level, seed)
+    structured |= in_parts or _plainly_structured(model, simulation.residuals, structured)
     ahead = _prediction_errors(kalman, experiments, smoothed)
     outputs = _output_errors(model, experiments, simulation, ahead, structured)
     seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
@@ -231,7 +233,28 @@ def _structured_in_windows(
     axes = [signal_axes(model, part, _simulated_states(model, part, x0)) for part, x0 in starts]
     refitted = _refitted(model, parts, simulation)
     found = structured_errors(parts, simulation.residuals, axes, model, refitted, level=level, seed=seed)
+    found |= _plainly_structured(model, simulation.residuals, found)
     return {name: replace(test, predicted=whole[name].predicted) for name, test in found.items() if name in whole}
+
+
+def _plainly_structured(
+    model: PhysicalModel, residuals: Sequence[FloatArray], tested: Mapping[str, StructuredError]
+) -> dict[str, StructuredError]:
+    """The tests of those outputs whose error stands so far above the noise of its fast part that no noise gets there.
+
+    Noise that is integrated would explain any slow error, and leave the test blind to the largest of them.
+    """
+    found = {}
+    for k, name in enumerate(model.outputs):
+        errors = [residual[:, k] for residual in residuals]
+        times = times_the_noise(errors)
+        if name in tested and times > PLAINLY:
+            test, size = tested[name], sum(map(len, errors))
+            noise = replace(test.noise, a=forgetting(test.noise.a, longest_memory(size, max(map(len, errors)))))
+            p_value, share = min(test.p_value, CHANCE), max(test.share, 1.0 - 1.0 / times**2)
+            floor = min(test.noise_rms, fast_floor(errors))
+            found[name] = replace(test, present=True, p_value=p_value, share=share, noise_rms=floor, noise=noise)
+    return found
 
 
 def _simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray) -> FloatArray:

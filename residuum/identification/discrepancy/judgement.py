@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.axes import signal_axes
-from residuum.identification.discrepancy.coloured_noise import longest_memory
 from residuum.identification.discrepancy.compare import structured_errors
 from residuum.identification.discrepancy.evidence import ALIKE, relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
-from residuum.identification.discrepancy.noise_floor import noise_floor
+from residuum.identification.discrepancy.noise_floor import PLAINLY, times_the_noise
 from residuum.identification.discrepancy.search import Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
@@ -26,8 +25,6 @@ _NEGLIGIBLE, _MOST = 0.03, 0.30
 
 _REFUTED = 0.9
 _MOSTLY = 0.7
-_PLAINLY = 6.0
-"""Times the noise floor beyond which no noise of up to ρ = .995 gets (at most 5.3 in 600 trials)."""
 _MUCH, _NEARLY_ALL, _DOUBTED = 3.0, 100.0, 0.3
 """Times the noise floor that no error keeps with the right effect added (at most 2); beyond which no name stands; and how
 probable something else is between them."""
@@ -92,7 +89,7 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     unknown = float(np.clip((share - _NEGLIGIBLE) / (_MOST - _NEGLIGIBLE), 0.0, 1.0))
     if incomplete or ((found.refuted or found.base.drifting) and not found.accepted):
         unknown = max(unknown, _REFUTED)
-    left = max(map(_times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True)))
+    left = max(map(times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True)))
     if found.accepted and left > _MUCH:
         unknown = max(unknown, _DOUBTED if left < _NEARLY_ALL else _REFUTED)
     listed: list[Candidate] = []
@@ -138,7 +135,7 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     plain = None if fell < _MOSTLY else _plain(found.best, experiments)
     if plain is None:
         return False
-    if any(_times_the_noise(column) > _PLAINLY for column in zip(*(r.T for r in plain.residuals), strict=True)):
+    if any(times_the_noise(column) > PLAINLY for column in zip(*(r.T for r in plain.residuals), strict=True)):
         return True
     simulator = Simulator(plain.model)
     runs = [
@@ -148,14 +145,6 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     axes = [signal_axes(plain.model, e, X) for e, X in zip(experiments, runs, strict=True)]
     tests = structured_errors(experiments, plain.residuals, axes, plain.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
     return any(test.present and test.share > _SHARE for test in tests.values())
-
-
-def _times_the_noise(residuals: Sequence[FloatArray]) -> float:
-    """RMS of an output's residuals over the noise of their fast part, no slower than they can show; 0 if not measured."""
-    known = np.concatenate([r[np.isfinite(r)] for r in residuals])
-    memory = longest_memory(known.size, max(map(len, residuals)))
-    floor = noise_floor(residuals, float(np.exp(-1.0 / max(memory, 2.0)))) if known.size else 0.0
-    return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
 
 
 def _is_accepted(found: Search, candidate: Candidate) -> bool:

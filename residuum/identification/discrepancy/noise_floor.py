@@ -8,11 +8,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import welch
 
-from residuum.identification.discrepancy.coloured_noise import stretches
+from residuum.identification.discrepancy.coloured_noise import longest_memory, stretches
 
 FloatArray = npt.NDArray[np.float64]
 
 LOWEST_FREQUENCY = 0.02  # of the sampling rate; below it the error is taken to be the model's
+PLAINLY = 6.0
+"""Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
+CHANCE = 1 / 600
+"""Bound on how often noise stands there."""
 _COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
 
 
@@ -53,6 +57,19 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
     power = np.average([spectrum for _, spectrum in spectra], axis=0, weights=weights)
     fast = (spectra[0][0] >= LOWEST_FREQUENCY) & (spectra[0][0] < 0.5)
     return min(rms, float(np.sqrt(_whittle_variance(spectra[0][0][fast], power[fast], _COLOURS[max(slowest, 0.0) >= _COLOURS]))))
+
+
+def fast_floor(residuals: Sequence[FloatArray]) -> float:
+    """`noise_floor` of noise that is no slower than the residuals can show; 0 if not measured."""
+    samples = sum(int(np.isfinite(residual).sum()) for residual in residuals)
+    memory = longest_memory(samples, max(map(len, residuals)))
+    return noise_floor(residuals, float(np.exp(-1.0 / max(memory, 2.0)))) if samples else 0.0
+
+
+def times_the_noise(residuals: Sequence[FloatArray]) -> float:
+    """RMS of an output's residuals over its `fast_floor`; 0 if not measured."""
+    known, floor = np.concatenate([residual[np.isfinite(residual)] for residual in residuals]), fast_floor(residuals)
+    return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
 
 
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:

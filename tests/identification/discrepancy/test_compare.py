@@ -80,6 +80,31 @@ outputs: {x: {value: x, unit: m}}
     assert found.outputs["x"].rmse > 5 * found.outputs["x"].noise_floor
 
 
+def test_a_slow_error_that_dwarfs_the_noise_is_structured():
+    """A swinging arm pushed by what its model does not know: noise that is integrated would explain any such error."""
+    n, h, rng = 3000, 0.005, np.random.default_rng(4)
+    torque = np.repeat(rng.normal(0.0, 3.0, n // 100), 100)
+    shaken = 0.8 * np.sign(np.sin(2 * np.pi * np.arange(n) * h / 2.7))
+    x, v, seen = 0.3, 0.0, np.zeros(n)
+    for k in range(n):
+        seen[k] = x
+        for _ in range(10):
+            v += h / 10 * (torque[k] + shaken[k] - 7.0 * np.sin(x) - 0.5 * v) / 0.9
+            x += h / 10 * v
+    text = """name: arm
+inputs: {torque: N*m}
+states: {x: {unit: rad, rate: v}, v: {unit: rad/s}}
+parameters: {J: {value: 0.9, unit: kg*m**2}, d: {value: 0.5, unit: N*m*s/rad}, w: {value: 7, unit: N*m}}
+balances:
+  joint: {kind: torque, storage: J * der(v), terms: {motor: torque, weight: -w * sin(x), damper: -d * v}, position: x, velocity: v}
+outputs: {x: {value: x, unit: rad}}
+"""
+    noise = 0.002 * rng.standard_normal(n)
+    found = compare(read_model(text), [Record({"torque": torque, "x": seen + noise}, {"torque": "N*m", "x": "rad"}, h)])
+    assert found.p_value < 0.01 and found.share > 0.9 and found.where
+    assert found.outputs["x"].rmse > 10 * found.outputs["x"].noise_floor
+
+
 def test_a_record_without_the_input_is_refused():
     with pytest.raises(BadRecord, match="input 'voltage' is missing"):
         compare(MODEL, [record(profile="rich").select(["speed", "current"])])
