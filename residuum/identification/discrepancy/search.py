@@ -168,11 +168,19 @@ def _forward(base: Structure, task: _Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
-    if len(found.accepted) > 1 and _times_its_innovations(found.base) > SLOW:
+    if len(found.accepted) != 1 and not found.refuted and _times_its_innovations(found.base) > SLOW:
         other = _from_the_runner_up(found, first, task)
-        if other is not None and _score(other.best, found.base) > _score(found.best, found.base):
+        if other is not None and _does_more(other, found):
             return other
     return found
+
+
+def _does_more(other: Search, found: Search) -> bool:
+    """Whether the other search ended higher; against nothing at all several effects count only as far as each is wanted."""
+    if found.accepted:
+        return _score(other.best, found.base) > _score(found.best, found.base)
+    gain = tempered_gain(other.best, found.base) - other.best.penalty(found.base)
+    return len(other.accepted) > 1 and gain > _asked(found, ACCEPT_MORE)
 
 
 def _settle(found: Search, task: _Task) -> None:
@@ -186,7 +194,9 @@ def _settle(found: Search, task: _Task) -> None:
 
 
 def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], task: _Task) -> Search | None:
-    """The search from the second best of its first candidates: where a base is far off, the first best may lead astray."""
+    """The search from the best of its first candidates that it does not have: where a base is far off, the first best may lead
+    astray, and where two effects are missing neither may be enough alone.
+    """
     others = {key: s for key, s in first.items() if key not in found.accepted}
     key = preferred(others, found.base)
     if key is None:
