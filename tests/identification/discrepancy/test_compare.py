@@ -96,7 +96,7 @@ inputs: {torque: N*m}
 states: {x: {unit: rad, rate: v}, v: {unit: rad/s}}
 parameters: {J: {value: 0.9, unit: kg*m**2}, d: {value: 0.5, unit: N*m*s/rad}, w: {value: 7, unit: N*m}}
 balances:
-  joint: {kind: torque, storage: J * der(v), terms: {motor: torque, weight: -w * sin(x), damper: -d * v}, position: x, velocity: v}
+  joint: {kind: torque, storage: J * der(v), terms: {in: torque, weight: -w * sin(x), damper: -d * v}, position: x, velocity: v}
 outputs: {x: {value: x, unit: rad}}
 """
     noise = 0.002 * rng.standard_normal(n)
