@@ -37,12 +37,13 @@ _POLICY = (
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 _EVERY_ANSWER = [
-    (b"content-security-policy", _POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),
     (b"cross-origin-resource-policy", b"same-origin"),
 ]
+_DATA = [*_EVERY_ANSWER, (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'")]
 _PAGES = [
     *_EVERY_ANSWER,
+    (b"content-security-policy", _POLICY.encode()),
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"cross-origin-opener-policy", b"same-origin"),
@@ -77,7 +78,7 @@ class Gate:
             return
         begun = time.perf_counter()
         status = 500
-        more = _EVERY_ANSWER if scope["path"].startswith("/api/") else _PAGES
+        more = _DATA if scope["path"].startswith("/api/") else _PAGES
 
         async def send_with_headers(message: Message) -> None:
             nonlocal status
@@ -90,7 +91,10 @@ class Gate:
         refusal = self._refusal(scope, headers)
         if refusal is None:
             key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)
-            refusal = self._refusal_of_caller(scope, key, await self._caller(key))
+            caller = self.keys.caller(key)
+            if caller is None and self.tokens is not None:
+                caller = await self._owner_of_token(self.tokens, key)
+            refusal = self._refusal_of_caller(scope, key, caller)
         try:
             if refusal is not None:
                 await refusal(scope, receive, send_with_headers)
@@ -123,12 +127,11 @@ class Gate:
             return problem(403, f"Origin {origin[:100]!r}: another site's page may not write here", "wrong-origin")
         return None
 
-    async def _caller(self, key: str | None) -> Caller | None:
-        """Who has this key, or this token of the issuer."""
-        caller = self.keys.caller(key)
-        if caller is not None or self.tokens is None or key is None or not self.tokens.looks_like_one(key):
-            return caller
-        return self.tokens.known(key) or await asyncio.to_thread(self.tokens.caller, key)
+    async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
+        """Who has this token of the issuer."""
+        if token is None or not tokens.looks_like_one(token):
+            return None
+        return tokens.known(token) or await asyncio.to_thread(tokens.caller, token)
 
     def _refusal_of_caller(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
         guarded = scope["path"].startswith("/api/") or scope["path"] in _METRICS

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from math import prod
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,17 +41,33 @@ def read_npy(body: bytes | memoryview, what: str = "body") -> npt.NDArray[Any]:
     [0.0, 1.0, 2.0]
     """
     start, header = _header(body, what)
-    if (match := _HEADER.fullmatch(header)) is None:
+    if (layout := _layout(header)) is None:
         raise BadBody(f"{what}: .npy header {header[:80]!r}: only plain integer and floating arrays are read")
-    sizes = [size for size in match["shape"].replace(" ", "").split(",") if size]
-    shape = tuple(int(size) for size in sizes)
-    dtype = np.dtype(match["dtype"])
-    if not 1 <= len(shape) <= 2 or not prod(shape):
+    dtype, shape, order, needed = layout
+    if not 1 <= len(shape) <= 2 or not needed:
         raise BadBody(f"{what}: .npy shape {shape}: must have one or two dimensions and hold samples")
-    if (needed := prod(shape) * dtype.itemsize) != len(body) - start:
+    if needed != len(body) - start:
         raise BadBody(f"{what}: .npy shape {shape} of {dtype.str} needs {needed} bytes; {len(body) - start} came")
-    array = np.frombuffer(body, dtype=dtype, offset=start)
-    return array.reshape(shape, order="F" if match["fortran"] == "True" else "C")
+    return np.frombuffer(body, dtype=dtype, offset=start).reshape(shape, order=order)
+
+
+class _Layout(NamedTuple):
+    """What an .npy header declares; `size` is that of the samples [bytes]."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    order: Literal["C", "F"]
+    size: int
+
+
+@lru_cache(maxsize=256)
+def _layout(header: str) -> _Layout | None:
+    """What a header declares, None when it is of another kind; remembered, since a client sends the same one again and again."""
+    if (match := _HEADER.fullmatch(header)) is None:
+        return None
+    shape = tuple(int(size) for size in match["shape"].replace(" ", "").split(",") if size)
+    dtype = np.dtype(match["dtype"])
+    return _Layout(dtype, shape, "F" if match["fortran"] == "True" else "C", prod(shape) * dtype.itemsize)
 
 
 def _header(body: bytes | memoryview, what: str) -> tuple[int, str]:

@@ -13,7 +13,7 @@ from starlette.datastructures import QueryParams
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
-from residuum.service.api.json_response import BareRoute, Json
+from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
 from residuum.service.api.signal_body import SIGNAL_BODY, record_of
 from residuum.service.commands.diagnoser_options import bearing_settings
@@ -57,7 +57,7 @@ async def score(request: Request) -> Response:
     record = await record_of(request, judge.channels)
     small = record.n * len(record.names) <= _SCORED_AT_ONCE
     finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
-    return Json(finding.to_json())
+    return finding_json(finding)
 
 
 @lru_cache(maxsize=256)

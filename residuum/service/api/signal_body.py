@@ -7,9 +7,10 @@ import re
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import orjson
@@ -80,10 +81,10 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if kind not in READERS:
         raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(READERS)}")
-    return READERS[kind](await request.body(), request.query_params, expected)
+    return READERS[kind](await request.body(), request.scope["query_string"], expected)
 
 
-def _from_json(body: bytes, _query: QueryParams, _expected: Sequence[Channel]) -> Record:
+def _from_json(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
     try:
         content = orjson.loads(body)
     except orjson.JSONDecodeError as error:
@@ -103,28 +104,41 @@ def _from_json(body: bytes, _query: QueryParams, _expected: Sequence[Channel]) -
     )
 
 
-def _from_npy(body: bytes, query: QueryParams, expected: Sequence[Channel]) -> Record:
+def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     array = read_npy(body)
     rows = array.reshape(1, -1) if array.ndim == 1 else array
-    heads = query.getlist("channel")
-    if heads:
-        names = [_head(text) for text in heads]
-    else:
-        names = [(channel.name, channel.unit) for channel in expected if channel.required]
+    said = _description(query)
+    names = said.names or tuple((channel.name, channel.unit) for channel in expected if channel.required)
     if len(names) != rows.shape[0]:
         shown = ", ".join(f"{name} [{unit}]" for name, unit in names) or "none"
         raise BadBody(f"body: the array has {rows.shape[0]} rows, and these channels are named: {shown}; shape is (channels, n)")
     if len({name for name, _ in names}) != len(names):
         raise BadBody("query: a channel is named twice")
     channels = {name: row for (name, _), row in zip(names, rows, strict=True)}
-    return Record(_few(channels), dict(names), _sample_time(query), _query_number(query, "t0", 0.0), source="http")
+    return Record(_few(channels), dict(names), said.sample_time, said.t0, source="http")
 
 
-def _from_csv(body: bytes, _query: QueryParams, _expected: Sequence[Channel]) -> Record:
+class _Description(NamedTuple):
+    """What a query says of an .npy body: names and units of its rows (none: the diagnoser's), and when they were taken [s]."""
+
+    names: tuple[tuple[str, str], ...]
+    sample_time: float
+    t0: float
+
+
+@lru_cache(maxsize=256)
+def _description(query_string: bytes) -> _Description:
+    """The description in a query; remembered, since a client asks with the same one again and again."""
+    query = QueryParams(query_string)
+    names = tuple(_head(text) for text in query.getlist("channel"))
+    return _Description(names, _sample_time(query), _query_number(query, "t0", 0.0))
+
+
+def _from_csv(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
     return parse_csv(body, source="body")
 
 
-def _from_npz(body: bytes, _query: QueryParams, _expected: Sequence[Channel]) -> Record:
+def _from_npz(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
     check_npz(io.BytesIO(body))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "body.npz"
@@ -135,7 +149,7 @@ def _from_npz(body: bytes, _query: QueryParams, _expected: Sequence[Channel]) ->
             raise BadRecord(str(error).replace(str(file), "body")) from None
 
 
-READERS: dict[str, Callable[[bytes, QueryParams, Sequence[Channel]], Record]] = {
+READERS: dict[str, Callable[[bytes, bytes, Sequence[Channel]], Record]] = {
     "application/json": _from_json,
     "application/octet-stream": _from_npy,
     "text/csv": _from_csv,
