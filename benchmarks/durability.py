@@ -33,6 +33,7 @@ import uvicorn
 from sqlalchemy import func, select, text
 
 from benchmarks.free_port import free_port
+from residuum.service import worker_pool
 from residuum.service.app import create_app
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
@@ -53,7 +54,8 @@ PATIENCE = 120.0
 
 
 def serve(data: str, url: str, port: int) -> None:
-    """Be the service until killed."""
+    """Be the service until killed; it judges these windows itself, and a server of workers would be that of this benchmark."""
+    worker_pool._begin_server = threading.Event
     app = create_app(load_settings(data=Path(data), database=url, port=port, workers=1, log_level="error"))
     uvicorn.run(app, port=port, log_config=None, access_log=False)
 
