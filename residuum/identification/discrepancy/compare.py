@@ -152,9 +152,9 @@ def _at_the_likelier_timing(model: PhysicalModel, experiments: list[Experiment])
 
     The two conventions differ by half a sample, which a good record shows as a structured error of its own.
     """
-    tried = []
+    tried: list[tuple[float, list[Experiment], Estimate]] = []
     for turned in (experiments, [replace(e, hold=1.0 - e.hold) for e in experiments]):
-        simulation = estimate(model, turned, free=())
+        simulation = estimate(model, turned, free=(), initial=tried[0][2].initial if tried else None)
         tried.append((float(np.nansum((simulation.rmse / _spread(experiments)) ** 2)), turned, simulation))
     _, turned, simulation = min(tried, key=lambda one: one[0])
     return turned, simulation
