@@ -18,7 +18,7 @@ from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.structures import Structure, fit_structure
 from residuum.identification.errors import BadModel, NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
@@ -200,7 +200,9 @@ def _without_needless(
 def _least_simulation_error(structure: Structure, experiments: Sequence[Experiment]) -> Structure | None:
     """The structure at the least plain simulation error: of a model that is never complete it is the better simulator."""
     try:
-        plain = estimate(structure.model, experiments, free=structure.parameters, initial=structure.initial)
+        plain = with_coloured_noise(
+            estimate(structure.model, experiments, free=structure.parameters, initial=structure.initial), experiments
+        )
     except NotIdentifiable:
         return None
     return replace(structure, model=plain.model, initial=plain.initial, std=np.sqrt(np.diag(plain.covariance)))

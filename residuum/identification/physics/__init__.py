@@ -14,10 +14,11 @@ with their exact derivatives by parameters (full names as in `model.all_paramete
 additive
 missing term of each balance (`missing@balance`). Modules: `expression`, `dimension`, `yaml_tree`, `model_file`, `consistency`
 (reading), `model` (the type), `composition`, `code_generation`, `kernel` (compiling), `integration`,
-`kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`, `kalman`,
+`kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`, `coloured_covariance`, `kalman`,
 `likelihood_estimation` (using), `effects/` (the catalogue).
 """
 
+from residuum.identification.physics.coloured_covariance import with_coloured_noise
 from residuum.identification.physics.estimation import Estimate, Settings, estimate, windows
 from residuum.identification.physics.experiment import Experiment, block_means, match
 from residuum.identification.physics.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
@@ -56,5 +57,6 @@ __all__ = [
     "read_model",
     "tune",
     "windows",
+    "with_coloured_noise",
     "write_model",
 ]

@@ -17,6 +17,7 @@ from residuum.identification.physics import (
     load_model,
     match,
     windows,
+    with_coloured_noise,
     write_model,
 )
 from residuum.identification.record import Record
@@ -29,8 +30,8 @@ app = typer.Typer(add_completion=False)
 Method = Callable[[PhysicalModel, Sequence[Experiment], int], Estimate]
 
 METHODS: dict[str, Method] = {
-    "simulation": lambda model, experiments, _: estimate(model, experiments),
-    "prediction": lambda model, experiments, steps: estimate(model, [w for e in experiments for w in windows(e, steps)]),
+    "simulation": lambda model, experiments, _: _with_honest_band(model, experiments),
+    "prediction": lambda model, experiments, steps: _with_honest_band(model, [w for e in experiments for w in windows(e, steps)]),
     "kalman": lambda model, experiments, _: estimate_by_likelihood(model, experiments),
 }
 
@@ -86,6 +87,10 @@ def estimate_json(model: str, records: Sequence[Path], result: Estimate) -> dict
         "converged": result.converged,
         "iterations": result.iterations,
     }
+
+
+def _with_honest_band(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:
+    return with_coloured_noise(estimate(model, experiments), experiments)
 
 
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:
