@@ -13,6 +13,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.coloured_noise import forgetting, longest_memory
 from residuum.identification.discrepancy.features import features
+from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.discrepancy.locate import Axis, Region
 from residuum.identification.discrepancy.noise_floor import CHANCE, PLAINLY, fast_floor, noise_floor, times_the_noise
 from residuum.identification.discrepancy.prediction_windows import in_windows
@@ -118,7 +119,7 @@ def compare(
         The model diverges on a record.
     """
     model, experiments = match(model, records, mapping)
-    experiments, simulation = _at_the_likelier_timing(model, experiments)
+    experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     smoothed = [kalman.run(e, x0) for e, x0 in zip(experiments, simulation.initial, strict=True)]
     axes = [
@@ -145,24 +146,6 @@ def compare(
         axes=seen,
         where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
     )
-
-
-def _at_the_likelier_timing(model: PhysicalModel, experiments: list[Experiment]) -> tuple[list[Experiment], Estimate]:
-    """The simulation with inputs held over their samples or moving evenly between them, whichever leaves the smaller error.
-
-    The two conventions differ by half a sample, which a good record shows as a structured error of its own.
-    """
-    tried: list[tuple[float, list[Experiment], Estimate]] = []
-    for turned in (experiments, [replace(e, hold=1.0 - e.hold) for e in experiments]):
-        simulation = estimate(model, turned, free=(), initial=tried[0][2].initial if tried else None)
-        tried.append((float(np.nansum((simulation.rmse / _spread(experiments)) ** 2)), turned, simulation))
-    _, turned, simulation = min(tried, key=lambda one: one[0])
-    return turned, simulation
-
-
-def _spread(experiments: Sequence[Experiment]) -> FloatArray:
-    spread = np.array([np.nanstd(y) if np.isfinite(y).any() else np.nan for y in np.concatenate([e.Y for e in experiments]).T])
-    return np.where(spread > 0, spread, 1.0)
 
 
 def _refitted(model: PhysicalModel, experiments: list[Experiment], simulation: Estimate) -> list[FloatArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from residuum.identification.discrepancy.innovations import ORDER
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.structures import Structure, base_structure, plain_estimate
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, match
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, match
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
@@ -21,6 +21,32 @@ FloatArray = npt.NDArray[np.float64]
 _NORMAL_MEDIAN = 0.6745
 OUTLYING = 30.0
 """Spreads of an output's error beyond which its first one is not of their kind."""
+
+
+def at_likelier_timing(
+    experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
+) -> tuple[list[Experiment], Estimate]:
+    """What is fitted with inputs held over their samples or moving evenly between them, whichever leaves the smaller error.
+
+    The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
+    parameters that lie many standard deviations beside the truth.
+    """
+    tried = []
+    for turned in (list(experiments), [replace(e, hold=1.0 - e.hold) for e in experiments]):
+        try:
+            found = fitted(turned)
+        except NotIdentifiable:
+            if tried:
+                break
+            raise
+        tried.append((float(np.nansum((found.rmse / _spread(experiments)) ** 2)), turned, found))
+    _, turned, found = min(tried, key=lambda one: one[0])
+    return turned, found
+
+
+def _spread(experiments: Sequence[Experiment]) -> FloatArray:
+    spread = np.array([np.nanstd(y) if np.isfinite(y).any() else np.nan for y in np.concatenate([e.Y for e in experiments]).T])
+    return np.where(spread > 0, spread, 1.0)
 
 
 def experiments_and_base(

@@ -1,12 +1,14 @@
 """`residuum estimate`: the parameters of a model from records, its structure as it is."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
+from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import (
     Estimate,
@@ -57,7 +59,11 @@ def estimate_command(
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
     start, experiments = match(load_model(model), loaded, pairs("--map", channel_map), hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, loaded, strict=True)]
-    result = METHODS[method](start, parts, steps)
+    if hold == "auto":
+        turned, result = at_likelier_timing(parts, lambda tried: METHODS[method](start, tried, steps))
+        experiments = [replace(e, hold=part.hold) for e, part in zip(experiments, turned, strict=True)]
+    else:
+        result = METHODS[method](start, parts, steps)
     held_out = _held_out_error(result.model, experiments, loaded)
     out.write_text(write_model(result.model), encoding="utf-8")
     found = estimate_json(model, records, result) | {"method": method, "held_out_rmse": held_out, "model_file": str(out)}

@@ -1,0 +1,34 @@
+"""A controller's force is held for a sample though it moves at every one: its look does not tell, the error does."""
+
+import numpy as np
+
+from residuum.identification.discrepancy.input_timing import at_likelier_timing
+from residuum.identification.physics import estimate, match, read_model
+from residuum.identification.record import Record
+
+MASS = """name: mass
+inputs: {force: N}
+states: {v: {unit: m/s}}
+parameters: {M: {value: 2.2, unit: kg, lower: 0.1}, d: {value: 2.7, unit: N*s/m, lower: 0}}
+balances: {body: {kind: force, storage: M * der(v), terms: {drive: force, friction: -d * v}, velocity: v}}
+outputs: {speed: {value: v, unit: m/s}}
+"""
+
+
+def held_record(n=2000, sample_time=0.01):
+    rng = np.random.default_rng(3)
+    force = np.convolve(rng.normal(size=n + 40), np.hanning(40), "same")[:n]
+    v = np.zeros(n)
+    decay = np.exp(-3.0 / 2.0 * sample_time)
+    for k in range(n - 1):
+        v[k + 1] = decay * v[k] + (1.0 - decay) * force[k] / 3.0
+    return Record({"force": force, "speed": v + 1e-4 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, sample_time)
+
+
+def test_a_held_input_is_recognised_by_the_error_that_it_leaves():
+    model, experiments = match(read_model(MASS), [held_record()])
+    assert experiments[0].hold[0] == 1.0  # it looks as if it moved evenly
+    turned, found = at_likelier_timing(experiments, lambda tried: estimate(model, tried))
+    assert turned[0].hold[0] == 0.0
+    assert np.all(np.abs(found.theta - [2.0, 3.0]) < 4.0 * found.std)
+    assert np.any(np.abs(estimate(model, experiments).theta - [2.0, 3.0]) > 4.0 * found.std)
