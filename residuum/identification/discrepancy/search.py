@@ -285,7 +285,8 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
     """Judge each of several effects again on top of the others: kept, exchanged for a better one, or dropped as needless.
 
     The first that a greedy search accepts may only stand for two that are missing together (viscous friction for drag and rolling
-    friction), which later steps bring to light. Those `settled` were judged on top of the others already.
+    friction), which later steps bring to light; or it was started where it made up for them (a spring at rest elsewhere), and
+    does better from another start now. Those `settled` were judged on top of the others already.
 
     True when an effect was exchanged or dropped.
     """
@@ -298,10 +299,11 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
             continue
         screen = Screen(others, task.experiments, task.origin(others))
         tried = _tried(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
-        refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)} | {key: found.best}
+        refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)}
+        refitted[key] = _followed(screen, key, found.best)
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
-            found.before[at], found.alternatives[at] = others, refitted
+            found.best, found.before[at], found.alternatives[at] = refitted[key], others, refitted
             settled.append(key)
             continue
         exchanges += 1
