@@ -13,7 +13,7 @@ from residuum.identification.discrepancy.compare import structured_errors
 from residuum.identification.discrepancy.evidence import ALIKE, relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
 from residuum.identification.discrepancy.noise_floor import PLAINLY, times_the_noise
-from residuum.identification.discrepancy.search import Search
+from residuum.identification.discrepancy.search import ACCEPT, Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Settings, Simulator, estimate
@@ -170,6 +170,8 @@ def _posterior(found: Search, step: int) -> tuple[dict[tuple[str, str], float], 
     before, structures = found.before[step], found.alternatives[step]
     scores, nothing = relative_evidence(structures, before)
     nothing += float(np.log(max(found.count, 1)))  # the prior: "nothing" weighs as much as all candidates together
+    if found.accepted[step : step + 1] and found.accepted[step] in found.plain:
+        nothing = min(nothing, -ACCEPT)
     top = max([nothing, *scores.values()])
     total = float(np.exp(nothing - top) + sum(np.exp(value - top) for value in scores.values()))
     return {key: float(np.exp(value - top)) / total for key, value in scores.items()}, float(np.exp(nothing - top)) / total

@@ -65,6 +65,8 @@ class Search:
         Effect → held-out RMS errors of the outputs (before, with it), for those that were accepted or refuted.
     timing : list
         Delays and lags shorter than a sample that the data want: how the record was taken, not physics. They are in `best`.
+    plain : list
+        Accepted effects that few moments speak for, by what they take away elsewhere: tempered evidence does not say it.
     """
 
     base: Structure
@@ -77,6 +79,7 @@ class Search:
     refuted: list[tuple[str, str]] = field(default_factory=list)
     held_out: dict[tuple[str, str], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     timing: list[tuple[str, str]] = field(default_factory=list)
+    plain: list[tuple[str, str]] = field(default_factory=list)
 
     def values_of(self, key: tuple[str, str]) -> dict[str, float]:
         """Every parameter, by full name, where an accepted effect was estimated."""
@@ -211,6 +214,7 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
         accepted=[key],
         refuted=[],
         held_out={},
+        plain=[],
         timing=[shift for shift in found.timing if shift in present],
     )
     _grow(other, task)
@@ -256,6 +260,7 @@ def _grow(found: Search, task: _Task) -> None:
         key, wins = _winner(refitted, found.best, _asked(found, ACCEPT_MORE if found.accepted else ACCEPT))
         if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
             key, wins = plain, True
+            found.plain.append(plain)
         if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
             found.timing.append(key)
             found.best = refitted[key]
