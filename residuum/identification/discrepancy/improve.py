@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, Tell, explain, untold
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
+from residuum.identification.discrepancy.search import Search
 from residuum.identification.discrepancy.structures import Structure, fit_structure
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
@@ -79,6 +81,9 @@ def improve(
             model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
         )
         chosen = [*explanation.search.accepted, *explanation.search.timing]
+        if turned := _turned(explanation.search, experiments, base):
+            experiments, base = turned
+            chosen = list(explanation.search.accepted)
     judge = _HeldOut(parts, experiments, base, mapping)
     history = [Step(None, judge.error(base))]
     kept, refused = base, False
@@ -109,6 +114,25 @@ def improve(
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
     return Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation)
+
+
+def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -> tuple[list[Experiment], Structure] | None:
+    """Experiments with the other input timing, and the base on them, where the complete model then needs no shift in time.
+
+    The timing was chosen with a model that lacked something; a delay of half a sample that the search found may be no more than
+    the wrong choice.
+    """
+    if not found.timing:
+        return None
+    turned = [replace(e, hold=1.0 - e.hold) for e in experiments]
+    model = found.best.model
+    for key in found.timing:
+        model = model.without_effect(found.best.label_of(key))
+    complete = fit_structure(model, turned, found.best.initial, drifting=found.best.drifting)
+    if complete is None or complete.log_likelihood < found.best.log_likelihood - ALIKE:
+        return None
+    again = fit_structure(base.model, turned, base.initial)
+    return None if again is None else (turned, again)
 
 
 def added(
