@@ -31,7 +31,7 @@ def at_likelier_timing(
     The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
     parameters that lie many standard deviations beside the truth.
     """
-    tried = []
+    tried: list[tuple[float, list[Experiment], Estimate]] = []
     for turned in (list(experiments), [replace(e, hold=1.0 - e.hold) for e in experiments]):
         try:
             found = fitted(turned)
