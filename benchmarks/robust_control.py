@@ -29,7 +29,7 @@ from residuum.robust_control.nominal_performance import NominalAim, design_for_n
 from residuum.robust_control.reference_model import ReferenceModel
 from residuum.robust_control.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.state_space import StateSpace, weighted_loop
-from residuum.robust_control.structured_synthesis import synthesise
+from residuum.robust_control.structured_synthesis import default_starts, synthesise
 from residuum.service.control_view import view_control_design
 
 TS = 0.01
@@ -81,6 +81,40 @@ def one_design() -> None:
         globally = differential_evolution(cost, box, seed=1, maxiter=150, popsize=15, tol=1e-8)
         theirs = time.process_time() - begin
         print(f"| {settling} | {found.cost:.5f} | {1e3 * ours:.0f} | {globally.fun:.5f} | {1e3 * theirs:.0f} |")
+
+
+def optimum() -> None:
+    """The same designs by PyGRANSO, SLSQP and differential evolution, judged on the finer grid that certifies ours."""
+    omega = frequency_grid([TRUE], points=500, lowest=1e-3)
+    loop, structure = Loop([TRUE], omega), PIDN(TS)
+    fine, position = loop.finer
+    W_T = np.abs(TransferFunction([0.02, 0.3], [1e-3, 1.0]).frequency_response(omega))
+    settling_times, cases = (2.0, 0.6, 0.3), []
+    for settling in settling_times:
+        weights = Weights(ReferenceModel(0.01, settling).weight_magnitude(omega), W_T)
+        between = weights.between(position)
+        found = synthesise(loop, weights, structure)
+        cases.append({"W_S": between.W_S.tolist(), "W_T": between.W_T.tolist(), "rho": found.rho.tolist()})
+    starts = [rho.tolist() for rho in default_starts(loop, structure) if loop.stabilised_by(*structure.polynomials(rho))]
+    problem = {"sample_time": TS, "omega": fine.omega.tolist(), "num": TRUE.num.tolist(), "den": TRUE.den.tolist(),
+               "sizes": structure.sizes(*loop.gain_and_time_constant).tolist(), "starts": starts, "cases": cases}  # fmt: skip
+    with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
+        json.dump(problem, file)
+        file.flush()
+        script = (Path(__file__).parent / "fixed_structure_peers.py").read_text(encoding="utf-8")
+        packages = ["torch==2.13.0", "pygranso==1.2.0", "osqp", "scipy", "numpy"]
+        theirs = run_peer("granso", packages, f"PROBLEM = {file.name!r}\n{script}", timeout=1800.0)
+    print(f"\n## The optimum beside its peers, on {len(fine.omega)} frequencies\n")
+    if theirs is None:
+        print("PyGRANSO could not be installed.")
+        return
+    methods = [name for name in theirs[0] if name != "ours"]
+    print("| ℓ [s] | ours | " + " | ".join(f"{name} | CPU [s]" for name in methods) + " | ours over the best |")
+    print("|" + "---|" * (3 + 2 * len(methods)))
+    for settling, row in zip(settling_times, theirs, strict=True):
+        cells = [f"{row[name][0]:.6f} | {row[name][1]:.2f}" for name in methods]
+        best = min(row[name][0] for name in methods)
+        print(f"| {settling} | {row['ours']:.6f} | " + " | ".join(cells) + f" | {row['ours'] / best - 1.0:+.1e} |")
 
 
 def algorithms() -> None:
@@ -249,9 +283,10 @@ def peers() -> None:
 
 
 def main() -> None:
-    """All tables; `python -m benchmarks.robust_control design|peers|algorithms|view|guarantee` runs some."""
+    """All tables; `python -m benchmarks.robust_control design|optimum|peers|algorithms|view|guarantee` runs some."""
     parts: dict[str, Callable[[], None]] = {
         "design": one_design,
+        "optimum": optimum,
         "peers": peers,
         "algorithms": algorithms,
         "view": control_view,

@@ -21,7 +21,7 @@ FloatArray = npt.NDArray[np.float64]
 
 _STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
 _LEFT_BEHIND = 0.05
-_GAP = 1e-4
+_GAP = 3e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,8 +52,8 @@ def test_compiled_c_passes_its_self_test_and_a_wrong_coefficient_fails_it(equati
     source = c_source(equation)
     wrong = source.replace("controller_b[i] *", "1.001 * controller_b[i] *")
     for text, passes in ((source, True), (wrong, False)):
-        (tmp_path / "k.c").write_text(text + "\nint main(void) { return controller_self_test(); }\n", encoding="utf-8")
-        command = [cc, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "k.c", "-o", "k", "-lm"]
+        (tmp_path / "k.c").write_text(text, encoding="utf-8")
+        command = [cc, "-std=c99", "-DCONTROLLER_SELF_TEST", "-Wall", "-Wextra", "-Werror", "-pedantic", "k.c", "-o", "k", "-lm"]
         subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
         assert (subprocess.run([tmp_path / "k"], check=False, timeout=60).returncode == 0) is passes
 

@@ -9,8 +9,9 @@ from residuum.robust_control.controller_export.difference_equation import Differ
 
 _TEMPLATE = """\
 /* {equation}
-   Sample time {sample_time!r} s. Call controller_step once per sample with e = reference - measurement.
-   controller_self_test returns 0 when this machine computes what the design computed. */
+   Sample time {sample_time:.12g} s. Call controller_step once per sample with e = reference - measurement.
+   controller_self_test returns 0 when this machine computes what the design computed; to run it on its own:
+       cc -std=c99 -DCONTROLLER_SELF_TEST controller.c -lm && ./a.out && echo right */
 #include <math.h>
 #include <string.h>
 
@@ -52,6 +53,10 @@ int controller_self_test(void)
     }}
     return 0;
 }}
+
+#ifdef CONTROLLER_SELF_TEST
+int main(void) {{ return controller_self_test(); }}
+#endif
 """
 
 

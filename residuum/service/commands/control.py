@@ -39,7 +39,7 @@ def design(
     aim: Annotated[str, typer.Option(help="nominal (Algorithm 2) or robust (Algorithm 3).")] = "nominal",
     structure: Annotated[str, typer.Option(help=f"One of {', '.join(STRUCTURES)}.")] = "pidn",
     overshoot: Annotated[float, typer.Option(help="nominal: least overshoot worth having (0.01 = 1 %).")] = 0.01,
-    settling_time: Annotated[float | None, typer.Option(help="nominal: longest settling time [s].")] = None,
+    settling_time: Annotated[float | None, typer.Option(help="nominal: longest settling time \\[s].")] = None,
     slack: Annotated[float, typer.Option(help="nominal: the slack of the mixed-sensitivity bound.")] = 0.1,
     only: Annotated[
         str | None,

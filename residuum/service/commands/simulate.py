@@ -27,7 +27,7 @@ def simulate(
     effect: Annotated[list[str] | None, typer.Option(help="Hidden effect ID, ID:small|medium|large or ID:par=value,…")] = None,
     fault: Annotated[list[str] | None, typer.Option(help="Fault ID or ID:size.")] = None,
     event: Annotated[list[str] | None, typer.Option(help="Operating event ID or ID:size, at the next occasion.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Length of the record [s].")] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of the record \\[s].")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise, disturbances and start values.")] = 0,
     exemplar: Annotated[int, typer.Option(help="Which specimen; 0 is the nominal one.")] = 0,
     profile: Annotated[str | None, typer.Option(help="Input profile, for machines that have several.")] = None,

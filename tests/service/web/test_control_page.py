@@ -18,15 +18,18 @@ CENTRE_OF_MARKER = """([chart, index]) => { const box = document.querySelector(`
   .querySelectorAll('.points path')[index].getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; }"""
 
 
-@pytest.fixture(scope="module")
-def service(run_service, no_machines, tmp_path_factory):
-    service = run_service(no_machines)
+def identified_plant():
     rng = np.random.default_rng(5)
     u = rng.normal(size=1500)
     y = lfilter([0, 0.3], [1, -0.7], u) + 0.02 * rng.normal(size=1500)
+    return identify_impulse_response(Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1), "u", "y", order=30, delay=1)
+
+
+@pytest.fixture(scope="module")
+def service(run_service, no_machines, tmp_path_factory):
+    service = run_service(no_machines)
     file = tmp_path_factory.mktemp("models") / "plant.json"
-    record = Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
-    save_identified(identify_impulse_response(record, "u", "y", order=30, delay=1), file)
+    save_identified(identified_plant(), file)
     for name in ("cold-plant", "plant"):
         service.services.store.add_model_version(name, "identified", file.read_bytes())
     return service
@@ -60,6 +63,16 @@ def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(se
     chosen = controllers.input_value()
     again = open_page(page.url)
     expect(again.get_by_label("controller", exact=True)).to_have_value(chosen, timeout=LONG_WORK)
+
+
+def test_a_model_file_of_the_command_line_is_dropped_and_designed_for(service, open_page, tmp_path):
+    save_identified(identified_plant(), tmp_path / "my plant (2).json")
+    (tmp_path / "wrong.json").write_text("{}", encoding="utf-8")
+    page = open_page(f"{service.url}/#/control", expected=["422"])
+    page.locator("#model-file").set_input_files(tmp_path / "wrong.json")
+    expect(page.locator(".notice")).to_be_visible()
+    page.locator("#model-file").set_input_files(tmp_path / "my plant (2).json")
+    expect(page.get_by_role("checkbox", name="my-plant-2-, version 1")).to_be_checked()
 
 
 def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):

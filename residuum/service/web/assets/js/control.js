@@ -37,7 +37,7 @@ export function controlPage(place, query) {
   }
 
   function drawForm() {
-    if (!stored.length) return show(form, panel("Models", null, h("p", { class: "empty" }, "No identified model yet: ", h("a", { href: "#/identify" }, "identify one from a record"), ".")));
+    if (!stored.length) return show(form, panel("Models", null, h("p", { class: "empty" }, "No identified model yet: ", h("a", { href: "#/identify" }, "identify one from a record"), "."), modelFiles(take)));
     const newest = stored.map((each) => `${each.model}@${each.number}`);
     const chosen = new Set(asked.models.split(",").filter(Boolean).map((each) => (each.includes("@") ? each : newest.find((one) => one.startsWith(`${each}@`)) ?? each)));
     if (!chosen.size && newest.length === 1) chosen.add(newest[0]);
@@ -49,12 +49,27 @@ export function controlPage(place, query) {
     const type = (key, label, attributes) => h("label", {}, label, h("input", { type: "number", step: "any", "data-key": key, value: asked[key], ...attributes, oninput: (event) => { asked[key] = event.target.value; } }));
     const nominal = asked.aim === "nominal";
     show(form, panel("Design for what, and how", null, h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); begin({ again: true }); } },
-      h("fieldset", {}, h("legend", {}, "models, one an operating point"), h("div", { class: "choices" }, rows)),
+      h("fieldset", {}, h("legend", {}, "models, one an operating point"), h("div", { class: "choices" }, rows), modelFiles(take)),
       h("div", { class: "fields" }, choose("aim", "aim", AIMS, () => { asked.only = ""; drawForm(); }), choose("structure", "structure", STRUCTURES), choose("only", "of the front take", ONLY[asked.aim]),
         nominal ? type("overshoot", "least overshoot worth having [%]", { min: 0.001, max: 99, required: true }) : null,
         nominal ? type("settling", "longest settling time [s]", { min: 0, placeholder: "10 × the response" }) : null,
         nominal ? type("slack", "slack γ of the bound", { min: 0.001, max: 100, required: true }) : null,
         type("lower", "actuator's lower limit", { placeholder: "none" }), type("upper", "actuator's upper limit", { placeholder: "none" }), h("button", { "data-key": "design" }, "Design")))));
+  }
+
+  // A stored file of the same name gets a new version, which is then the one chosen.
+  async function take(files) {
+    try {
+      for (const file of files) {
+        const name = file.name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 64) || "identified";
+        const version = await call(`/models?${new URLSearchParams({ name, kind: "identified", note: `from ${file.name}`.slice(0, 2000) })}`, { method: "POST", file });
+        asked.models = [...asked.models.split(",").filter((each) => each && !each.startsWith(`${name}@`)), `${name}@${version.number}`].join(",");
+      }
+    } catch (problem) {
+      notify(problem.message);
+    }
+    stored = (await call("/models?kind=identified&limit=200")).items;
+    drawForm();
   }
 
   let stored = [];
@@ -68,6 +83,17 @@ export function controlPage(place, query) {
     for (const each of leaving) each();
     for (const chart of place.querySelectorAll(".chart")) forget(chart);
   };
+}
+
+// Where the file goes that `residuum identify` wrote; `take` gets the chosen or dropped files.
+function modelFiles(take) {
+  const input = h("input", { type: "file", multiple: true, accept: ".json", class: "visually-hidden", id: "model-file", onchange: () => take([...input.files]).catch((problem) => notify(problem.message)) });
+  const drop = h("label", { class: "drop small", for: "model-file", "data-key": "model-drop" }, h("span", {}, h("b", {}, "Drop a model file here"), " or choose one: what ", h("code", {}, "residuum identify"), " wrote"));
+  const over = (on) => (event) => { event.preventDefault(); drop.toggleAttribute("data-over", on); };
+  drop.addEventListener("dragover", over(true));
+  drop.addEventListener("dragleave", over(false));
+  drop.addEventListener("drop", (event) => { over(false)(event); take([...event.dataTransfer.files]).catch((problem) => notify(problem.message)); });
+  return h("div", {}, input, drop);
 }
 
 function body(asked) {
