@@ -170,13 +170,48 @@ def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mo
 
 def test_a_spool_keeps_its_messages_over_a_crash_and_lets_the_oldest_go_when_it_is_full(tmp_path):
     spool = Spool(tmp_path, 1000)
-    keys = [spool.put(bytes([number]) * 300) for number in range(5)]
-    assert (spool.dropped, spool.oldest(9)) == (2, keys[2:])
-    (tmp_path / "000000000009-unfinished.part").write_bytes(b"half")
+    keys = [spool.put(bytes([number]) * 300, "press-1") for number in range(5)]
+    assert (spool.dropped, spool.oldest(9)) == (2, {"press-1": keys[2:]})
+    (tmp_path / "unfinished.part").write_bytes(b"half")
     again = Spool(tmp_path, 1000)
-    assert again.oldest(9) == keys[2:] and again.read(keys[3]) == b"\x03" * 300 and len(list(tmp_path.iterdir())) == 3
+    assert again.oldest(9) == {"press-1": keys[2:]} and again.read(keys[3]) == b"\x03" * 300
+    assert len(list(tmp_path.iterdir())) == 3
     assert again.remove(keys[2]) and not again.remove(keys[2]) and again.read(keys[2]) is None
-    assert again.oldest(9) == [keys[3], keys[4]] and again.put(b"new") == again.oldest(9)[-1]
+    new = again.put(b"new", "hall-1.press_2")
+    assert again.oldest(9) == Spool(tmp_path, 1000).oldest(9) == {"press-1": [keys[3], keys[4]], "hall-1.press_2": [new]}
+    assert again.oldest(1) == {"press-1": [keys[3]], "hall-1.press_2": [new]}
+    assert again.remove(new) and again.oldest(9) == {"press-1": [keys[3], keys[4]]}
+
+
+def test_windows_that_wait_for_their_scorer_hold_up_no_other_machine(start_mosquitto, free_port, tmp_path):
+    mqtt = pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    port = free_port()
+    start_mosquitto(port)
+    gateway = Gateway("hall-1", Spool(tmp_path, 2**30), broker_address(f"mqtt://127.0.0.1:{port}/plant-7"), resend_after=1.0)
+    for number in range(40):
+        gateway.handle(machine("press-1"), window(number), "", None)  # its scorer is away
+    gateway.handle(machine("press-2"), window(0), "", None)
+    subscribed = threading.Event()
+
+    def store(client, _data, message):
+        if WindowMessage.unpack(message.payload).asset == "press-2":
+            receipt = {"key": message.topic.rpartition("/")[2], "refused": None}
+            client.publish(receipt_topic("plant-7", "hall-1"), json.dumps(receipt), qos=1)
+
+    scorer = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    scorer.on_message, scorer.on_subscribe = store, lambda *_: subscribed.set()
+    scorer.connect("127.0.0.1", port)
+    scorer.loop_start()
+    scorer.subscribe("plant-7/windows/#", qos=1)
+    try:
+        assert subscribed.wait(PATIENCE)
+        gateway.start()
+        wait_for(lambda: gateway.status()["stored"] == 1, gateway.status)
+    finally:
+        gateway.stop()
+        scorer.disconnect()
+        scorer.loop_stop()
+    assert gateway.status()["waiting"] == 40
 
 
 def test_a_message_holds_the_window_to_the_bit():

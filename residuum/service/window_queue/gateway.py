@@ -22,8 +22,8 @@ from residuum.service.window_queue.window_message import WindowMessage
 
 log = structlog.get_logger()
 
-_AHEAD = 16
-"""Windows that are under way at once."""
+_AHEAD = 8
+"""Windows of a machine that are under way at once; what those of one machine wait for holds up no other."""
 _RESEND_AFTER, _LONGEST_RESEND = 15.0, 240.0
 """Seconds without a receipt for a machine after which its windows are sent again; doubled each time, up to the second."""
 _LOOK = 0.5
@@ -63,7 +63,6 @@ class Gateway:
         self._counting = threading.Lock()
         self._moved, self._connected = threading.Event(), threading.Event()
         self._stopped = threading.Event()
-        self._machine_of: dict[str, str] = {}
         self._answered: set[str] = set()
         self._thread = threading.Thread(target=self._send_all, name=f"gateway {name}", daemon=True)
 
@@ -84,7 +83,7 @@ class Gateway:
         payload = message.pack()
         while True:
             try:
-                self.spool.put(payload)
+                self.spool.put(payload, machine.asset)
                 self._moved.set()
                 return None
             except OSError as error:
@@ -119,7 +118,7 @@ class Gateway:
             client.loop_stop()
 
     def _send_what_is_due(self, client: Any, machines: dict[str, _Machine]) -> None:
-        waiting = self._waiting()
+        waiting = self.spool.oldest(_AHEAD)
         for asset in waiting.keys() | machines.keys():
             machine, keys = machines.setdefault(asset, _Machine(self._resend_after)), waiting.get(asset, [])
             self._follow(machine, keys)
@@ -128,18 +127,6 @@ class Gateway:
                     self._send(client, asset, key)
                     machine.under_way[key] = None
                     machine.progress = time.monotonic()
-
-    def _waiting(self) -> dict[str, list[str]]:
-        """The oldest windows of the spool, by machine."""
-        found: dict[str, list[str]] = {}
-        known, self._machine_of = self._machine_of, {}
-        for key in self.spool.oldest(_AHEAD):
-            if key not in known and (payload := self.spool.read(key)) is not None:
-                known[key] = WindowMessage.unpack(payload).asset
-            if key in known:
-                self._machine_of[key] = known[key]
-                found.setdefault(known[key], []).append(key)
-        return found
 
     def _follow(self, machine: _Machine, waiting: list[str]) -> None:
         """Note what has been stored since, or send all again when that takes too long."""
