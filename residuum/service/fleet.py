@@ -20,6 +20,7 @@ from typing import Any
 import orjson
 
 from residuum.identification.errors import BadInput
+from residuum.service.fleet_source import Unreachable
 from residuum.service.worker_pool import WorkerPool
 
 Work = Callable[[str], dict[str, Any]]
@@ -112,6 +113,8 @@ def _found(future: Future[list[dict[str, Any]]], task: _Task) -> list[dict[str, 
     error = future.exception()
     if error is None:
         return future.result()
+    if isinstance(error, Unreachable):
+        raise BadInput(f"{error}; what was done before is in the results file, give the same command to go on")
     if type(error).__name__ not in ("BrokenProcessPool", "KilledWorker", "CancelledError", "FutureCancelledError"):
         raise error
     task.attempts += 1

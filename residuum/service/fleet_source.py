@@ -22,6 +22,10 @@ from residuum.service.storage.tables import windows
 _DATABASES = ("sqlite", "postgresql")
 
 
+class Unreachable(Exception):
+    """The place of the records is away. That says nothing of a record: none is refused, and the run can be gone on with."""
+
+
 class FleetSource(Protocol):
     """Names of records, and the records themselves; travels to worker processes."""
 
@@ -37,6 +41,9 @@ class Folder:
     """Record files below a folder, at any depth; a name is the file's path."""
 
     folder: str = "."
+
+    def __str__(self) -> str:
+        return self.folder
 
     def items(self) -> list[str]:
         """Paths of the files, sorted."""
@@ -56,12 +63,17 @@ class Bucket:
 
     url: str
 
+    def __str__(self) -> str:
+        return self.url
+
     def items(self) -> list[str]:
         """Keys of the files, sorted."""
         try:
             files, root = _file_system(self.url)
             found = files.find(root)
-        except (OSError, ValueError, ImportError) as error:
+        except BadInput:
+            raise
+        except Exception as error:  # a protocol's library has errors of its own
             raise BadInput(f"{self.url}: cannot be listed: {type(error).__name__} {error}") from None
         return sorted(str(key) for key in found if PurePosixPath(key).suffix.lower() in READERS)
 
@@ -78,6 +90,8 @@ class Bucket:
                 raise BadInput(str(error).replace(str(here), item)) from None
             except OSError as error:
                 raise BadInput(f"{item}: cannot be read: {error}") from None
+            except Exception as error:  # a protocol's library has errors of its own, which cannot always leave the worker
+                raise Unreachable(f"{item}: cannot be reached: {type(error).__name__} {error}") from None
 
 
 @dataclass(frozen=True)
@@ -94,6 +108,9 @@ class StoredWindows:
 
     url: str
     data: str
+
+    def __str__(self) -> str:
+        return self.url
 
     def items(self) -> list[str]:
         """Names of the windows, by asset, oldest first."""

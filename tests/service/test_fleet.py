@@ -1,9 +1,16 @@
 """A fleet's files: the same results however many workers, kills and beginnings; refusals are results."""
 
+import contextlib
 import json
 import os
+import subprocess
+import sys
+import time
+import urllib.request
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
@@ -11,10 +18,11 @@ from benchmarks import fleet as fleet_benchmark
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
+from residuum.service import fleet_source
 from residuum.service.cli import run
 from residuum.service.commands.identify import Request
 from residuum.service.fleet import open_executor, run_fleet
-from residuum.service.fleet_work import Reidentify
+from residuum.service.fleet_work import Reidentify, Rescore
 from residuum.service.storage import DiskStore
 from residuum.service.worker_pool import WorkerPool
 
@@ -124,6 +132,83 @@ def test_a_bucket_gives_what_the_folder_gives_and_is_gone_on_with(kind, files, s
     whole = (tmp_path / "r").read_bytes()
     (tmp_path / "r").write_bytes(whole[: len(whole) // 3])
     assert results_of(capsys, tmp_path / "r", url) == found
+
+
+@pytest.fixture
+def s3(free_port, monkeypatch):
+    """A server of the S3 protocol, which the environment names: (its address, what stops it)."""
+    pytest.importorskip("s3fs", reason="the extra 'fleet' is not installed: no S3 bucket was tried")
+    pytest.importorskip("moto", reason="moto is not installed: no S3 bucket was tried")
+    address = f"http://127.0.0.1:{(port := free_port())}"
+    names = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_DEFAULT_REGION": "us-east-1", "AWS_MAX_ATTEMPTS": "1"}
+    for name, value in (names | {"AWS_ENDPOINT_URL": address}).items():
+        monkeypatch.setenv(name, value)
+    command = [sys.executable, "-m", "moto.server", "-p", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
+        try:
+            wait_for_answer(address, server)
+            yield address, server.kill
+        finally:
+            server.kill()
+
+
+def wait_for_answer(address, server):
+    end = time.monotonic() + 300
+    while True:
+        with contextlib.suppress(OSError):
+            urllib.request.urlopen(address, timeout=60).close()
+            return
+        assert server.poll() is None and time.monotonic() < end, "the server of the S3 protocol did not start"
+        time.sleep(0.1)
+
+
+def put(address, place, content=b""):
+    kind = {"Content-Type": "application/octet-stream"}  # without one it is read as a form
+    request = urllib.request.Request(f"{address}/{quote(place)}", content, kind, method="PUT")
+    urllib.request.urlopen(request, timeout=300).close()
+
+
+def rescore(out, place):
+    """The command in a process of its own: the S3 client's threads and warnings are not those of this one."""
+    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "rescore", "bearing", place]
+    command += ["--out", out, "--workers", "1", "--json"]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=900)
+
+
+def test_an_s3_bucket_gives_what_the_folder_gives_and_is_gone_on_with(s3, files, serial, tmp_path):
+    address, stop = s3
+    put(address, "plant")
+    for file in files:
+        put(address, f"plant/Halle 1/ä/{os.path.basename(file)}", Path(file).read_bytes())
+    results = tmp_path / "r"
+    done = rescore(results, "s3://plant/Halle 1")
+    assert done.returncode == 0 and json.loads(done.stdout)["files"] == 60, done.stderr
+    whole = results.read_bytes()
+    for mine, theirs in zip(map(json.loads, whole.splitlines()), map(json.loads, serial.splitlines()), strict=True):
+        assert mine["file"] == f"plant/Halle 1/ä/{os.path.basename(theirs['file'])}"
+        assert mine.get("finding") == theirs.get("finding") and ("refused" in mine) == ("refused" in theirs)
+    results.write_bytes(whole[: len(whole) // 3])
+    assert rescore(results, "s3://plant").returncode == 0 and results.read_bytes() == whole
+    stop()
+    refused = rescore(tmp_path / "none", "s3://plant")
+    assert refused.returncode == 2 and "s3://plant: cannot be listed" in refused.stderr, refused.stderr
+    assert refused.stderr.strip().count("\n") == 0
+
+
+def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
+    fsspec = pytest.importorskip("fsspec", reason="the extra 'fleet' is not installed: no bucket was tried")
+    fleet_source._file_system.cache_clear()
+
+    class Away(fsspec.AbstractFileSystem):
+        def open(self, *_, **__):
+            raise KeyError("an error of a library's own")
+
+    fsspec.register_implementation("away", Away, clobber=True)
+    work = Rescore("bearing", None, fleet_source.Bucket("away://bucket"))
+    (tmp_path / "r").write_text('{"file":"a.csv","refused":"-"}\n')
+    with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match=r"b\.csv: cannot be reached: KeyError .* to go on"):
+        run_fleet(["a.csv", "b.csv"], work, executor, tmp_path / "r", workers=1, tell=silent)
+    assert (tmp_path / "r").read_text() == '{"file":"a.csv","refused":"-"}\n'
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
