@@ -8,14 +8,16 @@ from functools import reduce
 from operator import add
 
 import numpy as np
+from scipy import optimize, stats
 
-from residuum.diagnosis.noise_model import NoiseModel
+from residuum.diagnosis.noise_model import GAUSSIAN_SHAPE, STEEPEST, NoiseModel
 from residuum.diagnosis.state_space import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.gram import RegressionSums, regression_sums
 from residuum.identification.identified_model import IdentifiedModel
 
 _NEGLIGIBLE = 1e-10  # of the largest eigenvalue: directions that the input does not excite
+_BINS, _NODES = 300, 60  # of the residual's histogram, and of the Gauss–Hermite rule
 _MOST = 4  # samples at least for each direction that is fitted
 
 
@@ -31,8 +33,9 @@ def with_unbiased_size(
         σ̂² = min_δ ‖A (e − Φ δ)‖² / (n − k − p − 1)
 
     is unbiased for both, k being the directions of Φ that the input excites (the model's most uncertain ones, where there
-    are more than n/4), p the order of A and 1 for the operating point. Tails other than Gaussian keep their shape; their
-    scale is corrected in the same proportion, and their degrees of freedom count by the Fisher information of a scale.
+    are more than n/4), p the order of A and 1 for the operating point. Heavier tails than Gaussian keep their shape; of lighter
+    ones the shape is found anew without the model's error, which rounds off the bounds. The scale is corrected in the same
+    proportion, and its degrees of freedom count by the Fisher information of a scale.
 
     Parameters
     ----------
@@ -50,8 +53,28 @@ def with_unbiased_size(
     left = centred.degrees_of_freedom - k - (len(noise.ar) - 1)
     power = (centred.energy - explained) / left
     size = float(np.sqrt(power / (sums.energy / sums.rows)))
-    blur = noise.innovation_std / noise.sigma * float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
-    return replace(noise, sigma=noise.sigma * size, freedom=_scale_freedom(noise, float(left)), blur=blur)
+    error = float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
+    sharp = replace(noise, shape=_shape_without(error, noise, residuals)) if noise.shape > GAUSSIAN_SHAPE else noise
+    unit = sharp.innovation_std / sharp.sigma
+    sigma = size * noise.innovation_std / unit
+    return replace(sharp, sigma=sigma, freedom=_scale_freedom(sharp, float(left)), blur=error * unit)
+
+
+def _shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArray]) -> float:
+    """β of the noise alone, by maximum likelihood, where the residual also carries a Gaussian model error `error` σ large."""
+    white = np.concatenate([np.convolve(e, noise.ar)[: len(e)] for e in residuals])
+    white = np.abs(white[np.isfinite(white)])
+    counts, edges = np.histogram(white / np.sqrt(np.mean(white**2)), bins=_BINS)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+    at = 0.5 * (edges[1:] + edges[:-1])[:, None] - error * nodes
+
+    def cost(shape: float) -> float:
+        law = stats.gennorm(shape)
+        scale = float(np.sqrt(max(1.0 - error**2, _NEGLIGIBLE))) / float(law.std())
+        density = law.pdf(at / scale) @ weights / scale
+        return -float(counts @ np.log(np.maximum(density, np.finfo(float).tiny)))
+
+    return float(optimize.minimize_scalar(cost, bounds=(GAUSSIAN_SHAPE, STEEPEST), method="bounded").x)
 
 
 def _sums(

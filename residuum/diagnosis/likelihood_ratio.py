@@ -14,6 +14,7 @@ from scipy import optimize
 from residuum.diagnosis.false_alarm_rate import scan_rate, shiryaev_roberts_rate
 from residuum.diagnosis.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.state_space import FloatArray
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
 
 LONGEST_WINDOW = 1024
@@ -172,6 +173,7 @@ class LikelihoodRatioBank:
         self._counts = np.array(state["counts"], dtype=np.int64)
 
 
+@one_thread_if_small(LARGEST)
 def _root(covariance: FloatArray) -> FloatArray:
     """Rows of Bᵀ with Σ_g = B Bᵀ, largest first, shape (r, m); what makes up less than 10⁻⁶ of the trace is left out."""
     eigenvalues, vectors = np.linalg.eigh(covariance)

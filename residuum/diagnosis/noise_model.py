@@ -17,7 +17,8 @@ from residuum.identification.errors import BadInput
 _HIGHEST_ORDER = 20
 _FEWEST = 50
 _LIGHTEST_TAILS = 200.0  # degrees of freedom from which a Student t is called Gaussian
-_STEEPEST = 30.0  # β from which lighter tails are not told apart: nearly uniform
+GAUSSIAN_SHAPE = 2.0
+STEEPEST = 30.0  # β from which lighter tails are not told apart: nearly uniform
 _NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard deviations out
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
@@ -73,7 +74,11 @@ class NoiseModel:
         return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
 
     def limit(self, rate: float) -> float:
-        """|innovation| over its standard deviation that is exceeded at `rate` per sample."""
+        """|innovation|, model error included, over its standard deviation that is exceeded at `rate` per sample."""
+        if self.blur > 0.0 and np.isinf(self.dof) and not self.is_gaussian:
+            knots, scores = self.score_table
+            exceeded = float(np.sinh(np.interp(stats.norm.isf(rate / 2.0), scores, knots)))
+            return exceeded / float(np.hypot(self.innovation_std / self.sigma, self.blur))
         return float(self._law.isf(rate / 2.0)) * self.sigma / self.innovation_std
 
     @property
@@ -238,7 +243,7 @@ def _light_tails(innovations: FloatArray) -> tuple[float, float]:
         scale = np.log(np.mean(size**shape)) / shape
         return float(scale + np.log(2.0 * _unit_scale(shape)) + special.gammaln(1.0 + 1.0 / shape) + 1.0 / shape)
 
-    best = optimize.minimize_scalar(cost, bounds=(2.0, _STEEPEST), method="bounded", options={"xatol": 1e-3})
+    best = optimize.minimize_scalar(cost, bounds=(2.0, STEEPEST), method="bounded", options={"xatol": 1e-3})
     n = len(innovations)
     shape = float(best.x) if n * (cost(2.0) - best.fun) > 0.5 * np.log(n) else 2.0
     return float(np.mean(np.abs(innovations) ** shape) ** (1.0 / shape)), shape
