@@ -14,7 +14,7 @@ from residuum.identification.discrepancy.evidence import ALIKE, preferred, relat
 from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.structures import Structure, base_structure, fit_structure, glimpse
+from residuum.identification.discrepancy.structures import Structure, base_structure, fit_structure, glimpse, refit
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
@@ -233,7 +233,7 @@ def _two_instead(found: Search, task: _Task) -> bool:
         return False
     base = found.base
     pairs = promising_pairs(base, found.best, found.accepted, found.screened)
-    fitted = [fit_structure(m, task.experiments, found.best.initial, drifting=found.best.drifting) for m in pairs]
+    fitted = [refit(found.best, m, task.experiments) for m in pairs]
     asked = _asked(found, ACCEPT_MORE) if len(found.accepted) == 1 else 0.0
     better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > asked]
     if not better:
@@ -327,7 +327,7 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
 def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> Structure | None:
     """The structure re-estimated without one of its effects; None when it diverges."""
     less = structure.model.without_effect(structure.label_of(key))
-    return fit_structure(less, experiments, structure.initial, drifting=structure.drifting)
+    return refit(structure, less, experiments)
 
 
 def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
@@ -376,15 +376,12 @@ def _refitted(
 ) -> dict[tuple[str, str], Structure]:
     """Every start re-estimated in full, the likeliest of each candidate; the first sets the mark for the others to come near."""
 
-    def refit(start: PhysicalModel, rival: float = -np.inf) -> Structure | None:
-        return fit_structure(start, experiments, best.initial, rival=rival, drifting=best.drifting)
-
     if not starts:
         return {}
-    first = refit(starts[0])
+    first = refit(best, starts[0], experiments)
     mark = -np.inf if first is None else first.log_likelihood
     with ThreadPoolExecutor(_THREADS) as pool:
-        structures = [first, *pool.map(lambda start: refit(start, mark), starts[1:])]
+        structures = [first, *pool.map(lambda start: refit(best, start, experiments, rival=mark), starts[1:])]
     found: dict[tuple[str, str], Structure] = {}
     for start, structure in zip(starts, structures, strict=True):
         key = start.effects[-1].id, start.effects[-1].target
@@ -410,7 +407,7 @@ def _followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Str
 def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
     """The structure climbed to its top: what it does not follow exactly would invite a next effect that is not there."""
     for _ in range(POLISHES):
-        better = fit_structure(structure.model, experiments, structure.initial, drifting=structure.drifting)
+        better = refit(structure, structure.model, experiments)
         if better is None or better.log_likelihood < structure.log_likelihood + 1.0:
             break
         structure = better
@@ -434,7 +431,7 @@ def _grown(
                 {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
             ).with_effect(id, target, start)
             mark = special.log_likelihood
-            structure = fit_structure(model, experiments, initial, rival=mark, drifting=best.drifting)
+            structure = refit(best, model, experiments, initial=initial, rival=mark)
             if structure is not None and _simulates_no_worse(structure, best):
                 yield (id, target), structure
 
@@ -451,7 +448,7 @@ def _simplified(
             continue
         known = general.model.values
         start = {n: known.get(n.replace(key[0], id), value) for n, value in special.model.values.items()}
-        again = fit_structure(special.model.with_values(start), experiments, general.initial, drifting=best.drifting)
+        again = refit(best, special.model.with_values(start), experiments, initial=general.initial)
         if again is not None and again.log_likelihood > special.log_likelihood and _simulates_no_worse(again, best):
             found[key] = again
     return found

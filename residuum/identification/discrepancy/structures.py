@@ -207,11 +207,13 @@ def fit_structure(
     rival: float = -np.inf,
     second_start: bool = True,
     drifting: bool = False,
+    most_substeps: float = np.inf,
 ) -> Structure | None:
     """Re-estimate a model and the colour of its noise together; None when the model diverges.
 
     `free` are the parameters to estimate (default: all that the model does not fix), `noises` holds the noise where it is known,
-    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen.
+    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen. None too where the model
+    begins with more than `most_substeps` integration steps a sample.
 
     The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
     noise as it is with the error mended. The climb therefore begins twice (unless there is to be no `second_start`), at the given
@@ -220,6 +222,8 @@ def fit_structure(
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
     start = _states(initial, len(ascent.simulator.states))
+    if max(ascent.steps_from(ascent.simulator.p(), start)) > most_substeps:
+        return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival)
     if second_start and noises is None:
@@ -251,6 +255,33 @@ def fit_structure(
     )
 
 
+def refit(
+    before: Structure,
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    *,
+    initial: Sequence[FloatArray] | None = None,
+    rival: float = -np.inf,
+) -> Structure | None:
+    """A model with one effect more or less re-estimated from where the structure `before` was, its noise drifting as there.
+
+    None where it diverges, and where it is too fast to be seen.
+    """
+    return fit_structure(
+        model,
+        experiments,
+        before.initial if initial is None else initial,
+        rival=rival,
+        drifting=before.drifting,
+        most_substeps=_visible(before),
+    )
+
+
+def _visible(before: Structure) -> int:
+    """Most integration steps a sample that an effect on top of a structure may ask for."""
+    return max(VISIBLE_SUBSTEPS, *before.substeps)
+
+
 def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Structure) -> float:
     """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges or is too fast.
 
@@ -259,8 +290,7 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, len(ascent.simulator.states))
-    visible = max(VISIBLE_SUBSTEPS, *before.substeps)
-    if max(ascent.steps_from(ascent.simulator.p(), start)) > visible:
+    if max(ascent.steps_from(ascent.simulator.p(), start)) > _visible(before):
         return -np.inf
     point = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
     return -np.inf if point is None else point.log_likelihood
