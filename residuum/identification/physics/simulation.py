@@ -18,6 +18,10 @@ Array = npt.NDArray[np.float64]
 
 MOST_SUBSTEPS = 64
 _OSCILLATING, _DECAYING = 0.25, 0.8
+_EXACT, _LEAST = 0.02, 1e-4
+"""Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
+_DOUBLINGS, _SETTLING = 3, 0.7
+"""How often steps are halved for that, and the factor by which each time the change has to fall; a chaotic model's does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +148,8 @@ class Simulator:
     def substeps(self, experiment: Experiment, x0: Array, p: Array) -> int:
         """Runge–Kutta steps a sample, from the eigenvalues of ∂f/∂x along a first simulation.
 
-        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer.
+        |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
+        whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
         """
         steps = 1
         part = experiment.window(0, min(experiment.n, 20_000))
@@ -154,6 +159,26 @@ class Simulator:
             if needed <= steps or steps >= MOST_SUBSTEPS:
                 break
             steps = needed
+        return self._exact_enough(part, x0, p, steps)
+
+    def _exact_enough(self, experiment: Experiment, x0: Array, p: Array, first: int) -> int:
+        """Steps doubled until the outputs no longer change visibly; the first where that does not settle."""
+        steps, before = first, np.inf
+        Y = self.run_vectors(experiment, x0, p, substeps=steps).Y
+        tolerance = _EXACT * _noise(experiment.Y, Y) + _LEAST * _spread(experiment.Y)
+        seen = tolerance > 0.0
+        for _ in range(_DOUBLINGS):
+            if 2 * steps > MOST_SUBSTEPS:
+                break
+            finer = self.run_vectors(experiment, x0, p, substeps=2 * steps).Y
+            with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+                change = np.sqrt(np.mean((finer - Y) ** 2, axis=0))
+            visible = float(np.max(change[seen] / tolerance[seen], initial=0.0))
+            if not visible > 1.0:
+                break
+            if visible > _SETTLING * before:
+                return first
+            steps, Y, before = 2 * steps, finer, visible
         return steps
 
     def substeps_along(self, experiment: Experiment, X: Array, p: Array) -> int:
@@ -162,6 +187,19 @@ class Simulator:
         samples = samples[np.all(np.isfinite(X[samples]), axis=1)]
         A = integration.rate_slopes(self.kernel.system, experiment.U, X, p, experiment.sample_time, experiment.hold, samples)
         return min(_needed(A[np.all(np.isfinite(A), axis=(1, 2))], experiment.sample_time), MOST_SUBSTEPS)
+
+
+def _noise(measured: Array, simulated: Array) -> Array:
+    """Size of each output's fast noise, from the steps of the error between samples; 0 where it was not measured."""
+    steps = np.abs(np.diff(measured - simulated, axis=0))
+    known = np.any(np.isfinite(steps), axis=0)
+    return np.where(known, np.nanmedian(np.where(known, steps, 0.0), axis=0) / (0.6745 * np.sqrt(2.0)), 0.0)
+
+
+def _spread(measured: Array) -> Array:
+    """Standard deviation of each output; 0 where it was not measured."""
+    known = np.any(np.isfinite(measured), axis=0)
+    return np.where(known, np.nanstd(np.where(known, measured, 0.0), axis=0), 0.0)
 
 
 def _needed(A: Array, sample_time: float) -> int:
