@@ -308,8 +308,8 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         refitted[key] = _followed(screen, key, found.best)
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
+            settled = [key] if _moved(refitted[key], found.best) else [*settled, key]
             found.best, found.before[at], found.alternatives[at] = refitted[key], others, refitted
-            settled.append(key)
             continue
         exchanges += 1
         found.best, settled = others, []
@@ -401,7 +401,28 @@ def _followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Str
         tops += _refitted(before, experiments, starts).values()
         tops += [grown for _, grown in _grown(before, experiments, [key], {key: tops[0]})]
     best = max(tops, key=lambda s: s.log_likelihood)
-    return best if best is tops[0] else _polished(best, experiments)
+    return _placed(best if best is tops[0] else _polished(best, experiments), key, screen)
+
+
+def _placed(structure: Structure, key: tuple[str, str], screen: Screen) -> Structure:
+    """The structure with what the effect holds fixed (where a spring is at rest) as in its first start, where the data allow it.
+
+    From elsewhere the same curve may be had by a weight that leans, and then a friction that leans the other way is found.
+    """
+    label, known = structure.label_of(key), structure.model.all_parameters
+    held = [n for n, p in known.items() if p.fixed and n.startswith(f"{label}.")]
+    first = {f"{label}.{n}": value for n, value in screen.starts(*key)[0].items()} if held else {}
+    place = {n: first[n] for n in held if n in first and known[n].value != first[n]}
+    if not place:
+        return structure
+    other = refit(structure, structure.model.with_values(place), screen.experiments)
+    return structure if other is None or other.log_likelihood < structure.log_likelihood - ALIKE else other
+
+
+def _moved(structure: Structure, before: Structure) -> bool:
+    """Whether what effects hold fixed was put elsewhere."""
+    known = before.model.all_parameters
+    return any(known[n].fixed and value != known[n].value for n, value in structure.model.values.items() if n in known)
 
 
 def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:

@@ -212,8 +212,8 @@ def fit_structure(
     """Re-estimate a model and the colour of its noise together; None when the model diverges.
 
     `free` are the parameters to estimate (default: all that the model does not fix), `noises` holds the noise where it is known,
-    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen. None too where the model
-    begins with more than `most_substeps` integration steps a sample.
+    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen. None too where the
+    model begins with more than `most_substeps` integration steps a sample.
 
     The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
     noise as it is with the error mended. The climb therefore begins twice (unless there is to be no `second_start`), at the given
