@@ -12,6 +12,7 @@ from residuum.identification.physics import (
     write_model,
 )
 from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.units import parse_unit
 
 
@@ -84,3 +85,10 @@ def test_sensitivities_are_the_derivatives_of_the_outputs(effect, example):
         if effect.id == "output-quantisation":
             continue
         assert np.quantile(error, 0.95) <= 1e-3 * scale, (name, np.quantile(error, 0.95), scale)
+
+
+def test_an_elasticity_has_first_values_where_nothing_rings():
+    """A record of a machine at standstill leaves no error whose resonance could be read off."""
+    still = Conditions(sample_time=0.01, duration=4.0, magnitude=1.0, missing=np.zeros(400))
+    starts = EFFECTS["elastic-transmission"].starts(still)
+    assert starts and all(np.isfinite(value) for start in starts for value in start.values())

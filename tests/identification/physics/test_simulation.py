@@ -6,7 +6,7 @@ from residuum.identification.physics import Experiment, Simulator, load_model
 
 
 def stiff_drive(noise, n=3000, sample_time=0.002, seed=5):
-    """A drive with a winding as fast as a sample and dry friction, which reverses often; the record is the model's own, finely."""
+    """A drive with a fast winding and dry friction that reverses often; its record is the model's own, in fine steps."""
     rng = np.random.default_rng(seed)
     model = load_model("gate-drive").with_effect("inductance", "winding", {"L": 1e-3})
     model = model.with_effect("coulomb-friction", "shaft", {"tau_c": 0.02})

@@ -52,4 +52,6 @@ def _shapes(conditions: Conditions) -> list[tuple[float, float, float]]:
     power = np.convolve(power, np.full(5, 0.2), mode="same")
     frequency = np.linspace(0.0, 0.5, power.size)
     ringing = float(frequency[np.argmax(np.where((frequency > 0.002) & (frequency < 0.25), power, 0.0))])
+    if ringing == 0.0:  # nothing rings: a machine that stands still, or too short a record
+        return known
     return known + [(ringing, share, damping) for share in (0.3, 0.7) for damping in (0.03, 0.2)]
