@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from residuum.identification.blas_threads import one_thread
@@ -11,18 +11,12 @@ from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
-from residuum.identification.discrepancy.search import Search, search
+from residuum.identification.discrepancy.search import Search, Tell, search, untold
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
 
 MOST_SAMPLES = 6_000
-Tell = Callable[[float, str], None]
-"""Told how far the work is: share done 0 … 1, and what is done now."""
-
-
-def untold(_share: float, _doing: str) -> None:
-    """For those who do not ask how far the work is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +90,7 @@ def explain(
     began = time.perf_counter()
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
-    tell(0.2, "trying the effects of the catalogue")
-    found = search(base, experiments, nominal=model, effects=effects)
+    found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.55 * share, doing))
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     judgement = judge(found, free, incomplete=is_incomplete(found, experiments))

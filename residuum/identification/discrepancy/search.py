@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,8 @@ from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.effects import EFFECTS
 
 FloatArray = npt.NDArray[np.float64]
+Tell = Callable[[float, str], None]
+"""Told how far the work is: share done 0 … 1, and what is done now."""
 
 FEWEST_REFITS = 6
 MOST_GLIMPSES, SECOND_LOOKS = 3, 2
@@ -40,6 +43,10 @@ ACCEPT_MORE = 6.0
 """The same for a second and third effect, which must not make up for what the first does not follow exactly."""
 EXCHANGES = 3
 """How often at most effects that were accepted one by one are exchanged for others that do more together."""
+
+
+def untold(_share: float, _doing: str) -> None:
+    """For those who do not ask how far the work is."""
 
 
 @dataclass(eq=False)
@@ -95,6 +102,7 @@ def search(
     effects: Iterable[str] | None = None,
     refits: int = FEWEST_REFITS,
     most_effects: int = MOST_EFFECTS,
+    tell: Tell = untold,
 ) -> Search:
     """Add the best effect, again and again while the evidence wants one more.
 
@@ -107,8 +115,11 @@ def search(
 
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
+
+    How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
     """
-    task = _Task(experiments, nominal, None if effects is None else tuple(effects), refits, most_effects)
+    wanted, looks = None if effects is None else tuple(effects), count()
+    task = _Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
         found = _forward(near, task)
@@ -124,13 +135,23 @@ def search(
 
 @dataclass(frozen=True)
 class _Task:
-    """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept."""
+    """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
+
+    `tell` hears of every look at the catalogue.
+    """
 
     experiments: Sequence[Experiment]
     nominal: PhysicalModel | None
     wanted: tuple[str, ...] | None
     refits: int
     most_effects: int
+    tell: Callable[[str], None] = field(default=lambda _doing: None)
+
+    def screen(self, structure: Structure) -> Screen:
+        """Score tests on top of a structure."""
+        beside = ", ".join(use.id for use in structure.model.effects)
+        self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
+        return Screen(structure, self.experiments, self.origin(structure))
 
     def candidates(self, structure: Structure) -> list[tuple[str, str]]:
         """Those that the structure does not have yet."""
@@ -302,7 +323,7 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         if others is None:
             settled.append(key)
             continue
-        screen = Screen(others, task.experiments, task.origin(others))
+        screen = task.screen(others)
         tried = _tried(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
         refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)}
         refitted[key] = _followed(screen, key, found.best)
@@ -331,7 +352,7 @@ def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[E
 
 
 def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
-    screen = Screen(found.best, task.experiments, task.origin(found.best))
+    screen = task.screen(found.best)
     refitted, tested = _tried(screen, task.candidates(found.best), task.refits)
     if not found.accepted:
         found.screened = {s.key: s for s in tested}

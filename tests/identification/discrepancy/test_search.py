@@ -68,8 +68,17 @@ def test_two_effects_for_which_a_third_could_stand_are_both_found():
 
 
 def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
-    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 0.0)], effects=["quadratic-drag", "linear-spring", "cubic-spring"])
+    told = []
+    found = explain(
+        read_model(VAN, "van.yaml"),
+        [van(1.1, 0.0)],
+        effects=["quadratic-drag", "linear-spring", "cubic-spring"],
+        tell=lambda share, doing: told.append((share, doing)),
+    )
     assert [id for id, _ in found.search.accepted] == ["quadratic-drag"]
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares) and sum(0.2 <= share < 0.75 for share in shares) >= 2  # who waits sees the search go on
+    assert any("beside quadratic-drag" in doing for _, doing in told)
 
 
 def test_an_end_stop_that_the_machine_hammers_is_found_where_it_is():
