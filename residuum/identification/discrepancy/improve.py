@@ -18,7 +18,7 @@ from residuum.identification.discrepancy.input_timing import experiments_and_bas
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Search, Tell, untold
-from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.discrepancy.structures import Structure, fit_structure, in_likelier_order
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
 from residuum.identification.record import Record
@@ -148,7 +148,8 @@ def added(
         model = structure.model.with_effect(*key)
         starts.append(model.with_values({n: v for n, v in seen.items() if n in model.all_parameters}))
     fitted = [fit_structure(start, experiments, structure.initial) for start in starts]
-    return max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
+    best = max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
+    return best if best is None else in_likelier_order(best, key, experiments)
 
 
 def _verdict(explanation: Explanation, refused: bool) -> str:

@@ -15,7 +15,14 @@ from residuum.identification.discrepancy.evidence import ALIKE, preferred, relat
 from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.structures import Structure, base_structure, fit_structure, glimpse, refit
+from residuum.identification.discrepancy.structures import (
+    Structure,
+    base_structure,
+    fit_structure,
+    glimpse,
+    in_likelier_order,
+    refit,
+)
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
@@ -297,7 +304,7 @@ def _grow(found: Search, task: _Task) -> None:
         if not _holds_up(found, key, refitted[key], task.experiments):
             found.refuted.append(key)
             break
-        refitted[key] = _followed(screen, key, refitted[key])
+        refitted[key] = in_likelier_order(_followed(screen, key, refitted[key]), key, task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
 

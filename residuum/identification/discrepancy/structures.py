@@ -8,7 +8,7 @@ innovations e compares the two without ever assuming white noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from residuum.identification.discrepancy.innovations import Noises, fit_noises, 
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
+from residuum.identification.physics.effects import EFFECTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -26,6 +27,8 @@ _DONE = 0.02
 """Stop when a step gains less log-likelihood than this."""
 VISIBLE_SUBSTEPS = 16
 """An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
+_EARLIER = 2.0
+"""Log-likelihood from which on an effect is put before the others of its path."""
 _OPTIMISM, _CLOSE = 3.0, 20.0
 """A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
 
@@ -280,6 +283,21 @@ def refit(
 def _visible(before: Structure) -> int:
     """Most integration steps a sample that an effect on top of a structure may ask for."""
     return max(VISIBLE_SUBSTEPS, *before.substeps)
+
+
+def in_likelier_order(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> Structure:
+    """The structure with this effect before the others of its input or output path, where that is likelier.
+
+    A path's stages do not commute: an offset before a limit is not one after it.
+    """
+    effects = structure.model.effects
+    stages = [use for use in effects if use.target == key[1]]
+    if EFFECTS[key[0]].place == "balance" or len(stages) < 2 or (stages[0].id, stages[0].target) == key:
+        return structure
+    moved = next(use for use in stages if use.id == key[0])
+    model = replace(structure.model, effects=(moved, *(use for use in effects if use is not moved)))
+    other = fit_structure(model, experiments, structure.initial, drifting=structure.drifting)
+    return structure if other is None or other.log_likelihood < structure.log_likelihood + _EARLIER else other
 
 
 def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Structure) -> float:
