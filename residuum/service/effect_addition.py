@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match, write_model
+from residuum.identification.discrepancy.input_timing import at_likelier_timing
+from residuum.identification.physics import (
+    Estimate,
+    Experiment,
+    PhysicalModel,
+    estimate,
+    match,
+    with_coloured_noise,
+    write_model,
+)
 from residuum.identification.record import Record
 from residuum.service.command_job import RecordParts
 from residuum.service.jobs import Progress
@@ -31,7 +41,8 @@ def add_effect(
 ) -> Mapping[str, Any]:
     """The model with one more effect, all free parameters estimated, and how its error fell.
 
-    The parameters come from the first 70 % of each record. `errors` are RMS simulation errors of every output on the rest
+    The parameters come from the first 70 % of each record, at the input timing that leaves the model with the effect the
+    smaller error; their bands know the colour of the noise. `errors` are RMS simulation errors of every output on the rest
     (on the same data when the rest is too short: `held_out` says which): of the model as given, with its own parameters
     estimated, and with the effect. `values` are where the effect's parameters start.
 
@@ -51,9 +62,11 @@ def add_effect(
     before = estimate(matched, training)
     progress(0.4, f"estimating with {effect}")
     larger = before.model.with_effect(effect, target, values)
-    after = estimate(larger, training)
+    timed, after = at_likelier_timing(training, lambda tried: with_coloured_noise(estimate(larger, tried), tried))
+    if timed[0] is not training[0]:
+        before = estimate(matched, timed)
     progress(0.8, "simulating what was held out")
-    checked = training if held_out is None else held_out
+    checked = [replace(e, hold=t.hold) for e, t in zip(held_out or training, timed, strict=True)]
     errors = {
         "as_given": _errors(matched, checked),
         "re_estimated": _errors(before.model, checked),

@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.averaged import averaged
 from residuum.identification.discrepancy.innovations import ORDER
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.structures import Structure, base_structure, plain_estimate
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, match
 from residuum.identification.record import Record
 
@@ -55,8 +55,17 @@ def experiments_and_base(
     """Experiments of at most about `most` samples, and the model re-estimated on them, at the likelier input timing.
 
     The two conventions differ by half a sample; the wrong one looks like a delay or a lag of that size.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Records that do not fit the model, or in which nothing changes.
+    NotIdentifiable
+        The model diverges on them.
     """
     model, experiments = match(model, records, mapping)
+    if not any(map(_changes, experiments)):
+        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
     tried = []
     for linear in (False, True):
         turned = [replace(e, hold=1.0 - e.hold) if linear else e for e in experiments]
@@ -69,6 +78,12 @@ def experiments_and_base(
             if linear and not tried:
                 raise
     return max(tried, key=lambda pair: pair[1].log_likelihood)
+
+
+def _changes(experiment: Experiment) -> bool:
+    """Whether any signal of it does."""
+    signals = [*experiment.U.T, *experiment.Y[:, experiment.measured].T]
+    return any(np.nanmax(signal) > np.nanmin(signal) for signal in signals)
 
 
 def _late(experiment: Experiment, residuals: FloatArray) -> Experiment:

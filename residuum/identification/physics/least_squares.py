@@ -42,6 +42,8 @@ def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Arra
     """Covariance σ²·H⁻¹ of parameters, infinite along flat directions, and those directions."""
     if not names:
         return np.zeros((0, 0)), ()
+    if not np.all(np.isfinite(H)):  # an overflow: nothing is known of any of them
+        return np.full(H.shape, np.inf), ()
     size = np.where(theta != 0, np.abs(theta), 1.0)
     diagonal = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), size)

@@ -7,7 +7,7 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.held_out import split
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.linear_response import linear_response
-from residuum.identification.errors import BadModel
+from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
 from residuum.identification.physics.composition import missing_name
 from residuum.identification.record import Record
@@ -204,3 +204,10 @@ def test_one_record_is_split_where_its_note_says(note, share):
     parts = split([record])
     assert parts.training[0].n == round(100 * share)
     assert parts.testing[0][1] == round(100 * share)
+
+
+def test_a_machine_at_standstill_explains_nothing():
+    still = {"voltage": np.zeros(2000), "speed": np.zeros(2000), "current": np.zeros(2000)}
+    record = Record(still, {"voltage": "V", "speed": "rad/s", "current": "A"}, 0.01, source="still.csv")
+    with pytest.raises(BadRecord, match=r"still\.csv.*standstill explains nothing"):
+        explain(load_model("gate-drive"), [record])

@@ -19,6 +19,7 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
+from residuum.identification.physics.least_squares import covariance_of
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[4] / "shared/data/silverbox/SNLS80mV.mat"
@@ -198,3 +199,8 @@ def test_bands_hold_the_truth_where_the_noise_is_coloured():
         scores.append((found.theta[known] - truth[known]) / found.std[known])
     size = np.abs(np.concatenate(scores))
     assert np.mean(size < 3.0) > 0.95 and 0.7 < np.sqrt(np.mean(size**2)) < 1.5
+
+
+def test_curvature_that_overflows_says_nothing_of_any_parameter():
+    covariance, flat = covariance_of(np.array([[1e300, 1e308], [1e308, np.inf]]), 1.0, ("a", "b"), np.ones(2))
+    assert np.all(np.isinf(np.diag(covariance))) and flat == ()
