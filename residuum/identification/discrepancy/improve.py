@@ -20,7 +20,7 @@ from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Search, Tell, untold
 from residuum.identification.discrepancy.structures import Structure, fit_structure, in_likelier_order
 from residuum.identification.errors import BadModel, NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
+from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
@@ -110,6 +110,9 @@ def improve(
     if simulates_better:
         history[-1] = replace(history[-1], error=error)
     final = _on_everything(kept, records, mapping, least_error=simulates_better)
+    for use in _vanished(final.model, history):
+        final = replace(final, model=final.model.without_effect(use.label))
+        history.append(Step(f"-{use.id}", history[-1].error))
     improved = _with_provenance(final, records, history, judge)
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
@@ -245,6 +248,12 @@ def _on_everything(
     if likelier is not None and likelier.log_likelihood > result.log_likelihood:
         result = likelier
     return (_least_simulation_error(result, experiments) if least_error else None) or result
+
+
+def _vanished(model: PhysicalModel, history: Sequence[Step]) -> list[EffectUse]:
+    """Effects that were added and have no size left: a shift in time, once all is estimated at the likelier input timing."""
+    joined = [use for use in model.effects if use.effect.sizes and any(step.added == use.id for step in history)]
+    return [use for use in joined if not any(model.values.get(f"{use.label}.{n}", 0.0) for n in use.effect.sizes)]
 
 
 def _with_provenance(final: Structure, records: Sequence[Record], history: Sequence[Step], judge: _HeldOut) -> PhysicalModel:
