@@ -20,8 +20,9 @@ MOST_SUBSTEPS = 64
 _OSCILLATING, _DECAYING = 0.25, 0.8
 _EXACT, _LEAST = 0.02, 1e-4
 """Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
-_DOUBLINGS, _SETTLING = 3, 0.7
-"""How often steps are halved for that, and the factor by which each time the change has to fall; a chaotic model's does not."""
+_CHECKED, _DOUBLINGS, _SETTLING = 5000, 3, 0.7
+"""Samples on which that is tried, how often steps are halved for it, and the factor by which the change has to fall each time: a
+chaotic model's does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +160,7 @@ class Simulator:
             if needed <= steps or steps >= MOST_SUBSTEPS:
                 break
             steps = needed
-        return self._exact_enough(part, x0, p, steps)
+        return self._exact_enough(part.window(0, min(part.n, _CHECKED)), x0, p, steps)
 
     def _exact_enough(self, experiment: Experiment, x0: Array, p: Array, first: int) -> int:
         """Steps doubled until the outputs no longer change visibly; the first where that does not settle."""
