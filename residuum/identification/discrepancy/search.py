@@ -324,7 +324,7 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
     friction), which later steps bring to light; or it was started where it made up for them (a spring at rest elsewhere), and
     does better from another start now. Those `settled` were judged on top of the others already.
 
-    True when an effect was exchanged or dropped.
+    True when an effect was exchanged, dropped or put elsewhere.
     """
     exchanges = 0
     while exchanges < EXCHANGES and (waiting := [key for key in found.accepted if key not in settled]):
@@ -339,7 +339,8 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         refitted[key] = _followed(screen, key, found.best)
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
-            settled = [key] if _moved(refitted[key], found.best) else [*settled, key]
+            moved = _moved(refitted[key], found.best)
+            settled, exchanges = [key] if moved else [*settled, key], exchanges + moved
             found.best, found.before[at], found.alternatives[at] = refitted[key], others, refitted
             continue
         exchanges += 1
