@@ -73,6 +73,12 @@ def processes():
         process.stdout.close()
 
 
+def confirm(client, message):
+    """Tell gateway hall-1 of plant-7 that its window is stored."""
+    receipt = {"key": message.topic.rpartition("/")[2], "refused": None}
+    client.publish(receipt_topic("plant-7", "hall-1"), json.dumps(receipt), qos=1)
+
+
 def test_a_killed_scorer_and_a_killed_broker_lose_nothing_and_store_nothing_twice(
     start_mosquitto, processes, free_port, tmp_path
 ):
@@ -130,8 +136,7 @@ def test_a_scorer_that_comes_late_gets_the_windows_of_a_machine_in_their_order(s
 
     def store(client, _data, message):
         came.append(WindowMessage.unpack(message.payload).window.t0)
-        receipt = {"key": message.topic.rpartition("/")[2], "refused": None}
-        client.publish(receipt_topic("plant-7", "hall-1"), json.dumps(receipt), qos=1)
+        confirm(client, message)
 
     scorer = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     scorer.on_message, scorer.on_subscribe = store, lambda *_: subscribed.set()
@@ -195,8 +200,7 @@ def test_windows_that_wait_for_their_scorer_hold_up_no_other_machine(start_mosqu
 
     def store(client, _data, message):
         if WindowMessage.unpack(message.payload).asset == "press-2":
-            receipt = {"key": message.topic.rpartition("/")[2], "refused": None}
-            client.publish(receipt_topic("plant-7", "hall-1"), json.dumps(receipt), qos=1)
+            confirm(client, message)
 
     scorer = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     scorer.on_message, scorer.on_subscribe = store, lambda *_: subscribed.set()

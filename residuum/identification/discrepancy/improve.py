@@ -14,7 +14,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
-from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Search, Tell, untold
@@ -127,7 +127,7 @@ def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -
     """
     if not found.timing:
         return None
-    turned = [replace(e, hold=1.0 - e.hold) for e in experiments]
+    turned = turned_timing(experiments)
     model = found.best.model
     for key in found.timing:
         model = model.without_effect(found.best.label_of(key))

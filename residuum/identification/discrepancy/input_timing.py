@@ -23,6 +23,11 @@ OUTLYING = 30.0
 """Spreads of an output's error beyond which its first one is not of their kind."""
 
 
+def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Inputs that were held now move evenly, and those that moved are held."""
+    return [replace(e, hold=1.0 - e.hold) for e in experiments]
+
+
 def at_likelier_timing(
     experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
 ) -> tuple[list[Experiment], Estimate]:
@@ -32,7 +37,7 @@ def at_likelier_timing(
     parameters that lie many standard deviations beside the truth.
     """
     tried: list[tuple[float, list[Experiment], Estimate]] = []
-    for turned in (list(experiments), [replace(e, hold=1.0 - e.hold) for e in experiments]):
+    for turned in (list(experiments), turned_timing(experiments)):
         try:
             found = fitted(turned)
         except NotIdentifiable:
@@ -68,7 +73,7 @@ def experiments_and_base(
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
     tried = []
     for linear in (False, True):
-        turned = [replace(e, hold=1.0 - e.hold) if linear else e for e in experiments]
+        turned = turned_timing(experiments) if linear else experiments
         reduced = in_windows(model, averaged(turned, most))
         try:
             plain = plain_estimate(model, reduced)

@@ -225,7 +225,8 @@ def fit_structure(
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
     start = _states(initial, len(ascent.simulator.states))
-    if max(ascent.steps_from(ascent.simulator.p(), start)) > most_substeps:
+    ascent.substeps = ascent.steps_from(ascent.simulator.p(), start)
+    if max(ascent.substeps) > most_substeps:
         return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival)
