@@ -261,3 +261,12 @@ def test_commands_without_a_broker_are_refused(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("RESIDUUM_MQTT", "mqtt://127.0.0.1:1")
     assert run(["scorer", "--part", "3/2", "--data", str(tmp_path)]) == 2 and "numbered from 1" in capsys.readouterr().err
     assert run(["scorer", "--part", "one", "--data", str(tmp_path)]) == 2 and "must be K/N" in capsys.readouterr().err
+
+
+def test_a_machines_name_is_no_longer_than_the_database_keeps():
+    """PostgreSQL refuses a longer one, and a window that is refused for ever would hold up its scorer."""
+    with pytest.raises(ValueError, match="at most 64"):
+        machine("a" * 65)
+    long = WindowMessage("a" * 65, "bearing", "a", PlainRecord.of(window(0)))
+    with pytest.raises(BadInput, match="is no name of a machine"):
+        WindowMessage.unpack(long.pack())

@@ -63,7 +63,7 @@ class WindowSettings(_Strict):
 class MachineSettings(_Strict):
     """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and alarm rule."""
 
-    asset: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    asset: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     diagnoser: str
     window: WindowSettings
     sources: list[SourceSettings] = Field(min_length=1)

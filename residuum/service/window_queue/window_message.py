@@ -14,7 +14,7 @@ from residuum.service.scoring import PlainRecord
 
 _VERSION = 1
 _TYPES = ("<f4", "<f8")
-_ASSET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_ASSET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 @dataclass(frozen=True)
