@@ -15,14 +15,21 @@ import orjson
 KEPT = 4096
 """Events kept for listeners that come back."""
 
+_ASSET_OF = {"finding": "asset", "alarm": "asset", "pipeline": "machine"}
+"""The part of an event's payload that names its machine, of the kinds that have one."""
+
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened. `id` grows within one run of the service; `data` is its payload as JSON."""
+    """One thing that happened. `id` grows within one run of the service; `data` is its payload as JSON.
+
+    `asset` is the machine that a finding, an alarm or a state of the pipeline is of; None for what is of the whole plant.
+    """
 
     id: int
     kind: str
     data: bytes
+    asset: str | None = None
 
 
 class Events:
@@ -45,10 +52,11 @@ class Events:
 
     def publish(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Tell every listener. The payload is turned into JSON at once, so later changes to it do not matter."""
+        asset = payload.get(_ASSET_OF.get(kind, ""))
         data = orjson.dumps(payload, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
         with self._lock:
             self._last += 1
-            self._log.append(Event(self._last, kind, data))
+            self._log.append(Event(self._last, kind, data, asset))
         self._wake_listeners()
 
     def close(self) -> None:

@@ -200,7 +200,7 @@ def _role_for(method: str, path: str) -> Role:
     return Role.OPERATOR if path.rsplit("/", 1)[-1] in _OPERATOR_VERBS else Role.ENGINEER
 
 
-_FOR_EVERY_SITE = ("score", "diagnosers", "effects", "alarms", "health")
+_FOR_EVERY_SITE = ("score", "diagnosers", "effects", "alarms", "health", "events", "status", "sources")
 """First words of the paths that a caller of some sites may use; what they list is cut down to the sites by the routes."""
 
 

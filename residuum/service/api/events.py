@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.responses import StreamingResponse
 
 from residuum.service.events import Event, Events
-from residuum.service.services import Running
+from residuum.service.services import Running, caller_of
 
 router = APIRouter(tags=["events"])
 
@@ -19,11 +19,21 @@ LastEventId = Annotated[str | None, Header(description="Resume after this event.
 @router.get("/events", response_class=StreamingResponse)
 async def stream_events(
     running: Running,
+    request: Request,
     last_event_id: LastEventId = None,
     kinds: Annotated[list[str] | None, Query(alias="kind", description="Only these kinds.", max_length=16)] = None,
 ) -> Response:
-    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then read the state anew."""
-    return event_stream(running.events, last_event_id, lambda event: not kinds or event.kind in kinds)
+    """Events `finding`, `alarm`, `pipeline`, `job`, `model`; `reset` when some were missed: then read the state anew.
+
+    A key of some sites gets the events of its machines, and none that is of the whole plant (`job`, `model`).
+    """
+    caller = caller_of(request)
+
+    def wanted(event: Event) -> bool:
+        mine = caller.sites is None or (event.asset is not None and caller.may_see(event.asset))
+        return mine and (not kinds or event.kind in kinds)
+
+    return event_stream(running.events, last_event_id, wanted)
 
 
 def event_stream(

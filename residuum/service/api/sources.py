@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Response
+from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, Field
 
+from residuum.service.access import Caller
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
-from residuum.service.services import Running
+from residuum.service.services import Running, Services, caller_of
 
 router = APIRouter(tags=["live"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -25,17 +26,25 @@ class FaultSwitch(BaseModel, extra="forbid"):
 
 
 @router.get("/status")
-def get_status(running: Running) -> Response:
-    """State of every machine's pipeline (training, running) and of every source."""
-    return Json(running.pipeline.status())
+def get_status(running: Running, request: Request) -> Response:
+    """State of every machine's pipeline (training, running) and of every source; to a key of some sites, of theirs."""
+    return Json(_status(running, caller_of(request)))
 
 
 @router.get("/sources")
-def list_sources(running: Running) -> Response:
-    """Sources with their rates and every loss counter."""
-    sources = running.pipeline.status().get("sources", {})
-    items = [{"name": name, **state} for name, state in sources.items()] if isinstance(sources, dict) else sources
-    return Json({"items": items, "next_cursor": None})
+def list_sources(running: Running, request: Request) -> Response:
+    """Sources with their rates and every loss counter; to a key of some sites, those of its machines."""
+    sources = _status(running, caller_of(request))["sources"]
+    return Json({"items": [{"name": name, **state} for name, state in sources.items()], "next_cursor": None})
+
+
+def _status(running: Services, caller: Caller) -> dict[str, Any]:
+    """What the pipeline tells, of the machines that the caller may see."""
+    status = running.pipeline.status()
+    return {
+        "machines": {name: state for name, state in status["machines"].items() if caller.may_see(name)},
+        "sources": {name: state for name, state in status["sources"].items() if caller.may_see(str(state.get("machine", "")))},
+    }
 
 
 @router.get("/demo/machines/{machine}/fault")

@@ -7,13 +7,16 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.access import new_key
 from residuum.service.app import create_app
+from residuum.service.pipeline import Pipeline
 from residuum.service.settings import BadSettings, load_settings
 
 ROLES = ("monitor", "viewer", "operator", "engineer", "admin")
 # Written out, apart from the code: what each route asks for. Reading asks for a viewer; all other routes for an engineer.
 OPERATOR = {f"/api/v1/alarms/{{alarm}}/{verb}" for verb in ("acknowledge", "reset", "shelve", "unshelve")}
 OPEN = {"/api/v1/health/live", "/api/v1/health/ready"}
-OF_A_SITE = ("/api/v1/assets", "/api/v1/alarms", "/api/v1/score", "/api/v1/diagnosers", "/api/v1/effects", "/api/v1/health")
+OF_A_SITE = tuple(
+    f"/api/v1/{noun}" for noun in ("assets", "alarms", "score", "diagnosers", "effects", "health", "events", "status", "sources")
+)
 
 
 def needed(method, path):
@@ -34,6 +37,7 @@ def plant(tmp_path_factory, run_service):
         record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
         service.services.store.add_window(asset, record, Finding("bearing", "faulty", reason="-"))
     with httpx.Client(base_url=service.url, timeout=60) as client:
+        client.running = service
         yield client, {name: {"X-API-Key": key} for name, (key, _) in keys.items()}
 
 
@@ -96,6 +100,46 @@ def test_lists_and_alarms_are_cut_down_to_the_site(plant):
     assert client.post(f"/api/v1/alarms/{theirs['id']}/acknowledge", headers=keys["hall-2"]).status_code == 200
     answer = client.post("/api/v1/score/bearing?baseline=hall-2.press", headers=keys["hall-1"])
     assert answer.status_code == 403 and "limited to machines of elsewhere, hall-1" in answer.json()["detail"]
+
+
+def test_live_events_and_states_are_cut_down_to_the_site(plant):
+    client, keys = plant
+    services = client.running.services
+    here, there = {"state": "running"}, ("hall-2.press", "HALL-1.press", "hall-10.press")
+    with client.stream("GET", "/api/v1/events", headers=keys["hall-1"]) as mine:
+        for asset in (*there, "hall-1.press"):
+            services.events.publish("pipeline", {"machine": asset, **here})
+            services.events.publish("alarm", {"asset": asset, "id": 1})
+        services.events.publish("job", {"id": "j", "asset": "hall-1.press"})
+        services.events.publish("model", {"model": "hall-1.press"})
+        services.events.publish("alarm", {"asset": "hall-1", "id": 2})
+        told = []
+        for line in mine.iter_lines():
+            told += [line.removeprefix("data: ")] if line.startswith("data: ") else []
+            if '"id":2' in line:
+                break
+    assert told == [
+        '{"machine":"hall-1.press","state":"running"}',
+        '{"asset":"hall-1.press","id":1}',
+        '{"asset":"hall-1","id":2}',
+    ]
+
+
+def test_states_of_machines_and_sources_are_cut_down_to_the_site(tmp_path, run_service):
+    class Halls(Pipeline):
+        def status(self):
+            names = ("hall-1.press", "hall-2.press")
+            return {"machines": {name: {} for name in names}, "sources": {f"{name} bus": {"machine": name} for name in names}}
+
+    key, digest = new_key()
+    (tmp_path / "keys").write_text(f"eva viewer {digest} hall-1")
+    service = run_service(Halls, host="0.0.0.0", api_keys=tmp_path / "keys")
+    with httpx.Client(base_url=service.url, timeout=60, headers={"X-API-Key": key}) as client:
+        assert client.get("/api/v1/status").json() == {
+            "machines": {"hall-1.press": {}},
+            "sources": {"hall-1.press bus": {"machine": "hall-1.press"}},
+        }
+        assert [each["name"] for each in client.get("/api/v1/sources").json()["items"]] == ["hall-1.press bus"]
 
 
 def test_a_malformed_site_is_refused(tmp_path):
