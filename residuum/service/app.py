@@ -25,11 +25,12 @@ from residuum.service.metrics import Metrics
 from residuum.service.notifications import Notifications
 from residuum.service.pipeline import Pipeline
 from residuum.service.services import LivePipeline, Services
-from residuum.service.settings import Settings
+from residuum.service.settings import Settings, broker_address
 from residuum.service.storage import DiskStore
 from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.web import web_routes
+from residuum.service.window_queue.stored_windows import StoredWindows, Told
 from residuum.service.worker_pool import WorkerPool
 
 log = structlog.get_logger()
@@ -95,9 +96,15 @@ async def _running(
     set_up_logs(settings)
     notifications = Notifications(settings)
 
-    def announce(kind: str, payload: Mapping[str, Any]) -> None:
+    told = Told()
+
+    def show(kind: str, payload: Mapping[str, Any]) -> None:
         metrics.event(kind, payload)
         events.publish(kind, payload)
+
+    def announce(kind: str, payload: Mapping[str, Any]) -> None:
+        if kind != "finding" or told.first(payload["id"]):
+            show(kind, payload)
         notifications.tell(kind, payload)
 
     store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, settings.alarm_rule)
@@ -110,12 +117,17 @@ async def _running(
         log.warning("removed signal blocks without a row, left by a crash", blocks=orphans)
     watches = [asyncio.create_task(_watch_shelved(store)), asyncio.create_task(_retain(store, settings))]
     await pipeline.start()
+    elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message) if settings.mqtt else None
+    if elsewhere is not None:
+        elsewhere.start()
     try:
         yield services
     finally:
         for watch in watches:
             watch.cancel()
         events.close()
+        if elsewhere is not None:
+            await asyncio.to_thread(elsewhere.stop)
         await pipeline.stop()
         await asyncio.to_thread(jobs.close)
         executor.shutdown(wait=False, cancel_futures=True)

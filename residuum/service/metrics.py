@@ -28,6 +28,9 @@ class Metrics:
         )
         self._findings = Counter("residuum_findings", "Windows stored and judged", ("asset", "verdict"), registry=self._registry)
         self._alarms = Counter("residuum_alarm_changes", "Alarms that changed state", ("asset", "state"), registry=self._registry)
+        self._news = Counter(
+            "residuum_stored_messages", "Messages about windows that scorers stored", ("outcome",), registry=self._registry
+        )
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
 
@@ -46,6 +49,10 @@ class Metrics:
             self._findings.labels(payload["asset"], payload["verdict"]).inc()
         elif kind == "alarm":
             self._alarms.labels(payload["asset"], payload["state"]).inc()
+
+    def stored_message(self, outcome: str) -> None:
+        """Count a message about a window that a scorer stored: taken, refused or overflow."""
+        self._news.labels(outcome).inc()
 
     def render(self) -> bytes:
         """The metrics in Prometheus' text format."""

@@ -273,6 +273,12 @@ class Store(Protocol):
     def findings(self, asset: str, cursor: str | None = None, limit: int = 50, verdict: str | None = None) -> Page[StoredFinding]:
         """Findings of an asset, newest first."""
 
+    def findings_after(self, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
+        """The first findings of an asset that come after a number, oldest first; none for an asset that is not known."""
+
+    def newest_finding(self) -> int:
+        """The largest number of a finding; 0 before there is one."""
+
     def finding_of(self, window: int) -> StoredFinding:
         """The latest finding on a window."""
 
@@ -300,6 +306,9 @@ class Store(Protocol):
         sites: Collection[str] | None = None,
     ) -> Page[Alarm]:
         """Alarms of some sites or of all, the newest occurrence first."""
+
+    def alarms_changed(self, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
+        """The alarms of an asset, as they are now, that changed with the findings of these moments."""
 
     def alarm(self, alarm: int) -> Alarm:
         """One alarm."""

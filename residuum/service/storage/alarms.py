@@ -90,6 +90,15 @@ def page(
     return paging.page(connection.execute(query).all(), limit, "id", _alarm)
 
 
+def changed_at(connection: Connection, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
+    """The alarms of an asset whose journal has an entry of one of these moments: a finding's change has its finding's."""
+    if not moments:
+        return []
+    changed = select(alarm_journal.c.alarm_id).where(alarm_journal.c.at.in_(moments))
+    query = select(alarms).where(alarms.c.asset_id == asset, alarms.c.id.in_(changed)).order_by(alarms.c.id)
+    return [_alarm(row) for row in connection.execute(query)]
+
+
 def journal(connection: Connection, alarm: int, limit: int) -> Sequence[AlarmEntry]:
     """What happened to an alarm, newest first."""
     _row(connection, alarm)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, insert, select, update
+from sqlalchemy import Connection, Row, Select, func, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.storage import paging
@@ -68,6 +68,17 @@ def findings_page(connection: Connection, asset: str, cursor: str | None, limit:
     if verdict:
         query = query.where(findings.c.verdict == verdict)
     return paging.page(connection.execute(query).all(), limit, "id", _finding)
+
+
+def findings_after(connection: Connection, asset: str, number: int, limit: int) -> Sequence[StoredFinding]:
+    """The first findings of an asset with a larger number, oldest first."""
+    after = (findings.c.asset_id == asset) & (findings.c.id > number)
+    return [_finding(row) for row in connection.execute(select(findings).where(after).order_by(findings.c.id).limit(limit))]
+
+
+def newest_finding(connection: Connection) -> int:
+    """The largest number of a finding; 0 before there is one."""
+    return connection.scalar(select(func.max(findings.c.id))) or 0
 
 
 def finding_of(connection: Connection, window: int) -> StoredFinding:

@@ -167,6 +167,16 @@ class DiskStore:
         with self._database.read() as connection:
             return assets.findings_page(connection, asset, cursor, limit, verdict)
 
+    def findings_after(self, asset: str, number: int, limit: int = 100) -> Sequence[StoredFinding]:
+        """The first findings of an asset that come after a number, oldest first; none for an asset that is not known."""
+        with self._database.read() as connection:
+            return assets.findings_after(connection, asset, number, limit)
+
+    def newest_finding(self) -> int:
+        """The largest number of a finding; 0 before there is one."""
+        with self._database.read() as connection:
+            return assets.newest_finding(connection)
+
     def finding_of(self, window: int) -> StoredFinding:
         """The latest finding on a window."""
         with self._database.read() as connection:
@@ -219,6 +229,11 @@ class DiskStore:
         """Alarms of some sites or of all; `active` leaves out those in state normal."""
         with self._database.read() as connection:
             return alarms.page(connection, asset, active, cursor, limit, sites)
+
+    def alarms_changed(self, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
+        """The alarms of an asset, as they are now, that changed with the findings of these moments."""
+        with self._database.read() as connection:
+            return alarms.changed_at(connection, asset, moments)
 
     def alarm(self, alarm: int) -> Alarm:
         """One alarm."""

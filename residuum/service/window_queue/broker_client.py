@@ -19,8 +19,19 @@ _KEEP_ALIVE = 20
 Take = Callable[[Any, Any], None]
 
 
+def _nobody() -> None:
+    """Told of something that nobody waits for."""
+
+
 def broker_client(
-    address: BrokerAddress, client_id: str, topics: Sequence[str], take: Take, connected: Callable[[], None], *, kept: bool
+    address: BrokerAddress,
+    client_id: str,
+    topics: Sequence[str],
+    take: Take,
+    connected: Callable[[], None],
+    *,
+    kept: bool,
+    subscribed: Callable[[], None] = _nobody,
 ) -> Any:
     """A paho client whose network thread runs: subscribed (QoS 1) again after each break, messages acknowledged by hand.
 
@@ -36,6 +47,8 @@ def broker_client(
         Told of every new connection, before any message of it.
     kept : bool
         Whether the broker keeps messages for this client while it is away.
+    subscribed : callable
+        Told when the broker has taken the subscription of a new connection: what is published from then on comes.
     """
     try:
         mqtt: Any = importlib.import_module("paho.mqtt.client")  # optional: the extra `mqtt`
@@ -54,6 +67,7 @@ def broker_client(
         client.subscribe([(topic, 1) for topic in topics])
 
     client.on_connect = on_connect
+    client.on_subscribe = lambda *_: subscribed()
     client.on_message = lambda client, _data, message: take(client, message)
     client.connect_async(address.host, address.port, keepalive=_KEEP_ALIVE)
     client.loop_start()

@@ -21,7 +21,8 @@ from residuum.service.scoring import score_window
 from residuum.service.settings import BrokerAddress
 from residuum.service.store import NotFound, StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
-from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, windows_of_part
+from residuum.service.window_queue.stored_news import StoredNews
+from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, stored_topic, windows_of_part
 from residuum.service.window_queue.window_message import WindowMessage
 from residuum.service.worker_pool import WorkerPool
 
@@ -96,9 +97,10 @@ class Scorer:
 
     def _take(self, client: Any, message: Any) -> None:
         *_, gateway, key = message.topic.split("/")
-        refused = None
+        refused, stored = None, None
         try:
-            if not self._store_once(key, message.payload):
+            stored = self._store_once(key, message.payload)
+            if stored is None:
                 return
         except BadInput as error:
             refused = str(error)
@@ -108,11 +110,13 @@ class Scorer:
             log.exception("window not scored", gateway=gateway)
             self._stopped.wait(_STORAGE_RETRY)
             return
+        if stored is not None:  # before the receipt: a scorer that is killed in between stores nothing new, but tells anew
+            client.publish(stored_topic(self._address.prefix), stored.pack(), qos=1)
         client.publish(receipt_topic(self._address.prefix, gateway), orjson.dumps({"key": key, "refused": refused}), qos=1)
         client.ack(message.mid, message.qos)
 
-    def _store_once(self, key: str, payload: bytes) -> bool:
-        """Whether the window is on disk; False when the scorer was stopped before."""
+    def _store_once(self, key: str, payload: bytes) -> StoredNews | None:
+        """The window that is on disk; None when the scorer was stopped before."""
         digest = hashlib.sha256(payload).hexdigest()
         message = WindowMessage.unpack(payload)
         if message.diagnoser not in DIAGNOSERS:
@@ -121,17 +125,17 @@ class Scorer:
         finding: Finding | None = None
         while not self._stopped.is_set():
             try:
-                if self._store.window_with_key(message.asset, key, digest) is not None:
+                if (known := self._store.window_with_key(message.asset, key, digest)) is not None:
                     self.seen_before += 1
-                    return True
+                    return StoredNews(message.asset, known)
                 finding = finding or self._judge(message)
-                self._store.add_window(message.asset, record, finding, key, digest)
+                window = self._store.add_window(message.asset, record, finding, key, digest)
                 self.stored += 1
-                return True
+                return StoredNews(message.asset, window)
             except StorageUnavailable as error:
                 log.error("window not stored, trying again", machine=message.asset, reason=str(error))
                 self._stopped.wait(_STORAGE_RETRY)
-        return False
+        return None
 
     def _judge(self, message: WindowMessage) -> Finding:
         try:

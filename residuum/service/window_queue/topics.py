@@ -1,4 +1,4 @@
-"""Where on the broker windows and receipts are."""
+"""Where on the broker windows, receipts and the news of stored windows are."""
 
 from __future__ import annotations
 
@@ -34,3 +34,8 @@ def windows_of_part(prefix: str, part: int, parts: int) -> list[str]:
 def receipt_topic(prefix: str, gateway: str) -> str:
     """Where a gateway is told which of its windows are stored."""
     return f"{prefix}/receipts/{gateway}"
+
+
+def stored_topic(prefix: str) -> str:
+    """Where services are told which windows scorers have stored."""
+    return f"{prefix}/stored"

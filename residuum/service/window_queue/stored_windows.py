@@ -1,0 +1,172 @@
+"""StoredWindows: what scorers store, told to the listeners of this service as what it stores itself."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+
+from residuum.identification.errors import BadInput
+from residuum.service.settings import BrokerAddress
+from residuum.service.store import StorageUnavailable, Store
+from residuum.service.window_queue.broker_client import broker_client
+from residuum.service.window_queue.stored_news import StoredNews
+from residuum.service.window_queue.topics import PARTITIONS, stored_topic
+
+log = structlog.get_logger()
+
+_MOST_WAITING = 10_000
+"""Machines of which news wait; of more, pages read the state anew."""
+_AT_ONCE = 100
+"""Findings of a machine that are told one by one; of more, pages read the state anew."""
+_PAUSE = 0.05
+_STORAGE_RETRY = 2.0
+_REMEMBERED = 20_000
+
+Tell = Callable[[str, Mapping[str, Any]], None]
+Count = Callable[[str], None]
+"""Told what became of a message: `taken`, `refused` (it is none), or `overflow` (too many machines wait)."""
+
+
+class Told:
+    """Findings that were told of late, so that none is told twice; safe to use from any thread."""
+
+    def __init__(self, remembered: int = _REMEMBERED) -> None:
+        self._numbers: OrderedDict[int, None] = OrderedDict()
+        self._remembered, self._lock = remembered, threading.Lock()
+
+    def first(self, finding: int) -> bool:
+        """Whether this finding is told for the first time; from now on it is not."""
+        with self._lock:
+            if finding in self._numbers:
+                return False
+            self._numbers[finding] = None
+            if len(self._numbers) > self._remembered:
+                self._numbers.popitem(last=False)
+            return True
+
+
+class StoredWindows:
+    """The listening side of the news of stored windows.
+
+    A message is a hint to look: what is told is read from the store, is newer than the connection to the broker, and is told
+    once, so whoever can write to the broker can show nobody anything but what is there. With every connection listeners are
+    told `reset`: what was stored meanwhile is in the state that they then read anew. Memory and work are bounded however many
+    messages come.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+    store : Store
+    told : Told
+        Shared with what else tells of findings.
+    tell : callable
+        Told `finding`, `alarm` and `reset` with their payloads, in a thread of this object.
+    count : callable
+    """
+
+    def __init__(self, address: BrokerAddress, store: Store, told: Told, tell: Tell, count: Count) -> None:
+        self._address, self._store, self._told, self._tell, self._count = address, store, told, tell, count
+        self._lock = threading.Lock()
+        self._waiting: dict[str, int] = {}
+        self._anew = False
+        self._since = 0
+        self._seen: dict[str, int] = {}
+        self._came, self._stopped = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="stored windows", daemon=True)
+
+    def start(self) -> None:
+        """Begin to follow; returns at once, whether the broker is there or not."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; what is not told by then is told to nobody."""
+        self._stopped.set()
+        self._came.set()
+        if self._thread.ident is not None:
+            self._thread.join(_STORAGE_RETRY)
+
+    def _follow(self) -> None:
+        name = f"residuum-live-{secrets.token_hex(8)}"
+        topics = [stored_topic(self._address.prefix)]
+        client = broker_client(self._address, name, topics, self._take, lambda: None, kept=False, subscribed=self._begin_anew)
+        try:
+            while not self._stopped.is_set():
+                self._came.wait()
+                self._came.clear()
+                try:
+                    self._look()
+                except Exception as error:  # the store may come back, and nothing that comes over the network may end this
+                    note = log.error if isinstance(error, StorageUnavailable) else log.exception
+                    note("stored windows not read, trying again", reason=str(error))
+                    self._came.set()
+                    self._stopped.wait(_STORAGE_RETRY)
+                self._stopped.wait(_PAUSE)  # what comes meanwhile is read at once
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+    def _take(self, client: Any, message: Any) -> None:
+        """In the network thread."""
+        try:
+            news = StoredNews.unpack(message.payload)
+        except BadInput as error:
+            self._count("refused")
+            log.debug("message refused", topic=message.topic[:80], reason=str(error))
+        else:
+            self._wait(news)
+        client.ack(message.mid, message.qos)
+
+    def _wait(self, news: StoredNews) -> None:
+        with self._lock:
+            full = news.asset not in self._waiting and len(self._waiting) >= _MOST_WAITING
+            if full:
+                self._anew = True
+            else:
+                self._waiting[news.asset] = max(news.window, self._waiting.get(news.asset, 0))
+        self._count("overflow" if full else "taken")
+        self._came.set()
+
+    def _begin_anew(self) -> None:
+        """What was stored until now, listeners read themselves: a new subscription, or more than is told one by one."""
+        with self._lock:
+            self._anew = True
+        self._came.set()
+
+    def _look(self) -> None:
+        if self._anew:
+            # A number may be given before another's and be committed after it, but a scorer stores one window after the other.
+            since = max(0, self._store.newest_finding() - PARTITIONS)
+            with self._lock:
+                self._anew = False
+            self._since, self._seen = since, {}
+            self._tell("reset", {})
+        while not self._stopped.is_set():
+            with self._lock:
+                if not self._waiting:
+                    return
+                asset, window = next(iter(self._waiting.items()))
+            self._tell_of(asset)
+            with self._lock:
+                if self._waiting[asset] == window:  # else there is more of it by now
+                    del self._waiting[asset]
+
+    def _tell_of(self, asset: str) -> None:
+        """Tell what the store has of a machine that was not told yet."""
+        found = self._store.findings_after(asset, self._seen.get(asset, self._since), _AT_ONCE + 1)
+        if not found:
+            return
+        if len(found) > _AT_ONCE:
+            self._begin_anew()
+            return
+        changed = self._store.alarms_changed(asset, [finding.at for finding in found])
+        self._seen[asset] = found[-1].id
+        new = [finding for finding in found if self._told.first(finding.id)]
+        for finding in new:
+            self._tell("finding", finding.to_json())
+        for alarm in changed if new else []:
+            self._tell("alarm", alarm.to_json())
