@@ -161,6 +161,9 @@ class StateSpace:
         v = np.ascontiguousarray(v, dtype=float).reshape(-1, self.D.shape[1])
         x = np.zeros(self.order) if state is None else np.array(state, dtype=float)
         w = np.empty((len(v), self.D.shape[0]))
+        if self._diagonals is not None:
+            _tridiagonal_recursion(self._diagonals, self.D[0, 0], x, v[:, 0], w[:, 0])
+            return w, x
         _recursion(self.A, self.B, self.C, self.D, self._bands, x, v, w)
         return w, x
 
@@ -172,6 +175,17 @@ class StateSpace:
         filled = self.A != 0.0
         first, last = filled.argmax(axis=1), self.order - filled[:, ::-1].argmax(axis=1)
         return np.stack([first, np.where(filled.any(axis=1), last, first)], axis=1).astype(np.int64)
+
+    @cached_property
+    def _diagonals(self) -> FloatArray | None:
+        """Rows: A below, on and above its diagonal, B, C, shape (5, n); None unless A is tridiagonal, one input, one output."""
+        A, n = self.A, self.order
+        if not n or self.D.shape != (1, 1) or np.any(np.triu(A, 2)) or np.any(np.tril(A, -2)):
+            return None
+        rows = np.zeros((5, n))
+        rows[0, 1:], rows[1], rows[2, :-1] = np.diag(A, -1), np.diag(A), np.diag(A, 1)
+        rows[3], rows[4] = self.B[:, 0], self.C[0]
+        return rows
 
     @cached_property
     def modal(self) -> StateSpace:
@@ -214,3 +228,21 @@ def _recursion(  # type: ignore[no-untyped-def]
                 total += A[i, j] * x[j]
             following[i] = total
         x[:] = following
+
+
+@numba.njit(cache=True, fastmath={"reassoc"})
+def _tridiagonal_recursion(diagonals, d, x, v, w):  # type: ignore[no-untyped-def]
+    """All states at once, which the modes of a system allow; the sum of an output has one order, whatever the blocks."""
+    n = diagonals.shape[1]
+    lower, diagonal, upper, b, c = diagonals[0], diagonals[1], diagonals[2], diagonals[3], diagonals[4]
+    now, following = np.zeros(n + 2), np.zeros(n + 2)  # a zero at either end
+    now[1 : n + 1] = x
+    for t in range(len(v)):
+        entering, total = v[t], 0.0
+        before, here, after, new = now[:n], now[1 : n + 1], now[2:], following[1 : n + 1]
+        for i in range(n):
+            total += c[i] * here[i]
+            new[i] = diagonal[i] * here[i] + lower[i] * before[i] + upper[i] * after[i] + b[i] * entering
+        w[t] = total + d * entering
+        now, following = following, now
+    x[:] = now[1 : n + 1]

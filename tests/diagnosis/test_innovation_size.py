@@ -88,15 +88,18 @@ def test_an_excursion_over_two_blocks_is_one_alarm():
     assert twice.value < alone.value  # the same number of alarms in twice the time
 
 
-def test_a_system_by_modes_is_the_same_system():
+@pytest.mark.parametrize("q", [1, 2])
+def test_a_system_by_modes_is_the_same_system(q):
     rng = np.random.default_rng(6)
-    v = rng.standard_normal((400, 2))
+    v = rng.standard_normal((400, q))
     for n in (0, 1, 5, 12):
         A = rng.standard_normal((n, n))
         A *= 0.95 / max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 0.1)
-        system = StateSpace(A, rng.standard_normal((n, 2)), rng.standard_normal((1, n)), rng.standard_normal((1, 2)), TS)
+        system = StateSpace(A, rng.standard_normal((n, q)), rng.standard_normal((1, n)), rng.standard_normal((1, q)), TS)
         w, by_modes = system.simulate(v)[0], system.modal.simulate(v)[0]
         assert np.abs(w - by_modes).max() < 1e-10 * np.abs(w).max()
+        first, state = system.modal.simulate(v[:17])
+        assert np.array_equal(np.concatenate([first, system.modal.simulate(v[17:], state)[0]]), by_modes)
     jordan = StateSpace(0.5 * np.eye(6) + np.eye(6, k=1), np.ones((6, 1)), np.ones((1, 6)), np.zeros((1, 1)), TS)
     assert jordan.modal.simulate(v[:, :1])[0] == pytest.approx(jordan.simulate(v[:, :1])[0], abs=1e-9)
 
