@@ -14,6 +14,7 @@ from scipy import optimize
 from residuum.diagnosis.false_alarm_rate import scan_rate, shiryaev_roberts_rate
 from residuum.diagnosis.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.state_space import FloatArray
+from residuum.diagnosis.window_model_error import RAMP, STEP, TEMPLATE, mean_square, model_error
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
 
@@ -23,7 +24,6 @@ _SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
 _SHORTEST_POWER = 8  # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an offset
 _HEAD_START = 2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms
 _SHORT, _SHORT_START = 2, 1.2  # samples, nats: so that one or two samples find a large offset as soon as a test of single samples
-_STEP, _RAMP, _TEMPLATE = 0, 1, 2
 _EPOCH = 65536  # samples after which time is counted anew
 _SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
 _LARGEST_RATIO = 1e300
@@ -194,55 +194,9 @@ def _upper_mean_square(covariance: FloatArray, b: float) -> float:
 
 
 @numba.njit(cache=True)
-def _model_error(template, white_input, now, count, delay, root, level, enough, shape):  # type: ignore[no-untyped-def]
-    """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
-
-    `shape` says whether the fault is a step, a ramp or the template; for a step w follows from lag to lag by one sample that
-    enters and one that leaves.
-    """
-    r, m = root.shape
-    size = len(white_input)
-    past = np.empty(count + m)
-    for i in range(count + m):
-        past[i] = white_input[(now - delay - count - m + 1 + i) % size]
-    w = np.zeros(m)
-    sum_p = 0.0
-    if shape == _STEP:
-        sum_p = float(count)
-        for i in range(count):
-            w[0] += past[m + i]
-        for k in range(1, m):
-            w[k] = w[k - 1] + past[m - k] - past[m - k + count]
-    else:
-        for i in range(count):
-            p = i + 1.0 if shape == _RAMP else template[(now - count + 1 + i) % size]
-            sum_p += p
-            for k in range(m):
-                w[k] += p * past[m + i - k]
-    total = level * sum_p * sum_p
-    for j in range(r):  # the largest directions first, so that it is soon enough
-        part = 0.0
-        for k in range(m):
-            part += root[j, k] * w[k]
-        total += part * part
-        if total > enough:
-            break
-    return total
-
-
-@numba.njit(cache=True)
-def _mean_square(white_input, now, count, delay, root):  # type: ignore[no-untyped-def]
-    """Mean of φᵀ Σ_g φ over (at most eight points of) the window."""
-    points, size = min(count, 8), len(white_input)
-    total = 0.0
-    for point in range(points):
-        at = now - (point * count) // points - delay
-        for j in range(root.shape[0]):
-            part = 0.0
-            for k in range(root.shape[1]):
-                part += root[j, k] * white_input[(at - k) % size]
-            total += part * part
-    return total / points
+def _power_score(mean_square, spread):  # type: ignore[no-untyped-def]
+    """Standard normal of a mean square χ²_ℓ/ℓ, by its cube root (Wilson and Hilferty); `spread` = 2/(9 ℓ)."""
+    return (mean_square ** (1.0 / 3.0) - 1.0 + spread) / np.sqrt(spread)
 
 
 @numba.njit(cache=True)
@@ -319,7 +273,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
             if z2 + start2 > largest:
                 if z2 + start2 > square:
                     enough = offset * offset / (square - start2) - length
-                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _STEP)
+                    error = model_error(past[0], past[1], now, length, delay, root, level, enough, STEP)
                     z2 = offset * offset / (length + error)
                 z2 += start2
                 if z2 > largest:
@@ -334,7 +288,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 z2 = matched * matched / energy
                 if z2 > square:
                     enough = matched * matched / square - energy
-                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _TEMPLATE)
+                    error = model_error(past[0], past[1], now, length, delay, root, level, enough, TEMPLATE)
                     z2 = matched * matched / (energy + error)
                 if z2 > largest:
                     largest = z2
@@ -347,16 +301,16 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 z2 = ramp * ramp / ramp_energy[i]
                 if z2 > square:
                     enough = ramp * ramp / square - ramp_energy[i]
-                    error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _RAMP)
+                    error = model_error(past[0], past[1], now, length, delay, root, level, enough, RAMP)
                     z2 = ramp * ramp / (ramp_energy[i] + error)
                 if z2 > largest:
                     largest = z2
                     if z2 > square:
                         kind[t], window[t] = 4, length
             power = sum_ss - sums[3, start]
-            if power > power_limit[i]:
-                power /= length * (1.0 + quantile * _mean_square(past[1], now, length, delay, root))
-                z = (power ** (1.0 / 3.0) - 1.0 + spread[i]) / np.sqrt(spread[i])
+            if power > power_limit[i] and _power_score(power / length, spread[i]) ** 2 > largest:
+                power /= length * (1.0 + quantile * mean_square(past[1], now, length, delay, root))
+                z = _power_score(power, spread[i])
                 if z > 0.0 and z * z > largest:
                     largest = z * z
                     if z > b:
@@ -376,7 +330,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                 offset = log_ratio + 0.5 * length
                 least = 0.5 * square - _HEAD_START + 0.5 * length
                 enough = length * (offset * offset / (least * least) - 1.0)
-                error = _model_error(past[0], past[1], now, length, delay, root, level, enough, _STEP)
+                error = model_error(past[0], past[1], now, length, delay, root, level, enough, STEP)
                 z2 = 2.0 * (offset * np.sqrt(length / (length + error)) - 0.5 * length + _HEAD_START)
             if z2 > largest:
                 largest = z2
