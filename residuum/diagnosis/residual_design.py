@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import signal, stats
 
-from residuum.diagnosis.approximate_fault_detection import FaultKind, PostFilter, approximate_fault_detection
+from residuum.diagnosis.approximate_fault_detection import FaultKind, PostFilter, approximate_fault_detection, noise_path
 from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.healthy_reference import block_peaks
 from residuum.diagnosis.innovation_size import with_unbiased_size
@@ -20,6 +21,7 @@ from residuum.diagnosis.residual_evaluation import EVALUATIONS, evaluate
 from residuum.diagnosis.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.state_space import FloatArray, StateSpace
 from residuum.diagnosis.stored import load_stored, save_stored
+from residuum.diagnosis.system_norms import peak_gain
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.identified_model import IdentifiedModel
@@ -76,6 +78,12 @@ class ResidualDesign:
     def generator(self) -> ResidualGenerator:
         """The filters that run on u and y."""
         return generator_of(self.model, self.post_filter.Q, self.noise, (self.input_mean, self.output_mean))
+
+    @cached_property
+    def peak_gains(self) -> FloatArray:
+        """Σ_k |impulse response| from each fictitious noise [u; e] of (4.5), or e alone, to the robust residual."""
+        factors = left_coprime(StateSpace.from_transfer_function(self.model.transfer_function()))
+        return np.asarray(peak_gain(self.post_filter.Q @ noise_path(factors, self.W_T))[0])
 
     def bank(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
         """A likelihood-ratio bank that knows how uncertain this model and its operating point are."""

@@ -8,6 +8,7 @@ from residuum.diagnosis.state_space import FloatArray, StateSpace
 from residuum.identification.errors import BadModel
 
 _LONGEST = 1 << 20
+_ROWS = 1024  # samples of an impulse response that are worked out at once
 
 
 def h_infinity_norm(system: StateSpace, tolerance: float = 1e-8) -> tuple[float, float]:
@@ -82,7 +83,7 @@ def peak_gain(system: StateSpace, tolerance: float = 1e-9) -> FloatArray:
     """ℓ₁ norm Σ_k |g_ij(k)| of each entry, shape (p, q): the largest peak of output i for |input j| ≤ 1.
 
     The impulse response is summed over N samples; as A^(jN) shrinks like ‖A^N‖^j, what follows is at most
-    Σ_{k<N} ‖C A^k‖ ‖B‖ ‖A^N‖/(1 − ‖A^N‖). N grows until that is below `tolerance` of the sum, and it is added, so the
+    Σ_{k<N} ‖C A^k‖ ‖B‖ ‖A^N‖/(1 − ‖A^N‖). N doubles until that is below `tolerance` of the sum, and it is added, so the
     value never lies below the norm.
 
     Raises
@@ -93,15 +94,22 @@ def peak_gain(system: StateSpace, tolerance: float = 1e-9) -> FloatArray:
     if not system.is_stable:
         raise BadModel("peak_gain: the system is not stable")
     total, left = np.abs(system.D), np.zeros(system.D.shape[0])
-    row, power = system.C, np.eye(system.order)
-    for k in range(_LONGEST):
-        total = total + np.abs(row @ system.B)
-        left = left + np.linalg.norm(row, axis=1)
-        row, power = row @ system.A, power @ system.A
-        if k % 16 == 15 or not system.order:
-            shrink = float(np.linalg.norm(power, 2)) if system.order else 0.0
+    if not system.order:
+        return np.asarray(total)
+    rows, step = system.C[None], system.A  # C A^k for k < L, and A^L
+    while len(rows) < _ROWS:
+        rows, step = np.concatenate([rows, rows @ step]), step @ step
+    N, power, next_check = 0, step, _ROWS
+    while N < _LONGEST:
+        total = total + np.abs(rows @ system.B).sum(axis=0)
+        left = left + np.linalg.norm(rows, axis=2).sum(axis=0)
+        N += _ROWS
+        if next_check == N:  # power = A^N
+            shrink = float(np.linalg.norm(power))
             if shrink < 1.0:
                 tail = np.outer(left, np.linalg.norm(system.B, axis=0)) * shrink / (1.0 - shrink)
                 if np.all(tail <= tolerance * np.maximum(total, np.finfo(float).tiny)):
                     return np.asarray(total + tail)
+            power, next_check = power @ power, 2 * next_check
+        rows = rows @ step
     raise BadModel("peak_gain: the impulse response does not decay within a million samples")

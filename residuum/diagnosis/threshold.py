@@ -8,14 +8,11 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from residuum.diagnosis.approximate_fault_detection import noise_path
-from residuum.diagnosis.coprime import left_coprime
 from residuum.diagnosis.false_alarm_rate import cusum_threshold, scan_threshold
 from residuum.diagnosis.healthy_reference import calibrated_threshold
 from residuum.diagnosis.residual_design import ResidualDesign
 from residuum.diagnosis.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
 from residuum.diagnosis.state_space import FloatArray, StateSpace
-from residuum.diagnosis.system_norms import peak_gain
 from residuum.identification.errors import BadInput
 
 ThresholdKind = Literal["posterior", "peak", "source", "calibrated"]
@@ -70,8 +67,7 @@ def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: floa
     e conspire: Δ may be nonlinear and time-varying with a peak-to-peak gain ≤ 1. (A linear Δ of which only ‖Δ‖_∞ ≤ 1 is
     known may have a larger peak gain.) The price is that only large faults exceed it.
     """
-    factors = left_coprime(StateSpace.from_transfer_function(design.model.transfer_function()))
-    gains = peak_gain(design.post_filter.Q @ noise_path(factors, design.W_T))[0]
+    gains = design.peak_gains
     level = float(gains[-1] * noise_bound + gains[:-1].sum() * input_bound)
     return Threshold(
         "peak", "point", level, design.model.output_unit, 0.0,
