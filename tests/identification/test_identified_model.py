@@ -148,3 +148,14 @@ def test_rounding_in_a_small_covariance_entry_is_not_taken_for_asymmetry(tmp_pat
     covariance[0, 1], covariance[1, 0] = 3e-17, 1e-17
     save_identified(fir_model(covariance=covariance), tmp_path / "m.json")
     assert load_identified(tmp_path / "m.json").covariance[0, 1] == 3e-17
+
+
+def test_simulation_std_is_the_quadratic_form_of_the_last_inputs():
+    model, rng = fir_model(), np.random.default_rng(4)
+    m = model.order
+    for n in (1, m - 1, 5 * m + 3):
+        u = 1e6 * rng.standard_normal(n)
+        padded = np.concatenate([np.zeros(m - 1 + model.delay), u])
+        phi = np.array([padded[t : t + m][::-1] for t in range(n)])
+        spread = np.sqrt(np.einsum("ti,ij,tj->t", phi, model.covariance, phi))
+        np.testing.assert_allclose(model.simulation_std(u), spread, rtol=1e-6)
