@@ -396,16 +396,23 @@ def _found(diagnoser: RobustResidual, record: Record, size: float) -> bool:
 
 
 def speed() -> None:
-    plant, rng = process(), np.random.default_rng(8)
-    diagnoser = RobustResidual()._use(trained(plant, 1))
+    print("\n### Speed, processor seconds of one core\n\n| plant, lags | job | µs a sample | total |\n|---|---|---|---|")
+    for plant, seed in ((process(), 1), (two_resonances(), 2)):
+        _speed_of(plant, trained(plant, seed))
+
+
+def _speed_of(plant: Plant, design: ResidualDesign) -> None:
+    diagnoser, rng = RobustResidual()._use(design), np.random.default_rng(8)
+    name = f"{plant.name}, {design.model.order}"
     u = rng.standard_normal(1_000_000)
     y = plant.run(u, rng)
-    diagnoser.stream().process(u[:2000], y[:2000])
-    print("\n### Speed, processor seconds of one core\n\n| job | µs a sample | total |\n|---|---|---|")
-    started = time.process_time()
-    diagnoser.stream().process(u, y)
-    spent = time.process_time() - started
-    print(f"| batch of 10⁶ samples, residual and all scans | {spent:.2f} | {spent:.2f} s |")
+    loud = plant.run(u, rng, lambda rng, n: 3.0 * rng.standard_normal(n))
+    diagnoser.stream().process(u[:2000], loud[:2000])
+    for job, output in (("residual and all scans", y), ("the same, noise three times as large", loud)):
+        started = time.process_time()
+        diagnoser.stream().process(u, output)
+        spent = time.process_time() - started
+        print(f"| {name} | batch of 10⁶ samples, {job} | {spent:.2f} | {spent:.2f} s |", flush=True)
     for block, rounds in ((100, 1000), (10, 1000), (1, 5000)):
         stream = diagnoser.stream()
         started = time.process_time()
@@ -413,7 +420,7 @@ def speed() -> None:
             stream.process(u[k * block : (k + 1) * block], y[k * block : (k + 1) * block])
         spent = (time.process_time() - started) / (rounds * block)
         extra = f"1000 detectors at 10 Hz: {spent * 1e4:.0%} of a core" if block == 1 else ""
-        print(f"| stream in blocks of {block} | {spent * 1e6:.1f} | {extra} |")
+        print(f"| {name} | stream in blocks of {block} | {spent * 1e6:.1f} | {extra} |", flush=True)
 
 
 def main() -> None:
