@@ -253,7 +253,7 @@ class Screen:
             simulator = Simulator(model)
         except (BadInput, NotImplementedError):  # this combination of effects has no explicit equations
             return None
-        states = [f"initial:{name}" for name in model.states if name not in model.initial]
+        states = [f"initial:{name}" for name in simulator.free_states]
         residuals, by_parameters, by_states = [], [], []
         for e, x, s, X in zip(self.experiments, self.base.initial, self.base.substeps, self.X, strict=True):
             x0 = np.concatenate([x, np.zeros(len(simulator.states) - len(x))])

@@ -89,8 +89,15 @@ class Structure:
         return next(use.label for use in self.model.effects if (use.id, use.target) == key)
 
     def penalty(self, base: Structure) -> float:
-        """½ log n for every free parameter more than the base has (Schwarz)."""
-        return 0.5 * (len(self.parameters) - len(base.parameters)) * float(np.log(self.samples))
+        """½ log n for every free parameter more than the base has (Schwarz), 1 for every free first state (Akaike: few samples
+        know of it).
+        """
+        states = self._first_states() - base._first_states()
+        return 0.5 * (len(self.parameters) - len(base.parameters)) * float(np.log(self.samples)) + states
+
+    def _first_states(self) -> int:
+        """How many first states were estimated, in all experiments."""
+        return sum(slopes.shape[2] for slopes in self.by_states)
 
 
 def bounded(values: FloatArray) -> bool:
@@ -130,7 +137,7 @@ class _Ascent:
         self.lower = np.array([known[name].lower for name in names])
         self.upper = np.array([known[name].upper for name in names])
         self.index = self.simulator.columns(names)
-        states = [name for name in model.states if name not in model.initial]
+        states = self.simulator.free_states
         self.states = [self.simulator.states.index(name) for name in states]
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
         self.colour, self.drifting = colour, drifting
@@ -224,7 +231,7 @@ def fit_structure(
     """
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
-    start = _states(initial, len(ascent.simulator.states))
+    start = _states(initial, ascent.simulator)
     ascent.substeps = ascent.steps_from(ascent.simulator.p(), start)
     if max(ascent.substeps) > most_substeps:
         return None
@@ -308,16 +315,22 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     trajectory that the base model gets wrong.
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
-    start = _states(before.initial, len(ascent.simulator.states))
+    start = _states(before.initial, ascent.simulator)
     if max(ascent.steps_from(ascent.simulator.p(), start)) > _visible(before):
         return -np.inf
     point = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
     return -np.inf if point is None else point.log_likelihood
 
 
-def _states(initial: Sequence[FloatArray], count: int) -> list[FloatArray]:
-    """Initial states for `count` states: an effect's own begin at zero (its kernel sets them)."""
-    return [np.concatenate([x, np.zeros(max(0, count - len(x)))])[:count] for x in initial]
+def _states(initial: Sequence[FloatArray], simulator: Simulator) -> list[FloatArray]:
+    """Initial states in the simulator's order, from those of a model with an effect more or less.
+
+    A new effect's own begin without deviation from what its kernel sets, and all effects' own where one was taken out.
+    """
+    states, model = simulator.states, len(simulator.model.states)
+    kept = np.array([k < model or name in simulator.kernel.deviating for k, name in enumerate(states)])
+    long = [x if len(x) <= len(states) else x[:model] for x in initial]
+    return [np.where(kept, np.concatenate([x, np.zeros(len(states) - len(x))]), 0.0) for x in long]
 
 
 def _weights(residuals: Sequence[FloatArray]) -> FloatArray:

@@ -47,6 +47,7 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
         "parameters": list(eq.p),
         "outputs": list(eq.outputs),
         "signals": list(eq.signals),
+        "deviating": list(eq.deviating),
         "sizes": list(map(len, (eq.x, eq.u, eq.p, eq.outputs, eq.signals))),
         "surfaces": list(eq.surfaces),
         "delays": [-1 if name not in eq.delays else _index(eq.p.values(), eq.delays[name]) for name in eq.u],

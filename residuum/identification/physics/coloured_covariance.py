@@ -50,8 +50,8 @@ def with_coloured_noise(result: Estimate, experiments: Sequence[Experiment]) -> 
 
 def _reduced_slopes(result: Estimate, number: int, experiment: Experiment) -> Array:
     """Weighted derivatives of the outputs by the parameters, less what the initial states take up; zero where missing."""
-    model, simulator = result.model, Simulator(result.model)
-    states = [f"initial:{name}" for name in model.states if name not in model.initial]
+    simulator = Simulator(result.model)
+    states = [f"initial:{name}" for name in simulator.free_states]
     names = [*result.parameters, *states]
     x0, steps = result.initial[number], result.substeps[number]
     run = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=steps)

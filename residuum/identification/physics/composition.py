@@ -50,6 +50,8 @@ class Equations:
         `drive:balance` (the sum of its terms that contain an input or a current).
     initial : mapping of state to expression
         Initial values of the effects' own states.
+    deviating : tuple of str
+        Those of them that may begin away from it; a first value is then the deviation.
     surfaces : mapping of state index to direction symbol
         Velocities (or currents) that can stand still.
     delays : mapping of input to symbol
@@ -63,6 +65,7 @@ class Equations:
     outputs: Mapping[str, sp.Expr]
     signals: Mapping[str, sp.Expr]
     initial: Mapping[str, sp.Expr]
+    deviating: tuple[str, ...]
     surfaces: Mapping[int, sp.Symbol]
     delays: Mapping[str, sp.Symbol]
 
@@ -116,6 +119,7 @@ class _Composer:
         self.paths: dict[str, sp.Expr] = {name: self._recorded_or_default(name) for name in model.inputs}
         self.rates: dict[str, sp.Expr] = {s.name: self.x[s.rate] for s in model.states.values() if s.rate}
         self.initial: dict[str, sp.Expr] = {}
+        self.deviating: list[str] = []
         self.delays: dict[str, sp.Symbol] = {}
         self.directions: dict[str, sp.Symbol] = {}
         self.became_state: dict[sp.Symbol, sp.Expr] = {}
@@ -153,7 +157,8 @@ class _Composer:
         surfaces = {order.index(name): s for name, s in self.directions.items() if any(r.has(s) for r in rates)}
         initial = {name: put(e) for name, e in self.initial.items()}
         y = {name: put(e) for name, e in outputs.items()}
-        return Equations(self.x, self.u, self.p, rates, y, variables | terms, initial, surfaces, self.delays)
+        deviating = tuple(self.deviating)
+        return Equations(self.x, self.u, self.p, rates, y, variables | terms, initial, deviating, surfaces, self.delays)
 
     def _recorded_or_default(self, name: str) -> sp.Expr:
         signal = self.model.inputs[name]
@@ -211,6 +216,7 @@ class _Composer:
         resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
         direction = self.directions.setdefault(name, sp.Symbol(f"s_{len(self.directions)}", real=True))
         self.initial[name] = resting
+        self.deviating.append(name)
         self.x[name] = state
         swap = {sp.sign(side.defines): direction, side.defines: state}
         side.terms = {term: e.subs(swap) for term, e in side.terms.items()}
@@ -234,6 +240,7 @@ class _Composer:
         added = use.effect.contribution(Scene(site, p, own, roles, direction, signal, TIME))
         self.rates.update({f"{use.label}.{name}": rate for name, rate in added.rates.items()})
         self.initial.update({f"{use.label}.{name}": sp.sympify(value) for name, value in added.initial.items()})
+        self.deviating += [f"{use.label}.{name}" for name in added.deviating]
         return added
 
     def _solve_defined(self, sides: Mapping[str, _Sides]) -> dict[sp.Symbol, sp.Expr]:

@@ -173,8 +173,7 @@ class _Problem:
         self.upper = np.array([parameters[name].upper for name in names])
         self.theta0 = np.array([parameters[name].value for name in names])
         self.index = simulator.columns(names)
-        model = simulator.model
-        self.states = [name for name in model.states if name not in model.initial]
+        self.states = simulator.free_states
         self.state_index = [simulator.states.index(name) for name in self.states]
         self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
         self.measured = np.any([e.measured for e in experiments], axis=0)

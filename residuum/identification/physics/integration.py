@@ -298,24 +298,26 @@ def keep(x, row):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def start(q, w, U, sample_time, hold, p, x0):
-    """w.x = x0 with the effects' own states set from it; w.A and w.B then hold their derivatives."""
+    """w.x = x0 with the effects' own states set from it, x0 being their deviation; w.A and w.B then hold their derivatives."""
     w.x[:] = x0
     w.A[:] = 0.0
     w.B[:] = 0.0
     set_inputs(q.delays, w.u, w.ur, U, 0, 0.0, sample_time, hold, p)
     q.initial(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.x.ctypes, w.A.ctypes, w.B.ctypes)
+    for i in q.own:
+        w.x[i] += x0[i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def start_slopes(q, w, columns):
-    """Sensitivities of the initial states: identity for the model's states, chain rule for the effects' own."""
+    """Sensitivities of the initial states: identity, and for the effects' own the chain rule besides."""
     parameters = w.B.shape[1] - w.x.shape[0]
     for c in range(columns.shape[0]):
         for i in range(w.x.shape[0]):
             w.S[i, c] = 1.0 if columns[c] == parameters + i else 0.0
     for i in q.own:
         for c in range(columns.shape[0]):
-            w.S[i, c] = w.B[i, columns[c]]
+            w.S[i, c] += w.B[i, columns[c]]
             for j in range(w.x.shape[0]):
                 w.S[i, c] += w.A[i, j] * w.S[j, c]
     w.A[:] = 0.0

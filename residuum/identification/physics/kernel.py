@@ -38,6 +38,7 @@ class Kernel:
     parameters: tuple[str, ...]
     outputs: tuple[str, ...]
     signals: tuple[str, ...]
+    deviating: tuple[str, ...]
     system: System
 
 
@@ -84,7 +85,7 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     told = json.loads(header)
     functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
     numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in ("sizes", "surfaces", "delays", "own")}
-    names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals")}
+    names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
     return Kernel(**names, system=System(**functions, **numbers))
 
 

@@ -82,6 +82,11 @@ class Simulator:
         return self.kernel.states
 
     @property
+    def free_states(self) -> tuple[str, ...]:
+        """States whose first value is estimated: the model's that it does not fix, and the deviations of effects' own."""
+        return (*(name for name in self.model.states if name not in self.model.initial), *self.kernel.deviating)
+
+    @property
     def signals(self) -> tuple[str, ...]:
         """Names of what `look` returns: variables that balances define, and `balance.term`."""
         return self.kernel.signals

@@ -87,6 +87,22 @@ def test_sensitivities_are_the_derivatives_of_the_outputs(effect, example):
         assert np.quantile(error, 0.95) <= 1e-3 * scale, (name, np.quantile(error, 0.95), scale)
 
 
+@pytest.mark.parametrize(("effect", "example"), CASES)
+def test_an_own_state_may_begin_away_from_where_it_settles(effect, example):
+    """A first value of an effect's own state is how far it is off; slopes by it are the derivatives of the outputs."""
+    model, experiment, target, conditions = placed(effect, example)
+    simulator = Simulator(model.with_effect(effect.id, target, effect.starts(conditions)[0]))
+    steps = simulator.substeps(experiment, simulator.x0(), simulator.p())
+    for state in simulator.kernel.deviating:
+        k, column = simulator.states.index(state), [f"initial:{state}"]
+        settled = simulator.run(experiment, slopes=column, substeps=steps)
+        off = 1e-4 * max(abs(settled.X[0, k]), 1.0)
+        begun, before = (simulator.run(experiment, {state: s}, substeps=steps) for s in (off, -off))
+        assert begun.X[0, k] == pytest.approx(settled.X[0, k] + off)
+        slopes = (begun.Y - before.Y) / (2 * off)
+        np.testing.assert_allclose(settled.dY[:, :, 0], slopes, atol=1e-3 * np.max(np.abs(slopes)))
+
+
 def test_an_elasticity_has_first_values_where_nothing_rings():
     """A record of a machine at standstill leaves no error whose resonance could be read off."""
     still = Conditions(sample_time=0.01, duration=4.0, magnitude=1.0, missing=np.zeros(400))

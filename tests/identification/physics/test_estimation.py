@@ -204,3 +204,16 @@ def test_bands_hold_the_truth_where_the_noise_is_coloured():
 def test_curvature_that_overflows_says_nothing_of_any_parameter():
     covariance, flat = covariance_of(np.array([[1e300, 1e308], [1e308, np.inf]]), 1.0, ("a", "b"), np.ones(2))
     assert np.all(np.isinf(np.diag(covariance))) and flat == ()
+
+
+def test_a_drive_switched_on_with_its_record_begins_without_current():
+    """Settled, its current would begin at u/R; the winding's inductance would be sought in an error that is not there."""
+    truth = load_model("gate-drive").with_effect("inductance", "winding", {"L": 8e-3})
+    u, rng = np.repeat([20.0, -12.0, 20.0, 5.0], 100), np.random.default_rng(3)
+    e = Experiment(u[:, None], np.full((u.size, 2), np.nan), np.zeros(1), 1e-3)
+    Y = Simulator(truth).run(e, {"i": -20.0 / truth.values["R"]}).Y
+    assert Y[0] == pytest.approx([0.0, 0.0])
+    e = Experiment(e.U, Y + rng.normal(size=Y.shape) * [0.3, 0.05], e.hold, e.sample_time)
+    found = estimate(truth.with_values({"inductance@winding.L": 3e-3, "R": 0.7}), [e])
+    assert abs(found.model.values["inductance@winding.L"] - 8e-3) < 4 * found.std[found.parameters.index("inductance@winding.L")]
+    np.testing.assert_allclose(found.rmse, [0.3, 0.05], rtol=0.1)

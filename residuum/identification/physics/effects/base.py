@@ -93,7 +93,9 @@ class Contribution:
     term : expression
         Added to the balance's sum of terms.
     rates, initial : mapping of own state to expression
-        Time derivative and initial value of the effect's own states (the initial value is not estimated).
+        Time derivative and initial value of the effect's own states.
+    deviating : tuple of own state
+        Those that may begin away from their initial value (a sensor that has not settled); by how much is estimated.
     storage_factor : expression
         Multiplies the balance's storage.
     inductance : expression
@@ -107,6 +109,7 @@ class Contribution:
     term: sp.Expr = sp.S.Zero
     rates: Mapping[str, sp.Expr] = field(default_factory=dict)
     initial: Mapping[str, sp.Expr] = field(default_factory=dict)
+    deviating: tuple[str, ...] = ()
     storage_factor: sp.Expr = sp.S.One
     inductance: sp.Expr | None = None
     signal: sp.Expr | None = None

@@ -17,7 +17,7 @@ class Inductance(Effect):
     """A voltage balance without storage receives L·di/dt: the current becomes a state with time constant L/R.
 
     `L` [balance unit · s / current unit] > 0. A time constant far below the sample time cannot be seen; near it, it resembles an
-    input delay.
+    input delay. The current begins where it would settle, or where the record says: a machine may be switched on with it.
     """
 
     id = "inductance"

@@ -7,7 +7,7 @@ from residuum.identification.physics.effects.example_models import axis_example,
 
 
 class OutputLag(Effect):
-    """First-order lag: τ·y_f' = y − y_f, begun at y.
+    """First-order lag: τ·y_f' = y − y_f, begun at y or where the record says.
 
     `tau` [s] > 0.
     """
@@ -26,7 +26,7 @@ class OutputLag(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         y, lagged = scene.signal, scene.x["y_f"]
-        return Contribution(signal=lagged, rates={"y_f": (y - lagged) / scene.p["tau"]}, initial={"y_f": y})
+        return Contribution(signal=lagged, rates={"y_f": (y - lagged) / scene.p["tau"]}, initial={"y_f": y}, deviating=("y_f",))
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]

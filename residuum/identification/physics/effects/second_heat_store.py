@@ -21,7 +21,7 @@ from residuum.identification.physics.effects.example_models import oven_example
 class SecondHeatStore(Effect):
     """C_2·T_2' = G·(T − T_2) and −G·(T − T_2) in the balance.
 
-    `C_2` [balance unit · s / K] > 0, `G` [balance unit / K] ≥ 0. T_2 begins at T.
+    `C_2` [balance unit · s / K] > 0, `G` [balance unit / K] ≥ 0. T_2 begins at T, or where the record says.
     """
 
     id = "second-heat-store"
@@ -42,7 +42,9 @@ class SecondHeatStore(Effect):
 
     def contribution(self, scene: Scene) -> Contribution:
         flow = scene.p["G"] * (scene["temperature"] - scene.x["T_2"])
-        return Contribution(term=-flow, rates={"T_2": flow / scene.p["C_2"]}, initial={"T_2": scene["temperature"]})
+        return Contribution(
+            term=-flow, rates={"T_2": flow / scene.p["C_2"]}, initial={"T_2": scene["temperature"]}, deviating=("T_2",)
+        )
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         found = []
