@@ -42,8 +42,8 @@ RISE, WORTH_A_LOOK = 1.005, 1.02
 """Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
 FALL, SLOW = 0.99, 10.0
 """Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
-WHITE = 1.1
-"""Times its innovations up to which an error is white, and two effects that leave no more need no second search."""
+NEARLY_ALL = 0.1
+"""Share of the way to white noise, in logarithms of the error, up to which two effects may leave it and need no second search."""
 ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins the structure: odds of 20 to 1."""
 PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
@@ -201,8 +201,9 @@ def _forward(base: Structure, task: _Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
-    white = len(found.accepted) == 2 and _times_its_innovations(found.best) < WHITE
-    if len(found.accepted) != 1 and not white and not found.refuted and _times_its_innovations(found.base) > SLOW:
+    far, left = _times_its_innovations(found.base), _times_its_innovations(found.best)
+    done = len(found.accepted) == 2 and np.log(left) < NEARLY_ALL * np.log(far)
+    if len(found.accepted) != 1 and not done and not found.refuted and far > SLOW:
         other = _from_the_runner_up(found, first, task)
         if other is not None and _does_more(other, found):
             return other
