@@ -148,7 +148,7 @@ async def _watch_shelved(store: DiskStore) -> None:
     while True:
         await asyncio.sleep(_TICK)
         with suppress(StorageUnavailable):
-            await asyncio.to_thread(store.check)
+            await asyncio.to_thread(store.unshelve_expired)
 
 
 async def _retain(store: DiskStore, settings: Settings) -> None:

@@ -358,4 +358,7 @@ class Store(Protocol):
         """The file of one version (default: the newest)."""
 
     def check(self) -> None:
-        """Raise StorageUnavailable when the store cannot be written to."""
+        """Raise StorageUnavailable when a small window could not be stored now."""
+
+    def unshelve_expired(self) -> None:
+        """Put alarms back whose shelving has run out."""

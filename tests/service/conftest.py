@@ -156,6 +156,54 @@ def start_mosquitto(tmp_path):
         yield start
 
 
+@pytest.fixture(scope="module")
+def make_disk(tmp_path_factory):
+    """Makes file systems of their own, of so many bytes; gives the folder, and `remount(folder, how)` to change them."""
+    made = []
+
+    def remount(folder, how):
+        subprocess.run(["mount", "-o", f"remount,{how}", folder], check=True)
+
+    def make(size):
+        folder = tmp_path_factory.mktemp("disk")
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder]
+        if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+            not_here("RIGHT TO MOUNT A FILE SYSTEM", "a disk that is full or read-only")
+        made.append(folder)
+        return folder, remount
+
+    yield make
+    for folder in made:
+        subprocess.run(["umount", "--lazy", folder], check=True)
+
+
+@pytest.fixture
+def make_failing_disk(tmp_path):
+    """Makes an ext4 file system of its own; gives its folder, `fail()`, after which it is read-only, and `repair()`."""
+    image, folder = tmp_path / "disk.image", tmp_path / "failing"
+    mount = ["mount", "-o", "loop,errors=remount-ro", image, folder]
+
+    def make():
+        folder.mkdir()
+        with image.open("wb") as file:
+            file.truncate(24 * 2**20)
+        mkfs = find_program("mkfs.ext4")
+        steps = [[mkfs or "false", "-q", image], mount]
+        if any(subprocess.run(step, capture_output=True, check=False).returncode for step in steps):
+            not_here("RIGHT TO MOUNT A FILE SYSTEM", "a disk that fails")
+        return folder, fail, repair
+
+    def fail():
+        subprocess.run(["mount", "-o", "remount,abort", folder], check=True, capture_output=True)
+
+    def repair():
+        subprocess.run(["umount", folder], check=True)
+        subprocess.run(mount, check=True)
+
+    yield make
+    subprocess.run(["umount", "--lazy", folder], capture_output=True, check=False)
+
+
 class RunningService:
     """The service in a thread; `stop` and `start` again keep the port and the data."""
 
@@ -191,8 +239,8 @@ class RunningService:
 def run_service(tmp_path_factory):
     with contextlib.ExitStack() as stack:
 
-        def run(make_pipeline=Pipeline, **settings):
-            service = RunningService(tmp_path_factory.mktemp("service"), make_pipeline, **settings)
+        def run(make_pipeline=Pipeline, data=None, **settings):
+            service = RunningService(data or tmp_path_factory.mktemp("service"), make_pipeline, **settings)
             stack.callback(service.stop)
             return service
 

@@ -49,6 +49,11 @@ def append(
     connection.execute(update(audit_head).values(entries=number, digest=digest))
 
 
+def touch(connection: Connection) -> None:
+    """Write the head as it is: whether the database can be written shows only when something is."""
+    connection.execute(update(audit_head).values(entries=audit_head.c.entries))
+
+
 def verify(connection: Connection) -> AuditHead:
     """The head of a trail that is whole; BrokenAudit where it is not."""
     number, digest = 0, _BEGIN

@@ -10,6 +10,7 @@ import time
 import uuid
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from residuum.service.store import StorageUnavailable
 MAGIC = b"RESIDUUM-BLOCK-1\n"
 _ALIGNMENT = 64
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_PROBE = 64 * 1024
 
 
 class BrokenBlock(Exception):
@@ -64,8 +66,8 @@ class Blocks:
                 os.fsync(file.fileno())
             sync_folder(folder)
         except OSError as error:
-            (self.folder / day / name).unlink(missing_ok=True)
-            raise StorageUnavailable(f"signal block: {error.strerror}", full=error.errno in _FULL) from error
+            self.discard(f"{day}/{name}")
+            raise _unavailable(error) from error
         return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))
 
     def read(self, path: str, channels: Sequence[str] | None = None) -> Record:
@@ -95,6 +97,23 @@ class Blocks:
         """Remove a block that no row points to."""
         (self.folder / path).unlink(missing_ok=True)
 
+    def discard(self, path: str) -> None:
+        """Remove a block that will get no row; one that cannot be removed now (a read-only disk) is left to a sweep."""
+        with suppress(OSError):
+            self.remove(path)
+
+    def probe(self) -> None:
+        """Raise StorageUnavailable when there is no room for a small block, or none can be written."""
+        file = self.folder / f"{uuid.uuid4().hex}.probe"
+        try:
+            with open(file, "xb", buffering=0) as opened:
+                _write_all(opened.fileno(), [bytes(_PROBE)])
+        except OSError as error:
+            raise _unavailable(error) from error
+        finally:
+            with suppress(OSError):
+                file.unlink()
+
     def paths(self, settled: float = 0.0) -> list[str]:
         """All blocks there are that were written at least `settled` seconds ago."""
         latest = time.time() - settled
@@ -106,6 +125,10 @@ class Blocks:
             folder.mkdir(exist_ok=True)
             sync_folder(self.folder)
         return folder
+
+
+def _unavailable(error: OSError) -> StorageUnavailable:
+    return StorageUnavailable(f"signal block: {error.strerror}", full=error.errno in _FULL)
 
 
 def _written(file: Path) -> float:

@@ -91,7 +91,13 @@ class DiskStore:
         self._database.close()
 
     def check(self) -> None:
-        """Raise StorageUnavailable when the store cannot be written to."""
+        """Raise StorageUnavailable when a small window could not be stored now: a block and a row are written."""
+        self._blocks.probe()
+        with self._database.write() as connection:
+            audit.touch(connection)
+
+    def unshelve_expired(self) -> None:
+        """Put alarms back whose shelving has run out."""
         with self._database.write() as connection:
             expired = alarms.unshelve_expired(connection, _now())
         for alarm in expired:
@@ -112,13 +118,13 @@ class DiskStore:
         try:
             return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
         except IntegrityError:  # another request with the same key was faster
-            self._blocks.remove(block.path)
+            self._blocks.discard(block.path)
             known = None if idempotency_key is None else self.window_with_key(asset, idempotency_key, digest)
             if known is None:
                 raise
             return known
         except BaseException:
-            self._blocks.remove(block.path)
+            self._blocks.discard(block.path)
             raise
 
     def _add_rows(
@@ -272,7 +278,7 @@ class DiskStore:
             with self._database.write() as connection:
                 return records.add(connection, name, record, block, now)
         except BaseException:
-            self._blocks.remove(block.path)
+            self._blocks.discard(block.path)
             raise
 
     def records(self, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:

@@ -193,13 +193,13 @@ def test_a_shelved_alarm_comes_back_by_itself(store):
     store.add_window("a", window(), finding("faulty"))
     (alarm,) = store.alarms().items
     store.operate_alarm(alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) + timedelta(hours=1))
-    store.check()
+    store.unshelve_expired()
     assert store.alarm(alarm.id).state is AlarmState.SHELVED
     store.operate_alarm(alarm.id, AlarmEvent.UNSHELVE)
     assert store.alarm(alarm.id).state is AlarmState.UNACKNOWLEDGED
     store.operate_alarm(alarm.id, AlarmEvent.SHELVE, "eva", None, datetime.now(UTC) - timedelta(seconds=1))
     store.add_window("a", window(), finding("healthy"))
-    store.check()
+    store.unshelve_expired()
     assert store.alarm(alarm.id).state is AlarmState.NORMAL
 
 
