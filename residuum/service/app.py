@@ -108,6 +108,7 @@ async def _running(
         notifications.tell(kind, payload)
 
     store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, settings.alarm_rule)
+    await asyncio.to_thread(notifications.start, store.outbox)
     executor = WorkerPool(settings.workers)
     jobs = Jobs(events.publish)
     pipeline = make_pipeline(settings, store, events, executor)

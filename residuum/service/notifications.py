@@ -1,8 +1,9 @@
-"""Notifications: what the store announces, told to webhooks and an MQTT broker; nobody waits for them.
+"""Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits for them.
 
-Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and `…/finding`). Each receiver has a
-queue of its own; one that is away is tried again with growing pauses, and what finds no room in its queue is dropped and
-counted. The queues are in memory: what they hold at a crash is not told; the alarm list and the audit trail have it.
+Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and `…/finding`). A receiver that is
+away is tried again with growing pauses. Changes of alarms come from the store's outbox, in their order and at least once, also
+after a crash, and also those of other processes on the same database. Findings wait in memory: what finds no room is dropped and
+counted, and a crash forgets them; the store has them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import importlib
 import queue
 import threading
 import urllib.request
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
@@ -22,10 +24,14 @@ import structlog
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.settings import BrokerAddress, Settings, broker_address
+from residuum.service.storage.outbox import Outbox
+from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
 
 _MOST_WAITING = 1000
+_LOOK = 1.0
+"""Seconds between looks for alarms that other processes on the same database changed."""
 _PATIENCE = 5.0
 """Seconds for a receiver's answer."""
 _REFUSED = range(400, 500)
@@ -35,82 +41,119 @@ Send = Callable[[str, Mapping[str, Any]], None]
 
 
 class Receiver:
-    """One receiver with its queue and thread.
+    """One receiver with its thread.
 
     Parameters
     ----------
     name : str
         For the log; without passwords.
-    kinds : sequence of str
-        What it is told.
+    address : str
+        The whole address, by which the outbox knows it.
     send : callable
+    findings : bool
+        Whether it is told findings, too.
     """
 
-    def __init__(self, name: str, kinds: Sequence[str], send: Send) -> None:
-        self.name, self.kinds = name, kinds
+    def __init__(self, name: str, address: str, send: Send, *, findings: bool) -> None:
+        self.name = name
         self.sent = self.dropped = 0
-        self._send = send
-        self._waiting: queue.Queue[tuple[str, Mapping[str, Any]]] = queue.Queue(_MOST_WAITING)
+        self._address, self._send, self._findings = address, send, findings
+        self._waiting: queue.Queue[Mapping[str, Any] | None] = queue.Queue(_MOST_WAITING)
         self._stopped = threading.Event()
+        self._backoff = Backoff(first=0.2, longest=30.0)
         self._thread = threading.Thread(target=self._deliver_all, name=f"notify {name}", daemon=True)
+
+    def start(self, outbox: Outbox) -> None:
+        """Begin to tell what waits in the outbox."""
+        self._outbox, self._id = outbox, outbox.register(self._address)
         self._thread.start()
 
     def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Queue it; dropped and counted when there is no room."""
-        try:
-            self._waiting.put_nowait((kind, payload))
-        except queue.Full:
-            self.dropped += 1
+        """Queue a finding, dropped and counted when there is no room; for an alarm, look into the outbox at once."""
+        if kind == "alarm" and self._waiting.empty():
+            with suppress(queue.Full):
+                self._waiting.put_nowait(None)
+        elif kind == "finding" and self._findings:
+            try:
+                self._waiting.put_nowait(payload)
+            except queue.Full:
+                self.dropped += 1
 
     def stop(self) -> None:
-        """End; what still waits is not told."""
+        """End; alarms that still wait are told by whoever opens the store next."""
         self._stopped.set()
-        self._thread.join(_PATIENCE)
+        with suppress(queue.Full):  # else it does not wait for anything
+            self._waiting.put_nowait(None)
+        if self._thread.ident is not None:
+            self._thread.join(_PATIENCE)
 
     def _deliver_all(self) -> None:
-        backoff = Backoff(first=0.2, longest=30.0)
         while not self._stopped.is_set():
             try:
-                kind, payload = self._waiting.get(timeout=0.2)
-            except queue.Empty:
-                continue
-            while not self._stopped.is_set():
-                try:
-                    self._send(kind, payload)
-                except HTTPError as error:
-                    if error.code in _REFUSED:  # it will not like it better the next time
-                        self.dropped += 1
-                        log.warning("a receiver refused a notification", receiver=self.name, status=error.code)
-                        break
-                    self._stopped.wait(backoff.next())
-                except OSError as error:
-                    log.warning("a receiver does not answer", receiver=self.name, reason=str(error))
-                    self._stopped.wait(backoff.next())
-                else:
-                    self.sent += 1
-                    backoff.reset()
-                    break
+                self._tell_of_alarms()
+            except Exception as error:  # the store may come back
+                log.error("alarms that wait to be told not read", receiver=self.name, reason=str(error))
+                self._stopped.wait(self._backoff.next())
+            with suppress(queue.Empty):
+                payload = self._waiting.get(timeout=_LOOK)
+                while payload is not None and not self._stopped.is_set() and not self._attempt("finding", payload):
+                    """Again, after a pause."""
+
+    def _tell_of_alarms(self) -> None:
+        while not self._stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
+            if self._attempt("alarm", notice.alarm):
+                self.dropped += notice.passed_over
+                self._outbox.told(self._id, notice)
+
+    def _attempt(self, kind: str, payload: Mapping[str, Any]) -> bool:
+        """Whether the receiver has it, or refused it for good; a pause after an attempt that failed."""
+        try:
+            self._send(kind, payload)
+        except HTTPError as error:
+            if error.code in _REFUSED:  # it will not like it better the next time
+                self.dropped += 1
+                log.warning("a receiver refused a notification", receiver=self.name, status=error.code)
+                return True
+            self._stopped.wait(self._backoff.next())
+        except OSError as error:
+            log.warning("a receiver does not answer", receiver=self.name, reason=str(error))
+            self._stopped.wait(self._backoff.next())
+        else:
+            self.sent += 1
+            self._backoff.reset()
+            return True
+        return False
 
 
 class Notifications:
     """All receivers of the settings."""
 
     def __init__(self, settings: Settings) -> None:
-        self.receivers = [Receiver(_without_secrets(str(url)), ("alarm",), _webhook(str(url))) for url in settings.webhooks]
+        urls = map(str, settings.webhooks)
+        self.receivers = [Receiver(_without_secrets(url), url, _webhook(url), findings=False) for url in urls]
         if settings.mqtt:
             address = broker_address(settings.mqtt)
-            self.receivers.append(Receiver(f"mqtt://{address.host}:{address.port}", ("alarm", "finding"), Broker(address)))
+            name = f"mqtt://{address.host}:{address.port}"
+            self.receivers.append(Receiver(name, settings.mqtt, Broker(address), findings=True))
+
+    def start(self, outbox: Outbox) -> None:
+        """Begin to tell; nothing is told before."""
+        self._outbox = outbox
+        for receiver in self.receivers:
+            receiver.start(outbox)
 
     def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Tell all who want to know this kind."""
+        """A finding to be told, or an alarm that now waits in the outbox."""
         for receiver in self.receivers:
-            if kind in receiver.kinds:
-                receiver.tell(kind, payload)
+            receiver.tell(kind, payload)
 
     def stop(self) -> None:
         """End all receivers."""
         for receiver in self.receivers:
             receiver.stop()
+        if self.receivers:
+            with suppress(StorageUnavailable):
+                self._outbox.release()
 
 
 def _webhook(url: str) -> Send:

@@ -1,20 +1,39 @@
 """Alarms reach webhooks and an MQTT broker, also after either was away; nobody waits for them."""
 
+import io
 import json
+import os
 import queue
+import subprocess
+import sys
 import threading
+from datetime import timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
+import httpx
+import numpy as np
 import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.settings import BadSettings, load_settings
+from residuum.service.storage import DiskStore
+
+OCTETS = {"Content-Type": "application/octet-stream"}
 
 
 def see(service, verdict):
+    return see_in(service.services.store, "press", verdict)
+
+
+def see_in(store, asset, verdict):
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
-    return service.services.store.add_window("press", record, Finding("bearing", verdict, reason="-"))
+    return store.add_window(asset, record, Finding("bearing", verdict, reason="-"))
+
+
+@pytest.fixture
+def store_urls(tmp_path, new_postgresql_database):
+    return f"sqlite:///{tmp_path / 'residuum.db'}", new_postgresql_database()
 
 
 class Hook:
@@ -53,6 +72,89 @@ def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run
     states = [hook.told.get(timeout=60)["state"] for _ in range(2)]
     hook.stop()
     assert states == ["unacknowledged", "returned-unacknowledged"]
+
+
+def test_an_alarm_of_a_service_that_was_killed_is_told_by_the_next_one(free_port, tmp_path):
+    hook_port, port = free_port(), free_port()
+    environment = {**os.environ, "RESIDUUM_WEBHOOKS": f'["http://127.0.0.1:{hook_port}/"]', "RESIDUUM_LOG_LEVEL": "error"}
+    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--port", str(port)]
+
+    def start():
+        process = subprocess.Popen([*command, "--data", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True)
+        assert "Residuum is at" in process.stdout.readline()
+        return process
+
+    def kill(process):
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+    np.save(body := io.BytesIO(), np.arange(100.0))
+    process = start()
+    try:
+        path = "/api/v1/assets/press/windows?diagnoser=bearing&channel=a%20%5Bm%2Fs%C2%B2%5D&sample_time=1e-3"
+        answer = httpx.post(f"http://127.0.0.1:{port}{path}", content=body.getvalue(), headers=OCTETS, timeout=120)
+        assert answer.status_code == 201 and answer.json()["finding"]["verdict"] == "not-assessable"
+    finally:
+        kill(process)
+    hook = Hook(hook_port)
+    process = start()
+    try:
+        told = hook.told.get(timeout=60)
+        assert (told["kind"], told["asset"], told["state"]) == ("signal", "press", "unacknowledged")
+    finally:
+        kill(process)
+        hook.stop()
+
+
+def test_of_two_processes_one_tells_and_the_other_takes_over(store_urls, tmp_path):
+    for url in store_urls:
+        stores = [DiskStore(tmp_path / "data", url) for _ in range(2)]
+        first, second = (store.outbox for store in stores)
+        hook = first.register("http://hook/secret")
+        assert second.register("http://hook/secret") == hook and "secret" not in hook
+        assert first.next(hook) is None
+        for number in range(3):
+            see_in(stores[number % 2], "press", ("faulty", "healthy", "faulty")[number])
+        notice = first.next(hook)
+        assert (notice.number, notice.alarm["state"], notice.passed_over) == (1, "unacknowledged", 0)
+        assert second.next(hook) is None
+        assert first.next(hook) == notice  # until it says that it was told
+        first.told(hook, notice)
+        assert first.next(hook).alarm["state"] == "returned-unacknowledged" and second.next(hook) is None
+        first.release()
+        again = second.next(hook)
+        assert again.number == 2 and first.next(hook) is None
+        late = DiskStore(tmp_path / "data", url)
+        assert late.outbox.next(late.outbox.register("http://another/")) is None  # it is told what comes from now on
+        for store in (*stores, late):
+            store.close()
+
+
+def test_who_holds_a_receiver_and_dies_holds_it_no_longer(store_urls, tmp_path, monkeypatch):
+    monkeypatch.setattr("residuum.service.storage.outbox.HELD", timedelta(seconds=-1))
+    for url in store_urls:
+        dead, alive = (DiskStore(tmp_path / "data", url) for _ in range(2))
+        hook = dead.outbox.register("http://hook/")
+        see_in(dead, "press", "faulty")
+        assert dead.outbox.next(hook).number == 1 and alive.outbox.next(hook).number == 1
+        for store in (dead, alive):
+            store.close()
+
+
+def test_notices_are_bounded_and_what_was_let_go_is_counted(tmp_path, monkeypatch):
+    monkeypatch.setattr("residuum.service.storage.outbox.KEPT", 5)
+    store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
+    hook = store.outbox.register("http://hook/")
+    for number in range(12):
+        see_in(store, "press", ("faulty", "healthy")[number % 2])
+    numbers, passed = [], 0
+    while (notice := store.outbox.next(hook)) is not None:
+        numbers.append(notice.number)
+        passed += notice.passed_over
+        store.outbox.told(hook, notice)
+    assert numbers == [8, 9, 10, 11, 12] and passed == 7
+    store.close()
 
 
 def test_a_webhook_that_refuses_is_not_asked_again(run_service, free_port):

@@ -35,6 +35,7 @@ def scorer(
     set_up_logs(settings)
     notifications = Notifications(settings)
     store = DiskStore(settings.data, settings.database_url, notifications.tell, settings.alarm_rule)
+    notifications.start(store.outbox)
     pool = WorkerPool(1)
     try:
         consumer = Scorer(broker_address(settings.mqtt), int(number), int(many), pool, store, settings.data)

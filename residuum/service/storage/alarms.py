@@ -12,7 +12,7 @@ from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service import alarm_states
 from residuum.service.alarm_rules import AlarmRule, in_deadband
 from residuum.service.alarm_states import AlarmEvent, AlarmState, AlarmStatus
-from residuum.service.storage import audit, paging
+from residuum.service.storage import audit, outbox, paging
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
@@ -157,7 +157,9 @@ def _change(
     connection.execute(insert(alarm_journal).values(entry))
     told = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
     audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=told)
-    return _alarm(row)
+    changed = _alarm(row)
+    outbox.add(connection, changed)
+    return changed
 
 
 def _message(finding: Finding) -> str:

@@ -28,6 +28,7 @@ from residuum.service.storage import (
 )
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Database
+from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Retention
 from residuum.service.store import (
     Alarm,
@@ -82,6 +83,7 @@ class DiskStore:
     ) -> None:
         self._database = Database(database_url)
         self._database.migrate()
+        self.outbox = Outbox(self._database)
         self._blocks = Blocks(data / "blocks")
         self._announce = announce
         self._rule_of = rule_of

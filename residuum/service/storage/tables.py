@@ -169,6 +169,22 @@ audit_head = Table(
     Column("digest", String(64), nullable=False),
 )
 
+alarm_notices = Table(
+    "alarm_notices",
+    metadata,
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("alarm", Document, nullable=False),
+)
+
+receivers = Table(
+    "receivers",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("told", BigInteger, nullable=False),
+    Column("holder", String(64)),
+    Column("held_until", UtcDateTime),
+)
+
 records = Table(
     "records",
     metadata,
