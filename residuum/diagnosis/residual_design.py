@@ -130,13 +130,14 @@ class ResidualDesign:
         )
 
     def _explained(self, u: FloatArray, y: FloatArray) -> float:
+        """Share of y's variance that the model explains once its memory is full; 0 where y does not move there."""
         good = np.isfinite(u) & np.isfinite(y)
         m = self.model.order + self.model.delay
-        if good.sum() < 2 * m or np.ptp(y[good]) == 0.0:
+        compared = np.flatnonzero(good[m:]) + m
+        if good.sum() < 2 * m or not len(compared) or np.ptp(y[compared]) == 0.0:
             return 0.0
         predicted = self.model.simulate(np.where(good, u - np.mean(u[good]), 0.0)) - self.model.offset
-        error = (y - predicted)[m:][good[m:]]
-        return 1.0 - float(np.var(error) / np.var(y[m:][good[m:]])) if len(error) else 0.0
+        return 1.0 - float(np.var(y[compared] - predicted[compared]) / np.var(y[compared]))
 
     def save(self, path: str | Path, *, kind: str = KIND, settings: dict[str, Any] | None = None) -> None:
         """Store the design (JSON and arrays in a zip), with the settings of a diagnoser that is built on it."""
