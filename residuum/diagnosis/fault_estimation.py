@@ -116,7 +116,7 @@ class FaultEstimator:
             return stuck
         found = [fit.best(kind, alarm) for kind in FAULT_KINDS]
         largest = max(item.log_likelihood_ratio for item in found)
-        best, *others = [item for item in found if item.log_likelihood_ratio > largest - _INDISTINCT]
+        best, *others = [item for item in found if item.log_likelihood_ratio >= largest - _INDISTINCT]
         alike = tuple(item.kind for item in others)
         adequate, left = fit.leaves_healthy(best)
         if not adequate and left > 0.5:

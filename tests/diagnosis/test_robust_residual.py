@@ -321,6 +321,22 @@ def test_unfit_records_are_refused(design):
     assert centimetres.first_alarm is None
 
 
+def test_an_output_that_stands_still_from_the_start_is_stuck_and_not_swapped(design):
+    still = record(26, 1000)
+    y = np.array(still["y"])
+    y[20:] = y[20]
+    found = detect(design, replace(still, channels={"u": still["u"], "y": y}))
+    assert found.estimate.kind == "stuck-sensor" and found.estimate.onset == 20
+
+
+def test_an_absurd_reading_is_an_alarm_and_no_failure(design):
+    data = record(27, 1500)
+    y = np.array(data["y"])
+    y[1000] = np.finfo(np.float32).max
+    found = detect(design, replace(data, channels={"u": data["u"], "y": y}))
+    assert found.first_alarm == 1000
+
+
 def test_stored_design_is_the_same_design(design, tmp_path):
     design.save(tmp_path / "d")
     loaded = ResidualDesign.load(tmp_path / "d")
