@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 
+from residuum.diagnosis.fault_estimation import PLANT_CHANGE, STUCK, FaultEstimate
 from residuum.diagnosis.noise_model import NoiseModel
 from residuum.diagnosis.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residual_detection import Detection, detect
@@ -194,11 +195,29 @@ def _run_text(made: ResidualDesign, record: Record, found: Detection) -> str:
         return "\n".join([f"no alarm (largest {float(np.max(found.statistic)):.4g})", *lines])
     lines.insert(0, f"alarm at {float(record.time[first]):.6g} s, {int(found.alarm.sum())} exceedances")
     if (estimate := found.estimate) is not None:
-        low, high = estimate.band()
-        since = record.t0 + estimate.onset * record.sample_time
-        alike = f"; cannot be told from {', '.join(estimate.indistinguishable_from)}" if estimate.indistinguishable_from else ""
-        size = f"{estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".strip()
-        lines.insert(1, f"{estimate.kind} ({estimate.shape}): {size}, since {since:.6g} s{alike}")
+        lines.insert(1, f"{_fault_text(estimate)}, {_since(made, record, estimate.onset)}{_alike(estimate)}")
     if made.structured_p < _STRUCTURED_P:
         lines.append("the healthy records already carried structured error: this may be missing physics, see `residuum explain`")
     return "\n".join(lines)
+
+
+def _fault_text(estimate: FaultEstimate) -> str:
+    if estimate.kind == STUCK:
+        return f"{estimate.kind}: the reading stays at {estimate.value:.6g} {estimate.unit}".rstrip()
+    if estimate.kind == PLANT_CHANGE:
+        return f"{estimate.kind}: no single sensor or actuator fault explains it"
+    low, high = estimate.band()
+    return f"{estimate.kind} ({estimate.shape}): {estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".rstrip()
+
+
+def _since(made: ResidualDesign, record: Record, onset: int) -> str:
+    """When the fault began, or that it was there before the first sample that could be judged."""
+    judged_from = made.generator.warm_up
+    if onset <= judged_from:
+        return f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is judged"
+    return f"since {record.t0 + onset * record.sample_time:.6g} s"
+
+
+def _alike(estimate: FaultEstimate) -> str:
+    kinds = estimate.indistinguishable_from
+    return f"; cannot be told from {', '.join(kinds)}" if kinds else ""

@@ -79,3 +79,19 @@ def test_bad_input_is_exit_status_two_with_one_line(folder, capsys):
         assert run(["residual", *map(str, arguments)]) == 2
         error = capsys.readouterr().err.strip().splitlines()
         assert says in error[-1], error
+
+
+def test_text_says_what_the_fault_is_and_since_when(folder, capsys):
+    table = np.loadtxt(folder / "good.csv", delimiter=",", skiprows=1)
+    for name, first in (("stuck.csv", 1000), ("always.csv", 0)):
+        stuck = table.copy()
+        stuck[first:, 2] = stuck[first, 2]
+        np.savetxt(folder / name, stuck, delimiter=",", header="time [s],u [V],y [m]", comments="", fmt="%.9g")
+    said = []
+    for file in ("bad.csv", "stuck.csv", "always.csv"):
+        capsys.readouterr()
+        assert run(["residual", "run", str(folder / "d"), str(folder / file)]) == 0
+        said.append(capsys.readouterr().out)
+    assert "sensor-offset (step): 1.0" in said[0] and " m, since 100" in said[0]
+    assert f"stuck-sensor: the reading stays at {table[1000, 2]:.6g} m, since 100 s" in said[1]
+    assert "since before 6 s, the first that is judged" in said[2]
