@@ -74,5 +74,9 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
     if source == target:
         return array
     if not compatible(source, target):
-        raise BadUnit(f"{what}: unit {source!r} cannot be converted to {target!r}")
+        raise BadUnit(f"{what}: unit {_shown(source)} cannot be converted to {_shown(target)}")
     return np.asarray(_REGISTRY.Quantity(array, parse_unit(source)).to(parse_unit(target)).magnitude, dtype=float)
+
+
+def _shown(unit: str) -> str:
+    return repr(unit) if unit else "none"

@@ -183,17 +183,17 @@ def _fit(model: IdentifiedModel, record: Record) -> float | None:
 
 
 def _human(model: IdentifiedModel, result: dict[str, Any]) -> str:
-    gain_unit = f"{model.output_unit or '1'}/{model.input_unit or '1'}"
+    gain_unit = _gain_unit(model)
     gain = float(model.frequency_response(0.0).real)
     gain_std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
     peak = int(np.argmax(np.abs(model.impulse_response)))
     lines = [
-        f"{model.method}: {model.input_name} [{model.input_unit}] → {model.output_name} [{model.output_unit}], "
+        f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
         f"{result['samples']} samples of {model.sample_time:g} s",
         f"  impulse response  {model.order} coefficients from lag {model.delay}; largest {model.impulse_response[peak]:.4g} "
-        f"± {model.std[peak]:.2g} {gain_unit} at {(model.delay + peak) * model.sample_time:g} s",
-        f"  static gain       {gain:.4g} ± {gain_std:.2g} {gain_unit} (one standard deviation)",
-        f"  noise             {math.sqrt(model.noise_variance):.4g} {model.output_unit} standard deviation",
+        f"± {model.std[peak]:.2g}{gain_unit} at {(model.delay + peak) * model.sample_time:g} s",
+        f"  static gain       {gain:.4g} ± {gain_std:.2g}{gain_unit} (one standard deviation)",
+        f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
         f"  fit               {_fits(result['fit_percent'])} of the estimation data",
     ]
     if result["held_out_fit_percent"]:
@@ -204,6 +204,19 @@ def _human(model: IdentifiedModel, result: dict[str, Any]) -> str:
     if result["file"]:
         lines.append(f"  written to        {result['file']}")
     return "\n".join(lines)
+
+
+def _named(channel: str, unit: str) -> str:
+    return f"{channel} [{unit}]" if unit else channel
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _gain_unit(model: IdentifiedModel) -> str:
+    """Output unit over input unit, behind a blank; nothing where neither channel has one."""
+    return f" {model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
 
 
 def _fits(values: Sequence[float | None]) -> str:

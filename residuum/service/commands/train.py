@@ -45,7 +45,8 @@ def train(
         "seconds_of_data": seconds,
         "file": str(out),
     }
-    report(result, f"{diagnoser}: trained on {len(loaded)} records, {seconds:.4g} s of data → {out}", as_json=as_json)
+    count = "1 record" if len(loaded) == 1 else f"{len(loaded)} records"
+    report(result, f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}", as_json=as_json)
 
 
 def read_labels(file: Path, records: Sequence[Path]) -> list[str]:

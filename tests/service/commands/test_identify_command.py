@@ -52,6 +52,18 @@ def test_json_has_the_contract_and_the_truth(record_file, tmp_path, capsys, kern
     assert (model.input_unit, model.output_unit) == ("V", "rad/s")
 
 
+def test_text_has_units_where_the_record_has_them(record_file, tmp_path, capsys):
+    assert identify(record_file, "--order", "40") == DONE
+    said = capsys.readouterr().out
+    assert "voltage [V] → speed [rad/s]" in said and " rad/s/V (one standard deviation)" in said
+    bare = tmp_path / "bare.csv"
+    text = record_file.read_text().replace(" [V]", "").replace(" [rad/s]", "")
+    bare.write_text(text)
+    assert identify(bare, "--order", "40") == DONE
+    said = capsys.readouterr().out
+    assert "voltage → speed" in said and "[]" not in said and "1/1" not in said
+
+
 def test_split_keeps_the_rest_for_validation(record_file, capsys):
     assert identify(record_file, "--order", "40", "--json") == DONE
     result = json.loads(capsys.readouterr().out)
