@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -30,26 +29,42 @@ class Split:
     testing: list[tuple[Record, int]]
 
 
-def split(records: Sequence[Record]) -> Split:
-    """Several records: every third is kept aside (of two, the second). One: its end, by its note `split: 0.7` or 30 %."""
+def split(records: Sequence[Record], *, end: bool = True) -> Split:
+    """Several records: every third is kept aside (of two, the second). One: its end, by its note `split: 0.7` or 30 %; or as
+    much of its beginning.
+    """
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
         return Split([r for k, r in enumerate(records) if k not in testing], [(records[k], 0) for k in testing])
     record = records[0]
-    first = int(record.n * _share(record))
-    return Split([record.window(0, first)], [(record, first)])
+    first = int(record.n * (record.split or TRAINING_SHARE))
+    if end:
+        return Split([record.window(0, first)], [(record, first)])
+    aside = record.n - first
+    return Split([record.window(aside, record.n)], [(record.window(0, aside), 0)])
 
 
-def split_experiments(experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[tuple[Experiment, int]]]:
-    """Experiments to estimate from, and experiments to judge by with the sample from which each counts.
+def split_experiments(
+    experiments: Sequence[Experiment], *, end: bool = True
+) -> tuple[list[Experiment], list[tuple[Experiment, int]], list[int]]:
+    """Experiments to estimate from, those to judge by with the sample from which each counts, and the numbers of the former.
 
-    Of three or more every third is kept aside; of fewer the last 30 % of each.
+    Of three or more every third is kept aside, the last of them or the first; of fewer 30 % of each, its end or its beginning.
     """
     if len(experiments) >= 3:
-        return [e for k, e in enumerate(experiments) if k % 3 != 2], [(e, 0) for e in experiments[2::3]]
-    long = [e for e in experiments if e.n >= _FEWEST]
+        left_out = 2 if end else 0
+        kept = [k for k in range(len(experiments)) if k % 3 != left_out]
+        return [experiments[k] for k in kept], [(e, 0) for e in experiments[left_out::3]], kept
+    kept = [k for k, e in enumerate(experiments) if e.n >= _FEWEST]
+    long = [experiments[k] for k in kept]
     firsts = [int(TRAINING_SHARE * e.n) for e in long]
-    return [e.window(0, first) for e, first in zip(long, firsts, strict=True)], list(zip(long, firsts, strict=True))
+    if end:
+        return [e.window(0, first) for e, first in zip(long, firsts, strict=True)], list(zip(long, firsts, strict=True)), kept
+    asides = [e.n - first for e, first in zip(long, firsts, strict=True)]
+    training = [
+        replace(e, Y=np.where(np.arange(e.n)[:, None] < aside, np.nan, e.Y)) for e, aside in zip(long, asides, strict=True)
+    ]
+    return training, [(e.window(0, aside), 0) for e, aside in zip(long, asides, strict=True)], kept
 
 
 def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
@@ -71,21 +86,11 @@ def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]
     return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)
 
 
-def cross_checked(structure: Structure, experiments: Sequence[Experiment]) -> FloatArray | None:
+def cross_checked(structure: Structure, experiments: Sequence[Experiment], *, end: bool = True) -> FloatArray | None:
     """`held_out_rmse` of a structure re-estimated on the other part of its experiments; None when that cannot be done."""
-    training, testing = split_experiments(experiments)
+    training, testing, kept = split_experiments(experiments, end=end)
     if not training:
         return None
-    kept = [k for k in range(len(experiments)) if len(experiments) < 3 or k % 3 != 2]
-    initial = [structure.initial[k] for k in kept] if len(training) == len(kept) else structure.initial[: len(training)]
+    initial = [structure.initial[k] for k in kept]
     again = fit_structure(structure.model, training, initial, iterations=4, second_start=False)
     return None if again is None else held_out_rmse(again, testing)
-
-
-def _share(record: Record) -> float:
-    """The part of a record that is for estimation."""
-    for note in record.notes:
-        found = re.fullmatch(r"\s*split:\s*(0?\.\d+)\s*", note)
-        if found:
-            return float(found.group(1))
-    return TRAINING_SHARE

@@ -34,7 +34,7 @@ Tell = Callable[[float, str], None]
 FEWEST_REFITS = 6
 MOST_GLIMPSES, SECOND_LOOKS = 3, 2
 MOST_EFFECTS, POLISHES, CLOSE = 3, 3, 20.0
-_SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
+_SHIFTS, _READING = {"input-delay": "delay", "output-lag": "tau"}, "output-quantisation"
 _THREADS = min(4, os.cpu_count() or 1)
 NEAR, FAR = 3.0, 20.0
 """Factors from its nominal value within which a parameter is near, and beyond which it has strayed."""
@@ -42,6 +42,8 @@ RISE, WORTH_A_LOOK = 1.005, 1.02
 """Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
 FALL, SLOW = 0.99, 10.0
 """Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
+PLAIN_FALL = 0.95
+"""Factor to which the error has to fall at least with an effect of the reading alone."""
 NEARLY_ALL = 0.1
 """Share of the way to white noise, in logarithms of the error, up to which two effects may leave it and need no second search."""
 ACCEPT = 3.0
@@ -137,7 +139,7 @@ def search(
     found = _forward(base, task)
     wanting = found.accepted or found.refuted
     drift = fit_structure(base.model, experiments, base.initial, drifting=True) if wanting else None
-    if drift is None or drift.log_likelihood <= found.best.log_likelihood:
+    if drift is None or drift.log_likelihood <= found.best.log_likelihood + ACCEPT:
         return found
     return _forward(drift, task)
 
@@ -289,6 +291,7 @@ def _grow(found: Search, task: _Task) -> None:
     del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
     while len(found.accepted) < task.most_effects:
         refitted, screen = _step(found, task)
+        _leave_to_the_noise(refitted, found.best)
         key, wins = _winner(refitted, found.best, _asked(found, ACCEPT_MORE if found.accepted else ACCEPT))
         if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
             key, wins = plain, True
@@ -308,6 +311,16 @@ def _grow(found: Search, task: _Task) -> None:
         refitted[key] = in_likelier_order(_followed(screen, key, refitted[key]), key, task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
+
+
+def _leave_to_the_noise(refitted: dict[tuple[str, str], Structure], best: Structure) -> None:
+    """Take out the quantisation that is likeliest of all and yet lowers no error plainly: noise that is larger than its steps
+    carries the reading over them, and it is a part of that noise.
+    """
+    while (key := preferred(refitted, best)) is not None and key[0] == _READING:
+        if _simulates_no_worse(refitted[key], best, PLAIN_FALL):
+            break
+        del refitted[key]
 
 
 def _winner(
@@ -581,6 +594,7 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     """Whether the effect raises neither the simulation error nor that on data which were not used for the estimation.
 
     An unmeasured disturbance can let the likelihood win by the fast part of the error alone, while what the user sees grows.
+    Where the end of the record shows what the rest never did (a tank that runs over), its beginning has a say.
     """
     rise = FALL if found.accepted or _times_its_innovations(better) > SLOW else RISE
     if not _simulates_no_worse(better, found.best, rise):
@@ -589,7 +603,14 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     if errors[0] is None or errors[1] is None:
         return True
     found.held_out[key] = errors[0], errors[1]
-    return _mean_ratio(errors[1], errors[0]) < (FALL if found.accepted else RISE)
+    ratio = _mean_ratio(errors[1], errors[0])
+    if ratio < (FALL if found.accepted else RISE):
+        return True
+    other = [cross_checked(structure, experiments, end=False) for structure in (found.best, better)]
+    if other[0] is None or other[1] is None or np.sqrt(ratio * _mean_ratio(other[1], other[0])) > PLAINLY_LESS:
+        return False
+    found.held_out[key] = other[0], other[1]
+    return True
 
 
 def _simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:

@@ -1,9 +1,13 @@
 """The search for missing effects where the model has gone astray; the machines are integrated here, in fine Euler steps."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.physics import read_model
+from residuum.identification.discrepancy.search import _leave_to_the_noise
+from residuum.identification.discrepancy.structures import base_structure
+from residuum.identification.physics import match, read_model
 from residuum.identification.record import Record
 
 VAN = """
@@ -101,3 +105,15 @@ def test_cogs_that_hold_an_axis_are_found_with_their_pitch():
     values = found.candidates[0].parameters
     assert abs(values["n"].value / pitch - 1.0) < 1e-3
     assert abs(np.hypot(values["a"].value, values["b"].value) - 30.0) < 0.5
+
+
+def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
+    """However likely the steps make it: a complete model read in steps smaller than its noise is complete."""
+    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
+    base = base_structure(model, experiments)
+    key, parameters = ("output-quantisation", "speed"), (*base.parameters, "output-quantisation@speed.q")
+    stepped = replace(base, model=model.with_effect(*key), parameters=parameters, pointwise=base.pointwise + 1.0)
+    for factor, kept in ((1.02, False), (0.99, False), (0.6, True)):
+        refitted = {key: replace(stepped, rmse=factor * base.rmse)}
+        _leave_to_the_noise(refitted, base)
+        assert (key in refitted) == kept
