@@ -25,8 +25,10 @@ from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
-_RISE, _TIMING = 1.002, 0.9
-"""Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not."""
+_RISE, _TIMING, _STRANGE = 1.002, 0.9, 2.0
+"""Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not; and times
+the error of the rest above which something happens there that the rest does not know.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,16 @@ class Improvement:
     explanation: Explanation | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not: it refused an
+    effect, or its error stands far above the rest's.
+    """
+
+    improvement: Improvement
+    strange: bool
+
+
 @one_thread()
 def improve(
     model: PhysicalModel,
@@ -62,7 +74,9 @@ def improve(
     """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after the other.
 
     Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
-    simulation error on the rest does not rise. The returned model is re-estimated on everything.
+    simulation error on the rest does not rise. Where the end of a record refuses an effect, or its error stands far above
+    the rest's, the beginning is kept aside instead: the end may show what the rest never did. The returned model is
+    re-estimated on everything.
 
     Raises
     ------
@@ -71,8 +85,23 @@ def improve(
     NotIdentifiable
         The model diverges on a record.
     """
+    found = _improved(model, records, split(records), mapping, add, effects, tell)
+    if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
+        return found.improvement
+    other = _improved(model, records, split(records, end=False), mapping, add, effects, tell)
+    return found.improvement if other.strange else other.improvement
+
+
+def _improved(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    parts: Split,
+    mapping: Mapping[str, str] | None,
+    add: Sequence[str] | None,
+    effects: Sequence[str] | None,
+    tell: Tell,
+) -> _Attempt:
     chosen = [] if add is None else [_resolved(model, id) for id in add]
-    parts = split(records)
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, parts.training, mapping, MOST_SAMPLES)
     explanation = None
@@ -100,6 +129,7 @@ def improve(
             raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
         kept = better
         history.append(Step(key[0], error))
+    strange = refused or bool(history[-1].error > _STRANGE * kept.rmse[judge.o])
     tell(0.8, "estimating on everything")
     if add is None:
         kept, dropped = _without_needless(kept, experiments, judge, history[-1].error)
@@ -116,7 +146,7 @@ def improve(
     improved = _with_provenance(final, records, history, judge)
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
-    return Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation)
+    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation), strange)
 
 
 def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -> tuple[list[Experiment], Structure] | None:
@@ -132,7 +162,7 @@ def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -
     for key in found.timing:
         model = model.without_effect(found.best.label_of(key))
     complete = fit_structure(model, turned, found.best.initial, drifting=found.best.drifting)
-    if complete is None or complete.log_likelihood < found.best.log_likelihood - ALIKE:
+    if complete is None or complete.log_likelihood < found.best.log_likelihood - found.best.penalty(complete) - ALIKE:
         return None
     again = fit_structure(base.model, turned, base.initial)
     return None if again is None else (turned, again)

@@ -1,7 +1,60 @@
-"""What improve keeps in the user's model."""
+"""What improve keeps in the user's model, and which part of a record it keeps aside."""
 
-from residuum.identification.discrepancy.improve import Step, _vanished
-from residuum.identification.physics import load_model
+import numpy as np
+import pytest
+from numba import njit
+
+from residuum.identification.discrepancy.held_out import split, split_experiments
+from residuum.identification.discrepancy.improve import Step, _vanished, improve
+from residuum.identification.physics import load_model, match, read_model
+from residuum.identification.record import Record
+
+VESSEL = """name: vessel
+inputs: {pump: V}
+states: {level: {unit: m}}
+parameters: {A: {value: 0.2, unit: m**2, fixed: true}, k: {value: 7.5e-5, unit: m**3/s/V, lower: 0},
+  c: {value: 5.1e-4, unit: m**2.5/s, lower: 0}}
+balances: {vessel: {kind: volume, storage: A * der(level), terms: {in: k * pump, out: -c * sqrt(level)}, level: level}}
+outputs: {height: {value: level, unit: m}}
+"""
+
+
+@njit
+def levels(u, c_weir, rim):
+    """Explicit Euler, twenty steps a second, of a vessel of .2 m² with a weir."""
+    found, h = np.empty(u.size), 0.2
+    for k in range(u.size):
+        found[k] = h
+        for _ in range(20):
+            over = c_weir * max(h - rim, 0.0) ** 1.5
+            h = max(h + 0.05 * (7e-5 * u[k] - 5.5e-4 * np.sqrt(h) - over) / 0.2, 0.0)
+    return found
+
+
+def test_a_tank_that_runs_over_at_the_end_of_its_record_is_learnt_from_there():
+    """Kept aside, that end would refuse whatever the rest explains, and the overflow would never be found."""
+    rng = np.random.default_rng(16)
+    u = np.repeat(rng.uniform(1.0, 5.5, 10), 200)
+    u[1500:1700] = 9.0
+    height = levels(u, 0.02, 0.45)
+    assert np.max(height[:1400]) < 0.44 < np.max(height)
+    record = Record({"pump": u, "height": height + 1e-3 * rng.normal(size=u.size)}, {"pump": "V", "height": "m"}, 1.0)
+    found = improve(read_model(VESSEL), [record])
+    assert [use.id for use in found.model.effects] == ["overflow"]
+    assert found.model.values["overflow@vessel.h_max"] == pytest.approx(0.45, abs=0.01)
+    assert found.history[-1].error < 1.2e-3
+    assert found.verdict == "adequate"
+
+
+def test_either_end_of_a_record_can_be_kept_aside():
+    record = Record({"pump": np.arange(100.0), "height": np.arange(100.0)}, {"pump": "V", "height": "m"}, 1.0)
+    parts = split([record], end=False)
+    assert (parts.training[0].t0, parts.training[0].n, parts.testing[0][0].n, parts.testing[0][1]) == (30.0, 70, 30, 0)
+    _, experiments = match(read_model(VESSEL), [record])
+    training, testing, kept = split_experiments(experiments, end=False)
+    assert kept == [0]
+    assert (np.flatnonzero(np.isfinite(training[0].Y[:, 0]))[0], training[0].n) == (30, 100)
+    assert (testing[0][0].n, testing[0][1]) == (30, 0)
 
 
 def test_an_effect_without_size_is_no_part_of_the_model():
