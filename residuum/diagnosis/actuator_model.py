@@ -18,7 +18,8 @@ Signal = npt.NDArray[np.float64]
 _STANDSTILL = 0.15  # of the flat speed: below it dry friction at standstill rules, which the model has not
 _FIT_RATE = 100.0  # Hz
 _FIRST_DELAY = 5e-3  # s, where the search starts
-_LOAD_SHAPE = 3  # constant, slope and curvature of the load along the gate
+_LOAD_SHAPE = 3  # constant, slope and curvature of the load along the gate, and at least that many terms
+_TURNS_A_TERM = 8  # of the shaft; 1.4 m of the source's gate, whose way is two of them
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,9 @@ class AdaptedModel:
     .. math:: T \dot\omega + \omega = \mu V(t-d) - \ell(x)
 
     which is (7.2) and (7.4): with L = D = 0 the load torque τ_L acts as ℓ = τ_L R/K². A viscous friction D only changes
-    μ and T; the load may vary slowly along the gate, ℓ(x) = ℓ₀ + ℓ₁x + ℓ₂x² over the travel x from 0 to 1.
+    μ and T; the load may vary slowly along the gate, ℓ(x) = ℓ₀ + ℓ₁x + ℓ₂x² over the travel x from 0 to 1. A gate longer
+    than 20 turns of the shaft has a term more for every eight, ℓ_k cos kπx from k = 3: so its load is followed as finely
+    in metres as that of a short one.
 
     Parameters
     ----------
@@ -135,7 +138,7 @@ class AdaptedModel:
     delay : float
         d [s].
     load : tuple of float
-        ℓ₀, ℓ₁, ℓ₂ [rad/s]; the travel counts in the direction of the movement.
+        ℓ₀, ℓ₁, ℓ₂, … [rad/s]; the travel counts in the direction of the movement.
     std : mapping of name to float
         Standard deviation of gain, time_constant and delay from the fit (white residual assumed: too small when it is
         coloured).
@@ -150,7 +153,7 @@ class AdaptedModel:
     def simulate(self, movement: Movement) -> Signal:
         """Motor speed ω̂_M [rad/s] of the model under the movement's voltage from its measured first speed, shape (n,)."""
         V = delayed(movement.voltage, self.delay, movement.sample_time)
-        load = _load_regressors(movement) @ np.asarray(self.load) if len(self.load) > 1 else self.load[0]
+        load = _load_regressors(movement, len(self.load)) @ np.asarray(self.load)
         drive = np.maximum(self.gain * V - load, 0.0)  # dry friction stops the gate, it never drives it back
         return first_order_response(drive, self.time_constant, movement.sample_time, movement.speed[0])
 
@@ -169,7 +172,7 @@ def from_data_sheet(constants: ActuatorConstants, delay: float = 0.0, friction_f
 def adapt(movements: Sequence[Movement], constants: ActuatorConstants | None = None) -> AdaptedModel:
     """Adapt the model to one exemplar by the simulation error of its movements.
 
-    Minimises Σ(ω_M − ω̂_M)² over μ, T, d and the load ℓ₀, ℓ₁, ℓ₂ by variable projection (Golub and Pereyra 1973):
+    Minimises Σ(ω_M − ω̂_M)² over μ, T, d and the load ℓ₀, ℓ₁, ℓ₂, … by variable projection (Golub and Pereyra 1973):
     for given T and d the others enter linearly. Samples slower than 15 % of the flat speed are left out: dry friction
     at standstill rules there. One movement suffices; a fault that is local or periodic moves six slow parameters by little.
 
@@ -182,7 +185,8 @@ def adapt(movements: Sequence[Movement], constants: ActuatorConstants | None = N
     usable = [movement.reduced(_FIT_RATE) for movement in movements if _excites(movement)]
     if not usable:
         raise NotIdentifiable("no movement has ramps and a flat part of half a second; the model cannot be adapted to it")
-    fits = [_Projection(movement) for movement in usable]
+    terms = max(_load_terms(movement, start) for movement in usable)
+    fits = [_Projection(movement, terms) for movement in usable]
 
     def errors(theta: Signal) -> Signal:
         return np.concatenate([fit.errors(theta[0], theta[1]) for fit in fits])
@@ -200,7 +204,7 @@ def adapt(movements: Sequence[Movement], constants: ActuatorConstants | None = N
     T, d = (float(value) for value in solution.x)
     linear = np.mean([fit.linear(T, d) for fit in fits], axis=0)
     std = _standard_deviations(solution, fits, T, d)
-    return AdaptedModel(float(linear[0]), T, d, tuple(float(-value) for value in linear[1 : 1 + _LOAD_SHAPE]), std)
+    return AdaptedModel(float(linear[0]), T, d, tuple(float(-value) for value in linear[1 : 1 + terms]), std)
 
 
 def _excites(movement: Movement) -> bool:
@@ -214,11 +218,11 @@ def _excites(movement: Movement) -> bool:
 class _Projection:
     """Simulation error of one movement for given T and d, the linear parameters projected out."""
 
-    def __init__(self, movement: Movement) -> None:
+    def __init__(self, movement: Movement, load_terms: int) -> None:
         self.movement = movement
         moving = np.flatnonzero(movement.speed > _STANDSTILL * np.median(movement.speed))
         self.run = slice(int(moving[0]), int(moving[-1]) + 1)
-        self.loads = _load_regressors(movement)
+        self.loads = _load_regressors(movement, load_terms)
 
     def regressors(self, T: float, d: float) -> Signal:
         Ts = self.movement.sample_time
@@ -237,10 +241,17 @@ class _Projection:
         return np.asarray(y - Phi @ np.linalg.solve(Phi.T @ Phi, Phi.T @ y))
 
 
-def _load_regressors(movement: Movement) -> Signal:
+def _load_terms(movement: Movement, constants: ActuatorConstants) -> int:
+    turns = float(movement.motor_angle[-1]) / (2.0 * np.pi * constants.gear_teeth)
+    return max(_LOAD_SHAPE, 1 + round(turns / _TURNS_A_TERM))
+
+
+def _load_regressors(movement: Movement, terms: int) -> Signal:
+    """Shape (n, terms): 1, x, x² and then cosines, which unlike higher powers of x are nearly orthogonal."""
     angle = movement.motor_angle
     x = angle / angle[-1]
-    return np.column_stack([x**power for power in range(_LOAD_SHAPE)])
+    powers = [x**power for power in range(min(terms, _LOAD_SHAPE))]
+    return np.column_stack([*powers, *(np.cos(k * np.pi * x) for k in range(_LOAD_SHAPE, terms))])
 
 
 def _standard_deviations(solution: object, fits: list[_Projection], T: float, d: float) -> dict[str, float]:

@@ -21,6 +21,7 @@ FEWEST_TURNS = 5
 SOURCE_FEATURES = ("F1", "F2")
 _SETTLING = 0.3  # s after the ramp, six time constants
 _WHITENER_ORDER = 50  # a tenth of a second
+_AVERAGED_TURNS = 14  # over more, noise is gone and healthy tooth errors stay: they are fixed in the gear
 _CLIP = 4.0  # robust deviations; pulses must not shape the whitener that is to find them
 FEATURES = (
     *SOURCE_FEATURES,
@@ -46,7 +47,7 @@ class MovementFeatures:
         turn of the residual in the orders between eccentricity and the pinion's mesh, 2–13 [rad/s]; high_peak the same
         between the meshes of pinion and gear, 15–43; low_crest, high_crest : peak over RMS; single_pulse : largest
         matched-filter output at one place, in standard deviations; periodic_pulse : the same of the typical turn, scaled by
-        √turns; level : robust deviation of the residual [rad/s].
+        √turns of at most 14; level : robust deviation of the residual [rad/s].
     fault_frequency : float
         Turns a second of the shaft, from the measured speed [Hz].
     pulse_position : float
@@ -152,7 +153,7 @@ def _pulses(
     for template in pulse_templates([1.0 / gear, 0.5 / pinion, 1.0 / pinion], T, Ts):
         z, _ = matched_filter(centred, whitener, template)
         pattern = shaft_pattern(z, turns)
-        periodic = max(periodic, _peak(pattern.typical) * float(np.sqrt(pattern.turns.shape[0])))
+        periodic = max(periodic, _peak(pattern.typical) * float(np.sqrt(min(pattern.turns.shape[0], _AVERAGED_TURNS))))
         whole = turns - turns[0] < pattern.turns.shape[0]
         place = (turns[whole] - turns[0]) % 1.0 * POINTS
         shared = np.interp(place, np.arange(POINTS + 1), np.append(pattern.typical, pattern.typical[0]))

@@ -17,6 +17,7 @@ from residuum.diagnosis.position_domain import average_profile
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
+from residuum.simulation.gate_actuator import _rail_profile
 
 
 def life(exemplar, count, seed, faults=None, event=None):
@@ -185,3 +186,24 @@ def test_averaging_over_the_way_finds_the_place_of_a_small_rack_damage():
     average = average_profile([one.profile for one in features])
     assert average.place == pytest.approx(1.2 / 2.85, abs=0.02)
     assert average.contrast > np.median([one.profile.contrast for one in features])
+
+
+def longer_gate(travel, faults=None, event=None):
+    """One opening of a gate of exemplar 7 with a longer way and a rail as uneven all along."""
+    machine = MACHINES["gate-actuator"](seed=520, exemplar=7, faults=faults or {})
+    machine.actuator = machine.actuator._replace(travel=travel)
+    machine._rail = _rail_profile(np.random.default_rng(520), travel)
+    if event:
+        machine.trigger(event)
+    signals = machine.simulate(travel / 0.26 + 8.0)
+    record = Record(signals.channels, signals.units, signals.sample_time)
+    movement = cut_movements(record)[0]
+    return record.window(movement.start, movement.start + movement.n)
+
+
+def test_a_gate_three_times_as_long_as_those_trained_is_judged_like_them():
+    """Its load is no parabola of the way; one was called pushed."""
+    assert trained().score(longer_gate(7.9)).verdict == "healthy"
+    assert trained().score(longer_gate(7.9, {"rack-tooth": None})).fault_class == "rack"
+    assert trained().score(longer_gate(7.9, {"pinion-tooth": None})).fault_class == "pinion-or-gear"
+    assert trained().score(longer_gate(7.9, event="manual-push")).evidence["event"] == "manual-pushing"
