@@ -15,7 +15,7 @@ from residuum.identification.errors import NotIdentifiable
 Signal = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 _WIDTHS = (0.6, 0.8, 1.0, 1.25)  # standard deviations of the bump in pitches of the gear: about the two teeth that spread
-_SMOOTHING = 5  # orders
+_SMOOTHING = 3  # orders; over more, the steep power of the lowest orders leaks into the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +23,12 @@ class NotchMatch:
     r"""Matched filter for one bump of the transmission error a shaft turn, in the coloured pattern of healthy teeth.
 
     A notch lets the teeth beside it spread: the transmission error e(φ) has a bump g(φ), about one gear pitch wide, once a
-    turn. It accelerates the gate, and the drive's first-order lag T passes it on to the speed, so its spectrum at order k is S_k;
-    a gear that binds at one place loads the drive there, which is the same without s_k².
+    turn. It accelerates the gate, and the drive's first-order lag T passes it on to the speed, so its spectrum at order k is S_k.
+    (A gear that binds at one place loads the drive there: a pulse, which `periodic_pulse` of the movement's features looks for.)
 
     .. math:: S_k \propto \frac{s_k^2}{1 + s_k T} \, e^{-(k \sigma)^2 / 2}, \qquad s_k = j k \omega_M / N
 
-    Healthy teeth make the typical turn a random pattern with power P_k (mean over healthy turns, smoothed over five orders).
+    Healthy teeth make the typical turn a random pattern with power P_k (mean over healthy turns, smoothed over three orders).
     With z the largest whitened correlation over all places and widths, z = max |Σ 2 Re(S̄_k X_k e^{jkφ}/P_k)| / √(2 Σ|S_k|²/P_k),
     and v² what the turn scatters besides, as a multiple of what healthy turns do, the statistic is z / √max(1, v): z alone
     mistakes a gear that is worse all round for a notch, z / v a gear that is very good but for one tooth.
@@ -88,8 +88,7 @@ class NotchMatch:
     def _bumps(self, motor_speed: float, T: float) -> list[ComplexArray]:
         k = self.orders
         s = 1j * k * motor_speed / self.gear_teeth
-        bumps = [np.exp(-0.5 * (k * width * 2 * np.pi / self.gear_teeth) ** 2) for width in _WIDTHS]
-        return [bump * path / (1.0 + s * T) for path in (s**2, np.ones_like(s)) for bump in bumps]
+        return [s**2 / (1.0 + s * T) * np.exp(-0.5 * (k * width * 2 * np.pi / self.gear_teeth) ** 2) for width in _WIDTHS]
 
     def _correlation(self, X: ComplexArray, S: ComplexArray) -> Signal:
         """Whitened correlation with the bump at each of POINTS places, shape (POINTS,)."""
