@@ -23,18 +23,23 @@ from residuum.diagnosis.upper_tail import UpperTail
 from residuum.identification.errors import NotIdentifiable
 
 Matrix = npt.NDArray[np.float64]
-_VERSION = 3
+_VERSION = 4
 _LEAST_CHANGE = 1.3
 _LEAST_PUSHED_SPEED = 0.0075
 GEAR, PINION = "gear", "pinion"
 NOTCH = "notch_match"
 _OF_EVERY_TURN = (NOTCH, "high_crest", "periodic_pulse")
-_OF_CONTACT_LOSS = ("high_crest", "periodic_pulse")
-# Share of healthy movements that pass each limit: a missing tooth stands out so far that a strict limit costs nothing.
-FALSE_ALARM_RATES = {"high_crest": 1e-5, "periodic_pulse": 1e-5, "single_pulse": 1e-5}
-# Tooth errors are fixed in a gear: one whose errors look like a notch alarms at every movement, so this limit, and not the
-# movements seen, sets the false alarms. Chosen on 1000 healthy gears that nothing was trained on: their largest match is 5.3.
-LEAST_NOTCH_LIMIT = 5.5
+_OF_CONTACT_LOSS = _FIXED_IN_A_GEAR = ("high_crest", "periodic_pulse")
+# Chosen on 1500 healthy gears and some with default faults, none of which is judged in docs/gate_actuator.md: by their
+# exponential tails 3 in 100 000 healthy movements pass each of these limits, and 1 in 10 000 gears looks like a notch. The
+# largest of the 1500 were 5.0, 17.9 and 7.6; a missing pinion tooth has a periodic pulse of 50 and more, a missing rack tooth
+# a single one of 17 and more, so that strict limits cost nothing.
+FALSE_ALARM_RATES = {"high_crest": 1e-6, "periodic_pulse": 1e-6, "single_pulse": 1e-6}  # if the tails were normal
+# Tooth errors are fixed in a gear: one whose errors look like a notch alarms at every movement. So gears were drawn, and what
+# few trained gears leave open raises a limit by √(1 + c/gears): c is the first number for a notch's match, whose power spectrum
+# all orders share, and the second for the distance of a peak from its median.
+LEAST_NOTCH_LIMIT = 5.45
+_FEW_GEARS_MATCH, _FEW_GEARS_PEAK = 1.7, 17.0
 _NOTCH_MARGIN = 1.1  # over the largest healthy match in training, for teeth that are not as random as assumed
 # A known gear's match with a new notch stays below 1.2 while healthy, 2.2 half worn; a notch of 0.4 reaches it.
 NEW_NOTCH_LIMIT = 3.0
@@ -70,7 +75,8 @@ class GateBaseline:
 
     `features` and `slow` hold the healthy features and the healthy slow residual; `classifier` and `source` are None when
     only healthy movements were given. `notch` holds the pattern of healthy teeth, `notch_limit` the upper limit of its match
-    with a notch for a gear never seen, `gears` the healthy patterns of those seen. `shortest_travel` [rad] and `rate` [Hz].
+    with a notch for a gear never seen, `gears` the healthy patterns of those seen, `exemplars` how many actuators were healthy.
+    `shortest_travel` [rad] and `rate` [Hz].
     """
 
     constants: ActuatorConstants
@@ -83,6 +89,7 @@ class GateBaseline:
     classifier: MovementClassifier | None
     source: Pipeline | None
     gears: KnownGears
+    exemplars: int
 
     @classmethod
     def of(cls, movements: Sequence[TrainingMovement], constants: ActuatorConstants, rate: float) -> GateBaseline:
@@ -110,6 +117,7 @@ class GateBaseline:
             classifier,
             source,
             KnownGears.of(turns, notch),
+            len({movement.exemplar for movement in taught}),
         )
 
     def after(self, before: GateBaseline) -> GateBaseline:
@@ -129,11 +137,15 @@ class GateBaseline:
         return self.gears.recognise(features.pattern.typical, self.notch, features.motor_speed, features.model.time_constant)
 
     def feature_limits(self, known: KnownTurn | None = None) -> dict[str, float]:
-        """Upper limit of each judged feature, which a healthy movement passes at the rate of FALSE_ALARM_RATES."""
+        """Upper limit of each judged feature."""
         limits = {NOTCH: self.notch_limit if known is None else NEW_NOTCH_LIMIT}
         for name, rate in FALSE_ALARM_RATES.items():
             k = FEATURES.index(name)
-            limits[name] = float(np.exp(max(self.features.limit(rate)[k], self.features.centre[k] + np.log(_LEAST_CHANGE))))
+            centre = float(self.features.centre[k])
+            reach = float(self.features.limit(rate)[k]) - centre
+            if name in _FIXED_IN_A_GEAR:
+                reach *= np.sqrt(1.0 + _FEW_GEARS_PEAK / self.exemplars)
+            limits[name] = float(np.exp(centre + max(reach, np.log(_LEAST_CHANGE))))
         return limits
 
     def indicators(self, features: MovementFeatures, known: KnownTurn | None = None) -> dict[str, float]:
@@ -182,6 +194,7 @@ class GateBaseline:
             "shortest_travel": self.shortest_travel,
             "healthy": self.features.n,
             "notch_limit": self.notch_limit,
+            "exemplars": self.exemplars,
         }
         arrays: dict[str, npt.ArrayLike] = {
             "centre": self.features.centre,
@@ -222,6 +235,7 @@ class GateBaseline:
             classifier,
             source,
             _stored_gears(arrays, len(arrays["notch_power"])),
+            int(meta.get("exemplars", n)),  # a file of version 3 does not say; its limits stay nearly as they were
         )
 
 
@@ -237,9 +251,9 @@ def _match(notch: NotchMatch, features: MovementFeatures) -> float:
 
 
 def _notch_limit(healthy: Sequence[TrainingMovement], gear_teeth: int) -> float:
-    """For a gear never seen: √(1 + 1/n) higher when the tooth errors were learned from n exemplars."""
+    """For a gear never seen: higher when the tooth errors were learned from few exemplars."""
     exemplars = len({movement.exemplar for movement in healthy})
-    few = LEAST_NOTCH_LIMIT * float(np.sqrt(1.0 + 1.0 / exemplars))
+    few = LEAST_NOTCH_LIMIT * float(np.sqrt(1.0 + _FEW_GEARS_MATCH / exemplars))
     return max(few, _NOTCH_MARGIN * max(_held_out_matches(healthy, gear_teeth)))
 
 
