@@ -56,7 +56,7 @@ class Observed:
 def movements_of(exemplar: int, fault: str | None, count: int, size: float | None = None, seed: int = 0) -> Iterator[Record]:
     """The first whole movements of an actuator's life, one record each."""
     machine = MACHINES["gate-actuator"](seed=seed, exemplar=exemplar, faults={fault: size} if fault else {})
-    signals = machine.simulate(count * 19.5 + 8.0)
+    signals = machine.simulate((count - 1) * 19.5 + 19.0)  # a movement with its pause takes at most 19.5 s, 1 s before the first
     record = Record(signals.channels, signals.units, signals.sample_time)
     for movement in cut_movements(record)[:count]:
         yield record.window(movement.start, movement.start + movement.n)
