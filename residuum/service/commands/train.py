@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import DiagnoserName, Hertz, Orders, SpeedRpm, bearing_settings, new_diagnoser
 from residuum.service.commands.output_file import check_output_file
@@ -14,6 +15,10 @@ from residuum.service.commands.records import ChannelMap, RecordFiles, Resample,
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
+_LABELS = (
+    "CSV of `record,label`, or `record,label,exemplar` (gate-actuator: which actuator it comes from, so that the limits "
+    "hold for one never seen); without it every record is healthy."
+)
 
 
 @app.command()
@@ -21,7 +26,7 @@ def train(
     diagnoser: DiagnoserName,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the trained diagnoser.")],
-    labels: Annotated[Path | None, typer.Option(help="CSV of `record,label`; without it every record is healthy.")] = None,
+    labels: Annotated[Path | None, typer.Option(help=_LABELS)] = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -34,9 +39,14 @@ def train(
     """Train a diagnoser on records and store it for `score --baseline`."""
     untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz))
     check_output_file(out)
-    names = read_labels(labels, records) if labels else None
+    names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
-    untrained.fit(loaded, names).save(out)
+    if exemplars is None:
+        untrained.fit(loaded, names).save(out)
+    elif isinstance(untrained, GateActuator):
+        untrained.fit(loaded, names, exemplars).save(out)
+    else:
+        raise BadInput(f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give record,label")
     seconds = sum(record.duration for record in loaded)
     result = {
         "diagnoser": diagnoser,
@@ -49,18 +59,21 @@ def train(
     report(result, f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}", as_json=as_json)
 
 
-def read_labels(file: Path, records: Sequence[Path]) -> list[str]:
-    """The label of each record from a CSV of `record,label` (record by file name or path)."""
+def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[str] | None]:
+    """Label and exemplar of each record from a CSV of `record,label[,exemplar]` (record by file name or path)."""
     try:
         with file.open(encoding="utf-8", newline="") as rows:
             table = [[cell.strip() for cell in row] for row in csv.reader(rows) if row and not row[0].startswith("#")]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInput(f"{file}: cannot be read as CSV: {error}") from None
-    if wrong := [number for number, row in enumerate(table, start=1) if len(row) != 2]:
-        raise BadInput(f"{file}, row {wrong[0]}: must be record,label")
-    known = {name: label for name, label in table if (name, label) != ("record", "label")}
-    labels = [known.get(str(record), known.get(record.name)) for record in records]
-    for record, label in zip(records, labels, strict=True):
-        if label is None:
+    columns = len(table[0]) if table else 2
+    if wrong := [number for number, row in enumerate(table, start=1) if len(row) != columns or columns not in (2, 3)]:
+        raise BadInput(f"{file}, row {wrong[0]}: must be record,label or record,label,exemplar, the same in every row")
+    known = {row[0]: row[1:] for row in table if row[:2] != ["record", "label"]}
+    found: list[list[str]] = []
+    for record in records:
+        row = known.get(str(record), known.get(record.name))
+        if row is None:
             raise BadInput(f"{file}: has no label for {record}")
-    return [label for label in labels if label is not None]
+        found.append(row)
+    return [row[0] for row in found], [row[1] for row in found] if columns == 3 else None

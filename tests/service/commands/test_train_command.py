@@ -1,0 +1,53 @@
+"""`residuum train`: labels and exemplars of the records from one file."""
+
+from pathlib import Path
+
+import pytest
+
+from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.gate_examples import example_record
+from residuum.identification.errors import BadInput
+from residuum.identification.record_formats.npz import write_npz
+from residuum.service.cli import BAD_INPUT, run
+from residuum.service.commands.train import read_labels
+
+RECORDS = [Path("here/a.npz"), Path("b.npz")]
+
+
+def labels_file(tmp_path, text):
+    file = tmp_path / "labels.csv"
+    file.write_text(text)
+    return file
+
+
+def test_labels_come_by_name_or_path_with_or_without_a_header_and_an_exemplar(tmp_path):
+    both = labels_file(tmp_path, "record,label\n# a note\nb.npz, rack\nhere/a.npz,healthy\n")
+    assert read_labels(both, RECORDS) == (["healthy", "rack"], None)
+    three = labels_file(tmp_path, "record,label,exemplar\na.npz,healthy,gate 1\nb.npz,rack,gate 2\n")
+    assert read_labels(three, RECORDS) == (["healthy", "rack"], ["gate 1", "gate 2"])
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("a.npz\n", "row 1: must be record,label"),
+        ("a.npz,healthy\nb.npz,rack,gate 2\n", "row 2: .* the same in every row"),
+        ("a.npz,healthy\n", "has no label for b.npz"),
+    ],
+)
+def test_a_labels_file_that_says_too_little_is_refused(tmp_path, text, match):
+    with pytest.raises(BadInput, match=match):
+        read_labels(labels_file(tmp_path, text), RECORDS)
+
+
+def test_movements_of_two_actuators_are_counted_as_two(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    files = [f"{k}.npz" for k in range(6)]
+    for k, file in enumerate(files):
+        write_npz(example_record("healthy", k), file)
+    labels_file(tmp_path, "".join(f"{k}.npz,healthy,gate {k // 3}\n" for k in range(6)))
+    told = ["--labels", "labels.csv", "--out", "gate"]
+    assert run(["train", "gate-actuator", *files, *told]) == 0
+    assert GateActuator.load("gate").baseline.exemplars == 2
+    assert run(["train", "gripping-pliers", *files, *told]) == BAD_INPUT
+    assert "only the gate-actuator diagnoser knows exemplars" in capsys.readouterr().err
