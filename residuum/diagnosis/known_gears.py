@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.diagnosis.notch_match import ComplexArray, NotchMatch, Signal
 
 _GRID = 4096  # places a turn at which two patterns are laid over each other: a fortieth of the finest order's period
+_COARSE_GRID = 512  # enough to choose the nearest among many: twelve places a period of the finest order
 _SAME_TRAINED = 0.15  # share of a pattern's power that a pattern of the same gear may leave
 _SAME = 0.3  # the same when a notch may have come
 _CANDIDATES = 2
@@ -77,7 +78,7 @@ class KnownGears:
         if len(self.patterns) == 0:
             return None
         X = notch.spectrum(typical_turn)
-        nearest = np.argsort(_laid_over(self.patterns, X, notch.power).left)[:_CANDIDATES]
+        nearest = np.argsort(_laid_over(self.patterns, X, notch.power, _COARSE_GRID).left)[:_CANDIDATES]
         found = [_explained(self.patterns[k], X, notch, motor_speed, time_constant) for k in nearest]
         best = min(found, key=lambda known: known.unexplained)
         return best if best.unexplained < _SAME else None
@@ -102,14 +103,14 @@ class _LaidOver:
     left: Signal
 
 
-def _laid_over(R: ComplexArray, X: ComplexArray, power: Signal) -> _LaidOver:
-    correlation = np.zeros((len(R), _GRID), dtype=complex)
+def _laid_over(R: ComplexArray, X: ComplexArray, power: Signal, grid: int = _GRID) -> _LaidOver:
+    correlation = np.zeros((len(R), grid), dtype=complex)
     correlation[:, 1 : len(X) + 1] = X * np.conj(R) / power
-    overlap = _GRID * np.real(np.fft.ifft(correlation))
+    overlap = grid * np.real(np.fft.ifft(correlation))
     best = np.argmax(overlap, axis=1)
     own = np.sum(np.abs(R) ** 2 / power, axis=1)
     reached = overlap[np.arange(len(R)), best]
-    return _LaidOver(2.0 * np.pi * best / _GRID, reached / own, 1.0 - reached**2 / (own * _power(X, power)))
+    return _LaidOver(2.0 * np.pi * best / grid, reached / own, 1.0 - reached**2 / (own * _power(X, power)))
 
 
 def _power(X: ComplexArray, power: Signal) -> float:
