@@ -190,18 +190,33 @@ class Broker:
         except (RuntimeError, ValueError) as error:
             raise ConnectionError(str(error)) from error
 
+    def try_connection(self) -> None:
+        """Connect, as whoever the address names, and leave again; OSError when the broker does not let us in."""
+        try:
+            self._connect()
+            self._client.disconnect()
+        except ValueError as error:
+            raise ConnectionError(str(error)) from error
+        finally:
+            if self._client is not None:
+                self._client.loop_stop()
+
     def _connect(self) -> None:
         if self._client is not None:
             self._client.loop_stop()
         self._client = self._mqtt.Client(self._mqtt.CallbackAPIVersion.VERSION2)
         if self._address.user:
             self._client.username_pw_set(self._address.user, self._address.password)
-        answered = threading.Event()
-        self._client.on_connect = lambda *_: answered.set()
+        answered: queue.Queue[Any] = queue.Queue()
+        self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(reason)
         self._client.connect(self._address.host, self._address.port)
         self._client.loop_start()
-        if not answered.wait(_PATIENCE) or not self._client.is_connected():
-            raise ConnectionError("the broker did not take the connection")
+        try:
+            reason = answered.get(timeout=_PATIENCE)
+        except queue.Empty:
+            raise ConnectionError("the broker did not take the connection") from None
+        if reason.is_failure:
+            raise ConnectionError(f"the broker refuses us: {reason}")
 
 
 def _without_secrets(url: str) -> str:

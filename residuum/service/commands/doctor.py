@@ -22,7 +22,8 @@ from residuum.service.fieldbus.can import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.settings import Settings, is_loopback, load_settings
+from residuum.service.notifications import Broker
+from residuum.service.settings import Settings, broker_address, is_loopback, load_settings
 from residuum.service.storage import audit, block_rows
 from residuum.service.storage.audit import BrokenAudit
 from residuum.service.storage.blocks import Blocks, BrokenBlock
@@ -58,7 +59,7 @@ def doctor(
     blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
     as_json: AsJson = False,
 ) -> None:
-    """Check database, audit trail, blocks, disk, access, buses and compiled code; exit status 1 when something is wrong."""
+    """Check database, audit trail, blocks, disk, access, buses, broker, compiled code; exit status 1 when something is wrong."""
     settings = load_settings(data=data, database=database)
     checks = [
         _check("database", lambda: _database(settings)),
@@ -67,6 +68,7 @@ def doctor(
         _check("disk", lambda: _disk(settings)),
         _check("access", lambda: _access(settings)),
         *_buses(settings),
+        *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
         _check("compiled code", _compiled_code),
     ]
     lines = [f"{'ok   ' if check.ok else 'WRONG'} {check.name:<15} {check.says}" for check in checks]
@@ -185,6 +187,16 @@ def _bus(source: SourceSettings) -> str:
     except OSError as error:
         raise Wrong(f"{address}: no connection: {error}") from None
     return f"{address} accepts connections; {source.map} has {streams} streams"
+
+
+def _broker(settings: Settings) -> str:
+    address = broker_address(settings.mqtt)
+    where = f"{address.host}:{address.port}"
+    try:
+        Broker(address).try_connection()
+    except OSError as error:
+        raise Wrong(f"{where}: {error}") from None
+    return f"{where} lets us in; topics begin with {address.prefix}/"
 
 
 def _compiled_code() -> str:
