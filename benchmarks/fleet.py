@@ -9,6 +9,7 @@ processes that have begun already (a start costs some seconds, once), each of on
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import random
 import signal
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +127,7 @@ def speed_up(jobs: int, samples: int) -> dict[str, Any]:
             rates[workers] = jobs / (time.perf_counter() - begun)
             in_workers[workers], here[workers] = _processor_time(pool) - cpu, time.process_time() - cpu_here
             pool.terminate()
+        plain = plain_speed_up(files)
     pool = WorkerPool(1)
     pool.submit(time.process_time).result()  # the server has begun
     pool.terminate()
@@ -140,8 +143,39 @@ def speed_up(jobs: int, samples: int) -> dict[str, Any]:
         "files/s, one worker": round(rates[1], 1),
         "files/s, two workers": round(rates[2], 1),
         "speed-up": round(rates[2] / rates[1], 2),
+        "speed-up of plain processes": round(plain, 2),
         "load of the machine before": os.getloadavg()[0],
     }
+
+
+def plain_speed_up(files: list[str]) -> float:
+    """What two processes that know nothing of each other reach over one: no executor, nobody who hands over or writes down.
+
+    It is what this computer has to give (two cores that share caches, memory or a hyper-thread give less than 2), so it is the
+    figure beside which the speed-up of the fleet stands.
+    """
+    context = multiprocessing.get_context("forkserver")
+    rates = {}
+    for processes in (1, 2):
+        begin = context.Barrier(processes + 1)
+        workers = [context.Process(target=_work_alone, args=(files[k::processes], begin)) for k in range(processes)]
+        for worker in workers:
+            worker.start()
+        begin.wait()
+        begun = time.perf_counter()
+        for worker in workers:
+            worker.join()
+        rates[processes] = len(files) / (time.perf_counter() - begun)
+    return rates[2] / rates[1]
+
+
+def _work_alone(files: list[str], begin: Barrier) -> None:
+    """Some files first, as the fleet's workers have had them, then all when the others are ready, too."""
+    for file in files[:20]:
+        WORK(file)
+    begin.wait()
+    for file in files:
+        orjson.dumps({"file": file, **WORK(file)})
 
 
 def _processor_time(pool: WorkerPool) -> float:

@@ -276,7 +276,7 @@ def _resident(pid: int) -> int:
 
 
 def _wait(port: int) -> None:
-    end = time.monotonic() + 120
+    end = time.monotonic() + 600
     while time.monotonic() < end:
         with socket.socket() as attempt:
             if attempt.connect_ex(("127.0.0.1", port)) == 0:
