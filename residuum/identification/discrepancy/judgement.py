@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.compare import structured_errors
 from residuum.identification.discrepancy.evidence import ALIKE, relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
-from residuum.identification.discrepancy.noise_floor import PLAINLY, times_the_noise
+from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
 from residuum.identification.discrepancy.search import ACCEPT, Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
@@ -135,7 +135,8 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     plain = None if fell < _MOSTLY else _plain(found.best, experiments)
     if plain is None:
         return False
-    if any(times_the_noise(column) > PLAINLY for column in zip(*(r.T for r in plain.residuals), strict=True)):
+    columns = list(zip(*(r.T for r in plain.residuals), strict=True))
+    if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True
     simulator = Simulator(plain.model)
     runs = [

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import welch
+from scipy.signal import medfilt, welch
 
 from residuum.identification.discrepancy.coloured_noise import longest_memory, stretches
 
@@ -17,6 +17,14 @@ PLAINLY = 6.0
 """Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
 CHANCE = 1 / 600
 """Bound on how often noise stands there."""
+STANDS_OUT = 3.0 * PLAINLY
+"""Times the noise of its quieter parts beyond which an error is an event (noise of up to ρ = .995 reaches half of it)."""
+_WINDOW, _FEWEST_WINDOWS = 256, 8
+"""Samples of a window, every other half of which begins one; how many there must be."""
+_QUIET, _LOUD, _THROUGHOUT = 0.1, 0.75, 0.1
+"""Quantiles of the windows' fast power that tell the quietest and the loudest of the quieter ones; the least ratio of the two
+where noise is there all the time.
+"""
 _COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
 
 
@@ -70,6 +78,27 @@ def times_the_noise(residuals: Sequence[FloatArray]) -> float:
     """RMS of an output's residuals over its `fast_floor`; 0 if not measured."""
     known, floor = np.concatenate([residual[np.isfinite(residual)] for residual in residuals]), fast_floor(residuals)
     return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
+
+
+def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
+    """RMS of an output's error without single samples, over the noise of its quieter parts; 0 where those do not tell it.
+
+    An event (a sensor that sticks, a blow) is fast itself, and in the noise of the fast part of the whole error it hides. A noise
+    that is not there all the time (that of a quantised signal, which rests) says nothing of other times.
+    """
+    parts = [part for residual in residuals for part in _whole_parts(residual)]
+    windows = [part[k : k + _WINDOW] for part in parts for k in range(0, len(part) - _WINDOW + 1, _WINDOW // 2)]
+    if len(windows) < _FEWEST_WINDOWS:
+        return 0.0
+    frequency, spectra = welch(np.array(windows), nperseg=_WINDOW, detrend="linear")
+    fast = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.5)
+    power = spectra[:, fast].mean(axis=1)
+    quietest, loud = np.quantile(power, (_QUIET, _LOUD))
+    if quietest < _THROUGHOUT * loud:
+        return 0.0
+    floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), _COLOURS)))
+    smooth = np.concatenate([medfilt(part, 5) for part in parts])
+    return float(np.sqrt(np.mean(smooth**2))) / floor if floor > 0 else 0.0
 
 
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:

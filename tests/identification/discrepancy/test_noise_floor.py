@@ -1,0 +1,34 @@
+"""The noise of an error's quieter parts: an event stands out of it, noise of any colour does not."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9, 0.99])
+def test_noise_of_any_colour_does_not_stand_out(rho):
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(6000))[2000:]
+        assert times_the_quiet_noise([noise]) < 0.6 * STANDS_OUT
+
+
+def test_a_sensor_that_sticks_stands_out_though_its_jumps_are_fast():
+    rng = np.random.default_rng(1)
+    moving = 40.0 * np.sin(np.arange(4000) / 9.0)
+    error = rng.standard_normal(4000)
+    error[1500:1900] = moving[1500] - moving[1500:1900]
+    assert times_the_quiet_noise([error]) < STANDS_OUT  # 13 times the noise
+    error[1500:1900] *= 3.0
+    assert times_the_quiet_noise([error]) > STANDS_OUT
+    assert times_the_noise([error]) < 3.0 * PLAINLY
+
+
+def test_single_samples_and_noise_that_rests_say_nothing():
+    rng = np.random.default_rng(2)
+    outliers = rng.standard_normal(4000) + 300.0 * (rng.random(4000) < 0.004)
+    assert times_the_quiet_noise([outliers]) < 2.0
+    resting = rng.standard_normal(4000) * np.repeat([0.0, 1.0] * 4, 500)
+    assert times_the_quiet_noise([resting]) == 0.0
