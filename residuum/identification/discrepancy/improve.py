@@ -25,6 +25,8 @@ from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
+_PLAIN_SHIFT = 4.0
+"""Standard deviations from zero at which a shift in time must lie to stay in a model."""
 _RISE, _TIMING, _STRANGE = 1.002, 0.9, 2.0
 """Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not; and times
 the error of the rest above which something happens there that the rest does not know.
@@ -115,20 +117,12 @@ def _improved(
             chosen = list(explanation.search.accepted)
     judge = _HeldOut(parts, experiments, base, mapping)
     history = [Step(None, judge.error(base))]
-    kept, refused = base, False
-    for index, key in enumerate(chosen):
-        tell(0.6 + 0.2 * index / len(chosen), f"adding {key[0]} to {key[1]}")
-        seen = {} if explanation is None else explanation.search.values_of(key)
-        better = added(kept, experiments, key, seen)
-        error = judge.error(better) if better is not None else np.inf
-        is_timing = explanation is not None and key in explanation.search.timing
-        if add is None and (better is None or error > history[-1].error * (_TIMING if is_timing else _RISE)):
-            refused = refused or not is_timing
-            continue
-        if better is None:
-            raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
-        kept = better
-        history.append(Step(key[0], error))
+    kept, waiting, tried = base, chosen, len(chosen) + 1
+    while len(waiting) < tried:  # what does not help alone may help beside what joined after it
+        tried = len(waiting)
+        kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
+    shifts = [] if explanation is None else explanation.search.timing
+    refused = any(key not in shifts for key in waiting)
     strange = refused or bool(history[-1].error > _STRANGE * kept.rmse[judge.o])
     tell(0.8, "estimating on everything")
     if add is None:
@@ -140,7 +134,7 @@ def _improved(
     if simulates_better:
         history[-1] = replace(history[-1], error=error)
     final = _on_everything(kept, records, mapping, least_error=simulates_better)
-    for use in _vanished(final.model, history):
+    for use in _vanished(final, history, shifts):
         final = replace(final, model=final.model.without_effect(use.label))
         history.append(Step(f"-{use.id}", history[-1].error))
     improved = _with_provenance(final, records, history, judge)
@@ -183,6 +177,33 @@ def added(
     fitted = [fit_structure(start, experiments, structure.initial) for start in starts]
     best = max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
     return best if best is None else in_likelier_order(best, key, experiments)
+
+
+def _joined(
+    kept: Structure,
+    chosen: Sequence[tuple[str, str]],
+    experiments: Sequence[Experiment],
+    judge: _HeldOut,
+    history: list[Step],
+    explanation: Explanation | None,
+    tell: Tell,
+) -> tuple[Structure, list[tuple[str, str]]]:
+    """The structure with those effects that do not raise the held-out error, each told in the history; and those that did."""
+    refused = []
+    for index, key in enumerate(chosen):
+        tell(0.6 + 0.2 * index / len(chosen), f"adding {key[0]} to {key[1]}")
+        seen = {} if explanation is None else explanation.search.values_of(key)
+        better = added(kept, experiments, key, seen)
+        error = judge.error(better) if better is not None else np.inf
+        is_timing = explanation is not None and key in explanation.search.timing
+        if explanation is not None and (better is None or error > history[-1].error * (_TIMING if is_timing else _RISE)):
+            refused.append(key)
+            continue
+        if better is None:
+            raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
+        kept = better
+        history.append(Step(key[0], error))
+    return kept, refused
 
 
 def _verdict(explanation: Explanation, refused: bool) -> str:
@@ -280,10 +301,20 @@ def _on_everything(
     return (_least_simulation_error(result, experiments) if least_error else None) or result
 
 
-def _vanished(model: PhysicalModel, history: Sequence[Step]) -> list[EffectUse]:
-    """Effects that were added and have no size left: a shift in time, once all is estimated at the likelier input timing."""
-    joined = [use for use in model.effects if use.effect.sizes and any(step.added == use.id for step in history)]
-    return [use for use in joined if not any(model.values.get(f"{use.label}.{n}", 0.0) for n in use.effect.sizes)]
+def _vanished(final: Structure, history: Sequence[Step], shifts: Sequence[tuple[str, str]]) -> list[EffectUse]:
+    """Effects that were added and have no size left: at zero, or of the `shifts` in time those that cannot be told from it.
+
+    Once all is estimated at the likelier input timing, what was a delay of half a sample may be some microseconds.
+    """
+    values, std = final.model.values, dict(zip(final.parameters, final.std, strict=True))
+
+    def gone(use: EffectUse, name: str) -> bool:
+        label = f"{use.label}.{name}"
+        doubt = std.get(label, 0.0) if (use.id, use.target) in shifts else 0.0
+        return abs(values.get(label, 0.0)) <= _PLAIN_SHIFT * np.nan_to_num(doubt, posinf=0.0)
+
+    joined = [use for use in final.model.effects if use.effect.sizes and any(step.added == use.id for step in history)]
+    return [use for use in joined if all(gone(use, name) for name in use.effect.sizes)]
 
 
 def _with_provenance(final: Structure, records: Sequence[Record], history: Sequence[Step], judge: _HeldOut) -> PhysicalModel:

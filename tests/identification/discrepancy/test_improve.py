@@ -1,5 +1,7 @@
 """What improve keeps in the user's model, and which part of a record it keeps aside."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numba import njit
@@ -58,8 +60,15 @@ def test_either_end_of_a_record_can_be_kept_aside():
 
 
 def test_an_effect_without_size_is_no_part_of_the_model():
-    """A shift in time that made up for the wrong input timing ends at zero once the timing is right."""
+    """A shift in time that made up for the wrong input timing ends at zero, or near it, once the timing is right."""
     model = load_model("gate-drive").with_effect("input-delay", "voltage", {"delay": 0.0})
     model = model.with_effect("viscous-friction", "shaft", {"d": 1e-4}).with_effect("input-offset", "voltage", {"u_0": 0.0})
     history = [Step(None, 1.0), Step("input-delay", 0.9), Step("viscous-friction", 0.5)]
-    assert [use.id for use in _vanished(model, history)] == ["input-delay"]  # the offset was the user's own
+    delay = "input-delay@voltage.delay"
+    found = SimpleNamespace(model=model, parameters=(delay,), std=np.array([1e-6]))
+    assert [use.id for use in _vanished(found, history, [])] == ["input-delay"]  # the offset was the user's own
+    found.model = model.with_values({delay: 3e-6})
+    assert _vanished(found, history, []) == []
+    assert [use.id for use in _vanished(found, history, [("input-delay", "voltage")])] == ["input-delay"]
+    found.model = model.with_values({delay: 5e-6})
+    assert _vanished(found, history, [("input-delay", "voltage")]) == []
