@@ -42,6 +42,8 @@ RISE, WORTH_A_LOOK = 1.005, 1.02
 """Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
 FALL, SLOW = 0.99, 10.0
 """Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
+MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
+"""Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
 PLAIN_FALL = 0.95
 """Factor to which the error has to fall at least with an effect of the reading alone."""
 NEARLY_ALL = 0.1
@@ -301,6 +303,10 @@ def _grow(found: Search, task: _Task) -> None:
             found.best = refitted[key]
             found.base = found.base if found.accepted else found.best
             continue
+        if key is not None and wins and (higher := _climbed_without(refitted[key], key, found.best, task.experiments)):
+            found.best = higher
+            found.base = found.base if found.accepted else higher
+            continue
         found.before.append(found.best)
         found.alternatives.append(refitted)
         if key is None or not wins:
@@ -311,6 +317,19 @@ def _grow(found: Search, task: _Task) -> None:
         refitted[key] = in_likelier_order(_followed(screen, key, refitted[key]), key, task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
+
+
+def _climbed_without(
+    structure: Structure, key: tuple[str, str], before: Structure, experiments: Sequence[Experiment]
+) -> Structure | None:
+    """The structure without its new effect, climbed from where that led to, when it ends higher than where it was left.
+
+    The likelihood of what sticks and slides has many tops; any effect may lead from a lower one to a higher, and would seem missing.
+    """
+    if structure.log_likelihood > before.log_likelihood + MORE_THAN_A_TOP:
+        return None
+    less = _without(structure, key, experiments)
+    return less if less is not None and less.log_likelihood > before.log_likelihood + HIGHER else None
 
 
 def _leave_to_the_noise(refitted: dict[tuple[str, str], Structure], best: Structure) -> None:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.search import _leave_to_the_noise
-from residuum.identification.discrepancy.structures import base_structure
+from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise
+from residuum.identification.discrepancy.structures import base_structure, refit
 from residuum.identification.physics import match, read_model
 from residuum.identification.record import Record
 
@@ -117,3 +117,12 @@ def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
         refitted = {key: replace(stepped, rmse=factor * base.rmse)}
         _leave_to_the_noise(refitted, base)
         assert (key in refitted) == kept
+
+
+def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
+    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
+    top, key = base_structure(model, experiments), ("constant-load", "chassis")
+    with_it = refit(top, model.with_effect(*key), experiments)
+    lower = replace(top, pointwise=top.pointwise - 20.0 / top.samples)
+    assert abs(_climbed_without(with_it, key, lower, experiments).log_likelihood - top.log_likelihood) < 1.0
+    assert _climbed_without(with_it, key, top, experiments) is None
