@@ -324,7 +324,8 @@ def _climbed_without(
 ) -> Structure | None:
     """The structure without its new effect, climbed from where that led to, when it ends higher than where it was left.
 
-    The likelihood of what sticks and slides has many tops; any effect may lead from a lower one to a higher, and would seem missing.
+    The likelihood of what sticks and slides has many tops; any effect may lead from a lower one to a higher, and would seem
+    missing.
     """
     if structure.log_likelihood > before.log_likelihood + MORE_THAN_A_TOP:
         return None
