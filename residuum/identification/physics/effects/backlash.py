@@ -46,6 +46,10 @@ class Backlash(TwoBodies):
             found.append({"gap": steps * travelled, "k": k, "d": 0.3 * k / omega, "share": share})
         return found
 
+    def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
+        """The contact without play."""
+        return {name: general[name] for name in ("k", "d", "share")}
+
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """A spring that is soft because part of its travel is play."""
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))

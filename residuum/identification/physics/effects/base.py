@@ -243,6 +243,10 @@ class Effect(ABC):
         """Values to try near an estimate of the effect that it `generalises`, in the conditions of that estimate."""
         return []
 
+    def specialised(self, general: Mapping[str, float]) -> Mapping[str, float]:
+        """Values of the effect that it `generalises` at an estimate of its own; empty where they do not follow."""
+        return {}
+
     def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
         """A start with its sizes shrunk to where screening takes derivatives."""
         return {name: value * self.rest if name in self.sizes else value for name, value in start.items()}

@@ -1,5 +1,7 @@
 """Dry friction that differs between the two directions."""
 
+from collections.abc import Mapping
+
 from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.friction import Friction
 
@@ -16,6 +18,7 @@ class DirectionalFriction(Friction):
     reference = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083"
     sizes = ("tau_plus", "tau_minus")
     rest = 0.001
+    generalises = "coulomb-friction"
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
@@ -31,3 +34,7 @@ class DirectionalFriction(Friction):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude
         return [{"tau_plus": size, "tau_minus": 0.5 * size}]
+
+    def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
+        """Their mean."""
+        return {"tau_c": 0.5 * (general["tau_plus"] + general["tau_minus"])}
