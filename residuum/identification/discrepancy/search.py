@@ -41,7 +41,9 @@ NEAR, FAR = 3.0, 20.0
 RISE, WORTH_A_LOOK = 1.005, 1.02
 """Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
 FALL, SLOW = 0.99, 10.0
-"""Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted."""
+"""Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted, or
+at all where the gain is plain.
+"""
 MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
 """Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
 PLAIN_FALL = 0.95
@@ -526,17 +528,24 @@ def _grown(
 def _simplified(
     best: Structure, experiments: Sequence[Experiment], refitted: Mapping[tuple[str, str], Structure]
 ) -> dict[tuple[str, str], Structure]:
-    """Effects refitted from the estimate of one that generalises them, where that one fits better: they may have been stuck."""
+    """Effects refitted from the estimate of one that generalises them, where that one does better: they may have been stuck, or
+    not been among the likeliest to first order.
+    """
     found = {}
     for (id, target), general in refitted.items():
         key = EFFECTS[id].generalises, target
-        special = refitted.get(key)
-        if special is None or general.log_likelihood < special.log_likelihood + CLOSE:
+        special, label = refitted.get(key), general.label_of((id, target))
+        reached = best.log_likelihood + ACCEPT if special is None else _score(special, best)
+        if key not in candidates(best.model, [key[0]] if key[0] else []) or _score(general, best) <= reached:
             continue
-        known = general.model.values
-        start = {n: known.get(n.replace(key[0], id), value) for n, value in special.model.values.items()}
-        again = refit(best, special.model.with_values(start), experiments, initial=general.initial)
-        if again is not None and again.log_likelihood > special.log_likelihood and _simulates_no_worse(again, best):
+        own = {n.removeprefix(f"{label}."): v for n, v in general.model.values.items() if n.startswith(f"{label}.")}
+        values = EFFECTS[id].specialised(own)
+        if not values:
+            continue
+        known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
+        again = refit(best, best.model.with_values(known).with_effect(*key, values), experiments, initial=general.initial)
+        higher = again is not None and (special is None or again.log_likelihood > special.log_likelihood)
+        if again is not None and higher and _simulates_no_worse(again, best):
             found[key] = again
     return found
 
@@ -616,15 +625,16 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     An unmeasured disturbance can let the likelihood win by the fast part of the error alone, while what the user sees grows.
     Where the end of the record shows what the rest never did (a tank that runs over), its beginning has a say.
     """
-    rise = FALL if found.accepted or _times_its_innovations(better) > SLOW else RISE
-    if not _simulates_no_worse(better, found.best, rise):
+    plain = tempered_gain(better, found.best) > PLAINLY_MORE
+    doubted = 1.0 if plain else FALL
+    if not _simulates_no_worse(better, found.best, doubted if found.accepted or _times_its_innovations(better) > SLOW else RISE):
         return False
     errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
     if errors[0] is None or errors[1] is None:
         return True
     found.held_out[key] = errors[0], errors[1]
     ratio = _mean_ratio(errors[1], errors[0])
-    if ratio < (FALL if found.accepted else RISE):
+    if ratio < (doubted if found.accepted else RISE):
         return True
     other = [cross_checked(structure, experiments, end=False) for structure in (found.best, better)]
     if other[0] is None or other[1] is None or np.sqrt(ratio * _mean_ratio(other[1], other[0])) > PLAINLY_LESS:
