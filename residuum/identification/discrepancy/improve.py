@@ -90,7 +90,8 @@ def improve(
     found = _improved(model, records, split(records), mapping, add, effects, tell)
     if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
-    other = _improved(model, records, split(records, end=False), mapping, add, effects, tell)
+    again = split(records, end=False)
+    other = _improved(model, records, again, mapping, add, effects, lambda share, doing: tell(0.8 + 0.2 * share, doing))
     return found.improvement if other.strange else other.improvement
 
 

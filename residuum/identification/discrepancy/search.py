@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -19,30 +17,36 @@ from residuum.identification.discrepancy.structures import (
     Structure,
     base_structure,
     fit_structure,
-    glimpse,
     in_likelier_order,
     refit,
 )
+from residuum.identification.discrepancy.trials import (
+    ACCEPT,
+    SLOW,
+    followed,
+    mean_ratio,
+    polished,
+    schwarz,
+    simulates_no_worse,
+    times_its_innovations,
+    trials,
+    within_a_sample,
+)
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics import Experiment, PhysicalModel, candidates
 
 FloatArray = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]
 """Told how far the work is: share done 0 … 1, and what is done now."""
 
 FEWEST_REFITS = 6
-MOST_GLIMPSES, SECOND_LOOKS = 3, 2
-MOST_EFFECTS, POLISHES, CLOSE = 3, 3, 20.0
-_SHIFTS, _READING = {"input-delay": "delay", "output-lag": "tau"}, "output-quantisation"
-_THREADS = min(4, os.cpu_count() or 1)
+MOST_EFFECTS = 3
+_READING = "output-quantisation"
 NEAR, FAR = 3.0, 20.0
 """Factors from its nominal value within which a parameter is near, and beyond which it has strayed."""
-RISE, WORTH_A_LOOK = 1.005, 1.02
-"""Factors by which the outputs' errors may rise, in the mean of their logarithms, with an effect: accepted, looked at."""
-FALL, SLOW = 0.99, 10.0
-"""Where the error is so many times its innovations, it has to fall at least by this factor with an effect that is accepted, or
-at all where the gain is plain.
+RISE, FALL = 1.005, 0.99
+"""Factors of the outputs' errors, in the mean of their logarithms: by which they may rise with the first effect, and to which
+they have to fall with a later one or where they are slow; less is enough where the gain is plain.
 """
 MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
 """Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
@@ -50,12 +54,10 @@ PLAIN_FALL = 0.95
 """Factor to which the error has to fall at least with an effect of the reading alone."""
 NEARLY_ALL = 0.1
 """Share of the way to white noise, in logarithms of the error, up to which two effects may leave it and need no second search."""
-ACCEPT = 3.0
-"""Evidence above the number of candidates' logarithm at which an effect joins the structure: odds of 20 to 1."""
 PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
 """An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0
-"""The same for a second and third effect, which must not make up for what the first does not follow exactly."""
+"""As `ACCEPT`, of a second and third effect, which must not make up for what the first does not follow exactly."""
 EXCHANGES = 3
 """How often at most effects that were accepted one by one are exchanged for others that do more together."""
 
@@ -207,7 +209,7 @@ def _forward(base: Structure, task: _Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
-    far, left = _times_its_innovations(found.base), _times_its_innovations(found.best)
+    far, left = times_its_innovations(found.base), times_its_innovations(found.best)
     done = len(found.accepted) == 2 and np.log(left) < NEARLY_ALL * np.log(far)
     if len(found.accepted) != 1 and not done and not found.refuted and far > SLOW:
         other = _from_the_runner_up(found, first, task)
@@ -219,7 +221,7 @@ def _forward(base: Structure, task: _Task) -> Search:
 def _does_more(other: Search, found: Search) -> bool:
     """Whether the other search ended higher; against nothing at all several effects count only as far as each is wanted."""
     if found.accepted:
-        return _score(other.best, found.base) > _score(found.best, found.base)
+        return schwarz(other.best, found.base) > schwarz(found.best, found.base)
     gain = tempered_gain(other.best, found.base) - other.best.penalty(found.base)
     return len(other.accepted) > 1 and gain > _asked(found, ACCEPT_MORE)
 
@@ -242,7 +244,7 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
     key = preferred(others, found.base)
     if key is None:
         return None
-    best = _polished(others[key], task.experiments)
+    best = polished(others[key], task.experiments)
     present = {(use.id, use.target) for use in found.base.model.effects}
     other = replace(
         found,
@@ -260,11 +262,6 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
     return other
 
 
-def _score(structure: Structure, base: Structure) -> float:
-    """Schwarz's criterion."""
-    return structure.log_likelihood - structure.penalty(base)
-
-
 def _two_instead(found: Search, task: _Task) -> bool:
     """Put two effects in place of those accepted where they do more together; whether that was so."""
     if not found.accepted:
@@ -276,7 +273,7 @@ def _two_instead(found: Search, task: _Task) -> bool:
     better = [s for s in fitted if s is not None and tempered_gain(s, found.best) - s.penalty(found.best) > asked]
     if not better:
         return False
-    pair = _polished(max(better, key=lambda s: _score(s, base)), task.experiments)
+    pair = polished(max(better, key=lambda s: schwarz(s, base)), task.experiments)
     first, second = ((use.id, use.target) for use in pair.model.effects[-2:])
     if not _holds_up(found, second, pair, task.experiments):
         return False
@@ -316,7 +313,7 @@ def _grow(found: Search, task: _Task) -> None:
         if not _holds_up(found, key, refitted[key], task.experiments):
             found.refuted.append(key)
             break
-        refitted[key] = in_likelier_order(_followed(screen, key, refitted[key]), key, task.experiments)
+        refitted[key] = in_likelier_order(followed(screen, key, refitted[key]), key, task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
 
@@ -340,7 +337,7 @@ def _leave_to_the_noise(refitted: dict[tuple[str, str], Structure], best: Struct
     carries the reading over them, and it is a part of that noise.
     """
     while (key := preferred(refitted, best)) is not None and key[0] == _READING:
-        if _simulates_no_worse(refitted[key], best, PLAIN_FALL):
+        if simulates_no_worse(refitted[key], best, PLAIN_FALL):
             break
         del refitted[key]
 
@@ -370,9 +367,9 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
             settled.append(key)
             continue
         screen = task.screen(others)
-        tried = _tried(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
-        refitted = {k: s for k, s in tried.items() if not _within_a_sample(s, k, task.experiments)}
-        refitted[key] = _followed(screen, key, found.best)
+        tried = trials(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
+        refitted = {k: s for k, s in tried.items() if not within_a_sample(s, k, task.experiments)}
+        refitted[key] = followed(screen, key, found.best)
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
             moved = _moved(refitted[key], found.best)
@@ -384,12 +381,18 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         for steps in (found.accepted, found.before, found.alternatives):
             del steps[at]
         if best is not None and wins:
-            found.best = refitted[best] = _polished(refitted[best], task.experiments)
+            found.best = refitted[best] = polished(refitted[best], task.experiments)
             found.before.insert(len(found.accepted), others)
             found.alternatives.insert(len(found.accepted), refitted)
             found.accepted.append(best)
             settled = [best]
     return exchanges > 0
+
+
+def _moved(structure: Structure, before: Structure) -> bool:
+    """Whether what effects hold fixed was put elsewhere."""
+    known = before.model.all_parameters
+    return any(known[n].fixed and value != known[n].value for n, value in structure.model.values.items() if n in known)
 
 
 def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> Structure | None:
@@ -400,193 +403,10 @@ def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[E
 
 def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
     screen = task.screen(found.best)
-    refitted, tested = _tried(screen, task.candidates(found.best), task.refits)
+    refitted, tested = trials(screen, task.candidates(found.best), task.refits)
     if not found.accepted:
         found.screened = {s.key: s for s in tested}
     return refitted, screen
-
-
-def _tried(
-    screen: Screen, pairs: Sequence[tuple[str, str]], refits: int
-) -> tuple[dict[tuple[str, str], Structure], list[Screened]]:
-    """Candidates that promise something on top of what was screened, re-estimated in full; and all as they were screened."""
-    best, experiments = screen.base, screen.experiments
-    with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
-        tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
-    tested.sort(key=lambda s: -s.gain)
-    promising = [s.start for s in tested if s.gain > 2.0][:refits]
-    negative = [s for s in tested if s.gain < 0.0]
-    stateful = [s for s in negative[MOST_GLIMPSES:] if _has_states(best.model, s.key)]
-    promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *stateful)])
-    if _times_its_innovations(best) > SLOW:
-        promising += _overlooked(best, experiments, _from_the_track(screen, pairs)[:MOST_GLIMPSES])
-        promising += _overlooked(best, experiments, _with_states(screen, pairs))
-    refitted = _refitted(best, experiments, promising)
-    for key, structure in _grown(best, experiments, pairs, refitted):
-        if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
-            refitted[key] = structure
-    refitted |= _simplified(best, experiments, refitted)
-    return _settled(refitted, best, experiments), tested
-
-
-def _settled(
-    refitted: dict[tuple[str, str], Structure], best: Structure, experiments: Sequence[Experiment]
-) -> dict[tuple[str, str], Structure]:
-    """Structures that lie close are climbed to their tops before they are compared: the order must not be that of haste."""
-    score = {key: _score(s, best) for key, s in refitted.items()}
-    highest = max(score.values(), default=0.0)
-    close = [key for key in score if score[key] > max(highest - CLOSE, best.log_likelihood)]
-    return refitted | {key: _polished(refitted[key], experiments) for key in close if len(close) > 1}
-
-
-def _refitted(
-    best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]
-) -> dict[tuple[str, str], Structure]:
-    """Every start re-estimated in full, the likeliest of each candidate; the first sets the mark for the others to come near."""
-
-    if not starts:
-        return {}
-    first = refit(best, starts[0], experiments)
-    mark = -np.inf if first is None else first.log_likelihood
-    with ThreadPoolExecutor(_THREADS) as pool:
-        structures = [first, *pool.map(lambda start: refit(best, start, experiments, rival=mark), starts[1:])]
-    found: dict[tuple[str, str], Structure] = {}
-    for start, structure in zip(starts, structures, strict=True):
-        key = start.effects[-1].id, start.effects[-1].target
-        if structure is None or (key in found and structure.log_likelihood <= found[key].log_likelihood):
-            continue
-        if _simulates_no_worse(structure, best) or _within_a_sample(structure, key, experiments):
-            found[key] = structure
-    return found
-
-
-def _followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Structure:
-    """The structure climbed to its top, or a likelier top from another start of its effect: a contact's likelihood has many."""
-    before, experiments = screen.base, screen.experiments
-    tops = [_polished(structure, experiments)]
-    if len(screen.starts(*key)) > 1:
-        starts = [screened.start for screened in screen.promising(*key)]
-        tops += _refitted(before, experiments, starts).values()
-        tops += [grown for _, grown in _grown(before, experiments, [key], {key: tops[0]})]
-    best = max(tops, key=lambda s: s.log_likelihood)
-    return _placed(best if best is tops[0] else _polished(best, experiments), key, screen)
-
-
-def _placed(structure: Structure, key: tuple[str, str], screen: Screen) -> Structure:
-    """The structure with what the effect holds fixed (where a spring is at rest) as in its first start, where the data allow it.
-
-    From elsewhere the same curve may be had by a weight that leans, and then a friction that leans the other way is found.
-    """
-    label, known = structure.label_of(key), structure.model.all_parameters
-    held = [n for n, p in known.items() if p.fixed and n.startswith(f"{label}.")]
-    first = {f"{label}.{n}": value for n, value in screen.starts(*key)[0].items()} if held else {}
-    place = {n: first[n] for n in held if n in first and known[n].value != first[n]}
-    if not place:
-        return structure
-    other = refit(structure, structure.model.with_values(place), screen.experiments)
-    return structure if other is None or other.log_likelihood < structure.log_likelihood - ALIKE else other
-
-
-def _moved(structure: Structure, before: Structure) -> bool:
-    """Whether what effects hold fixed was put elsewhere."""
-    known = before.model.all_parameters
-    return any(known[n].fixed and value != known[n].value for n, value in structure.model.values.items() if n in known)
-
-
-def _polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
-    """The structure climbed to its top: what it does not follow exactly would invite a next effect that is not there."""
-    for _ in range(POLISHES):
-        better = refit(structure, structure.model, experiments)
-        if better is None or better.log_likelihood < structure.log_likelihood + 1.0:
-            break
-        structure = better
-    return structure
-
-
-def _grown(
-    best: Structure,
-    experiments: Sequence[Experiment],
-    pairs: Sequence[tuple[str, str]],
-    refitted: Mapping[tuple[str, str], Structure],
-) -> Iterator[tuple[tuple[str, str], Structure]]:
-    """Effects that generalise one that fits well, refitted from its estimate: from nothing they may not be reached."""
-    for id, target in pairs:
-        special = refitted.get((EFFECTS[id].generalises, target))
-        if special is None or special.log_likelihood - best.log_likelihood < ACCEPT:
-            continue
-        initial = special.initial if EFFECTS[id].generalises == id else best.initial
-        for start in _grown_starts(id, target, special, experiments):
-            model = best.model.with_values(
-                {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
-            ).with_effect(id, target, start)
-            mark = special.log_likelihood
-            structure = refit(best, model, experiments, initial=initial, rival=mark)
-            if structure is not None and _simulates_no_worse(structure, best):
-                yield (id, target), structure
-
-
-def _simplified(
-    best: Structure, experiments: Sequence[Experiment], refitted: Mapping[tuple[str, str], Structure]
-) -> dict[tuple[str, str], Structure]:
-    """Effects refitted from the estimate of one that generalises them, where that one does better: they may have been stuck, or
-    not been among the likeliest to first order.
-    """
-    found = {}
-    for (id, target), general in refitted.items():
-        key = EFFECTS[id].generalises, target
-        special, label = refitted.get(key), general.label_of((id, target))
-        reached = best.log_likelihood + ACCEPT if special is None else _score(special, best)
-        if key not in candidates(best.model, [key[0]] if key[0] else []) or _score(general, best) <= reached:
-            continue
-        own = {n.removeprefix(f"{label}."): v for n, v in general.model.values.items() if n.startswith(f"{label}.")}
-        values = EFFECTS[id].specialised(own)
-        if not values:
-            continue
-        known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
-        again = refit(best, best.model.with_values(known).with_effect(*key, values), experiments, initial=general.initial)
-        higher = again is not None and (special is None or again.log_likelihood > special.log_likelihood)
-        if again is not None and higher and _simulates_no_worse(again, best):
-            found[key] = again
-    return found
-
-
-def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
-    k = int(np.argmax([e.n for e in experiments]))
-    simulator = Simulator(special.model)
-    X = simulator.run_vectors(experiments[k], special.initial[k], simulator.p(), substeps=special.substeps[k]).X
-    label = f"{EFFECTS[id].generalises}@{target}."
-    values = {n.removeprefix(label): v for n, v in special.model.values.items() if n.startswith(label)}
-    return EFFECTS[id].grown(values, conditions_at(special.model, EFFECTS[id], target, experiments[k], X))
-
-
-def _overlooked(best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
-    """The starts that a few full steps speak for, the most promising first.
-
-    The first-order test misjudges effects where its linearisation fails: it finds a negative gain, which a least-squares step can
-    only cause there, or none at all.
-    """
-    with ThreadPoolExecutor(_THREADS) as pool:
-        gains = [gain - best.log_likelihood for gain in pool.map(lambda start: glimpse(start, experiments, best), starts)]
-    ranked = sorted(zip(gains, range(len(starts)), strict=True), reverse=True)
-    return [starts[k] for gain, k in ranked[:SECOND_LOOKS] if gain > 2.0]
-
-
-def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
-    """Starts of the effects that resemble what their balances lacked where the machine was, the most alike first."""
-    found = [regressed for pair in pairs if (regressed := screen.regressed(*pair)) is not None]
-    return [model for _, model in sorted(found, key=lambda one: -one[0])]
-
-
-def _with_states(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
-    """Starts of the effects with states of their own: no track shows those, and slow noise hides what they would explain."""
-    own = [pair for pair in pairs if _has_states(screen.base.model, pair)]
-    return [screened.start for pair in own for screened in screen.promising(*pair, most=2)]
-
-
-def _has_states(model: PhysicalModel, key: tuple[str, str]) -> bool:
-    """Whether an effect remembers: play, a second store, hysteresis."""
-    effect = EFFECTS[key[0]]
-    return bool(effect.states(model.site(key[1], effect)))
 
 
 def _is_timing(
@@ -594,13 +414,7 @@ def _is_timing(
 ) -> bool:
     """Whether a shift in time by less than a sample wins, and no physics that would do the same lies close."""
     close = [key for key, value in evidence.items() if value > -ALIKE]  # the winner, at 0, is among them
-    return all(_within_a_sample(refitted[key], key, experiments) for key in close)
-
-
-def _within_a_sample(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
-    """Whether an effect is a shift in time by less than a sample."""
-    shift = structure.model.values.get(f"{structure.label_of(key)}.{_SHIFTS.get(key[0], '')}", np.inf)
-    return bool(shift < max(e.sample_time for e in experiments))
+    return all(within_a_sample(refitted[key], key, experiments) for key in close)
 
 
 def _rare_but_plain(
@@ -611,11 +425,11 @@ def _rare_but_plain(
     Tempering makes each moment worth two units, whatever it shows; an error that vanishes elsewhere too is no lucky moment.
     """
     inside = {key: s for key, s in refitted.items() if preferred({key: s}, found.best) is not None}
-    key = max(inside, key=lambda each: _score(inside[each], found.best), default=None)
-    if key is None or _score(inside[key], found.best) - found.best.log_likelihood < _asked(found, PLAINLY_MORE):
+    key = max(inside, key=lambda each: schwarz(inside[each], found.best), default=None)
+    if key is None or schwarz(inside[key], found.best) - found.best.log_likelihood < _asked(found, PLAINLY_MORE):
         return None
     errors = [cross_checked(structure, experiments) for structure in (found.best, inside[key])]
-    plain = errors[0] is not None and errors[1] is not None and _mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
+    plain = errors[0] is not None and errors[1] is not None and mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
     return key if plain else None
 
 
@@ -627,33 +441,17 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     """
     plain = tempered_gain(better, found.best) > PLAINLY_MORE
     doubted = 1.0 if plain else FALL
-    if not _simulates_no_worse(better, found.best, doubted if found.accepted or _times_its_innovations(better) > SLOW else RISE):
+    if not simulates_no_worse(better, found.best, doubted if found.accepted or times_its_innovations(better) > SLOW else RISE):
         return False
     errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
     if errors[0] is None or errors[1] is None:
         return True
     found.held_out[key] = errors[0], errors[1]
-    ratio = _mean_ratio(errors[1], errors[0])
+    ratio = mean_ratio(errors[1], errors[0])
     if ratio < (doubted if found.accepted else RISE):
         return True
     other = [cross_checked(structure, experiments, end=False) for structure in (found.best, better)]
-    if other[0] is None or other[1] is None or np.sqrt(ratio * _mean_ratio(other[1], other[0])) > PLAINLY_LESS:
+    if other[0] is None or other[1] is None or np.sqrt(ratio * mean_ratio(other[1], other[0])) > PLAINLY_LESS:
         return False
     found.held_out[key] = other[0], other[1]
     return True
-
-
-def _simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:
-    """Whether the simulation error fell too: noise that is nearly integrated can swallow any slow error."""
-    return _mean_ratio(structure.rmse, before.rmse) < rise
-
-
-def _times_its_innovations(structure: Structure) -> float:
-    """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
-    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return float(np.nanmax(structure.rmse / np.array(innovations)))
-
-
-def _mean_ratio(after: FloatArray, before: FloatArray) -> float:
-    """Geometric mean over the outputs of the ratio of their errors."""
-    return float(np.exp(np.nanmean(np.log(after / before))))
