@@ -428,9 +428,16 @@ def _rare_but_plain(
     key = max(inside, key=lambda each: schwarz(inside[each], found.best), default=None)
     if key is None or schwarz(inside[key], found.best) - found.best.log_likelihood < _asked(found, PLAINLY_MORE):
         return None
-    errors = [cross_checked(structure, experiments) for structure in (found.best, inside[key])]
-    plain = errors[0] is not None and errors[1] is not None and mean_ratio(errors[1], errors[0]) < PLAINLY_LESS
-    return key if plain else None
+    errors = _held_out_errors(found.best, inside[key], experiments)
+    return key if errors is not None and mean_ratio(errors[1], errors[0]) < PLAINLY_LESS else None
+
+
+def _held_out_errors(
+    before: Structure, after: Structure, experiments: Sequence[Experiment], *, end: bool = True
+) -> tuple[FloatArray, FloatArray] | None:
+    """`cross_checked` errors of two structures; None where one has none."""
+    errors = [cross_checked(structure, experiments, end=end) for structure in (before, after)]
+    return None if errors[0] is None or errors[1] is None else (errors[0], errors[1])
 
 
 def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiments: Sequence[Experiment]) -> bool:
@@ -443,15 +450,15 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     doubted = 1.0 if plain else FALL
     if not simulates_no_worse(better, found.best, doubted if found.accepted or times_its_innovations(better) > SLOW else RISE):
         return False
-    errors = [cross_checked(structure, experiments) for structure in (found.best, better)]
-    if errors[0] is None or errors[1] is None:
+    errors = _held_out_errors(found.best, better, experiments)
+    if errors is None:
         return True
-    found.held_out[key] = errors[0], errors[1]
+    found.held_out[key] = errors
     ratio = mean_ratio(errors[1], errors[0])
     if ratio < (doubted if found.accepted else RISE):
         return True
-    other = [cross_checked(structure, experiments, end=False) for structure in (found.best, better)]
-    if other[0] is None or other[1] is None or np.sqrt(ratio * mean_ratio(other[1], other[0])) > PLAINLY_LESS:
+    other = _held_out_errors(found.best, better, experiments, end=False)
+    if other is None or np.sqrt(ratio * mean_ratio(other[1], other[0])) > PLAINLY_LESS:
         return False
-    found.held_out[key] = other[0], other[1]
+    found.held_out[key] = other
     return True
