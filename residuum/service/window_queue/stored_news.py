@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import orjson
 
 from residuum.identification.errors import BadInput
+from residuum.service.window_queue.window_message import ASSET_NAME
 
-_ASSET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _LONGEST = 500
 _LARGEST = 2**63
 
@@ -39,7 +38,7 @@ class StoredNews:
         except orjson.JSONDecodeError as error:
             raise BadInput(f"stored news: cannot be read: {error}") from None
         asset, window = (plain.get("asset"), plain.get("window")) if isinstance(plain, dict) else (None, None)
-        if not isinstance(asset, str) or not _ASSET.fullmatch(asset):
+        if not isinstance(asset, str) or not ASSET_NAME.fullmatch(asset):
             raise BadInput("stored news, asset: is no name of a machine")
         if type(window) is not int or not 0 < window < _LARGEST:
             raise BadInput("stored news, window: is no number of a window")

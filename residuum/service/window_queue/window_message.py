@@ -14,7 +14,7 @@ from residuum.service.scoring import PlainRecord
 
 _VERSION = 1
 _TYPES = ("<f4", "<f8")
-_ASSET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+ASSET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class WindowMessage:
             message = cls(str(plain["asset"]), str(plain["diagnoser"]), str(plain["baseline"]), window)
         except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
             raise BadInput(f"window message: cannot be read: {type(error).__name__} {error}") from None
-        if not _ASSET.fullmatch(message.asset):
+        if not ASSET_NAME.fullmatch(message.asset):
             raise BadInput(f"window message, asset: {message.asset[:40]!r} is no name of a machine")
         return message
 
