@@ -8,12 +8,6 @@ not fit a pattern is unpacked by itself.
 
 from __future__ import annotations
 
-import ipaddress
-import select
-import socket
-import struct
-import sys
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 import msgpack
@@ -21,12 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.frames import FrameBatch, FrameBatchBuilder
+from residuum.service.fieldbus.multicast_socket import MulticastSocket
 
-_MOST = 2048
-_LONGEST = 512
-_RECEIVE_BUFFER = 4 << 20
-_FORCED = 33
-"""Linux's SO_RCVBUFFORCE, which Python has no name for."""
 _PATTERNS = 256
 
 
@@ -42,6 +32,10 @@ class _Pattern:
 
     def __post_init__(self) -> None:
         self.same = self.fixed[self.care]
+
+    def fits(self, rows: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+        """Which of these datagrams, shape (n, length), are of this message."""
+        return np.asarray((rows[:, self.care] == self.same).all(axis=1))
 
 
 class MulticastFrames:
@@ -62,38 +56,29 @@ class MulticastFrames:
     """
 
     def __init__(self, group: str, port: int, hops: int = 0) -> None:
-        self._to = (group, port)
-        self._socket = open_group(group, port, hops)
-        self._datagrams = np.zeros((_MOST, _LONGEST), np.uint8)
-        self._slots = [memoryview(row) for row in self._datagrams]  # type: ignore[arg-type]
-        self._lengths = np.zeros(_MOST, np.intp)
+        self._socket = MulticastSocket(group, port, hops)
         self._patterns: dict[int, list[_Pattern]] = {}
 
     def read(self, timeout: float) -> FrameBatch:
         """Frames that came within `timeout` seconds, or at once those that wait; an empty batch when none came."""
-        if not select.select([self._socket], [], [], timeout)[0]:
-            return FrameBatchBuilder().batch()
-        count, receive, slots, lengths = 0, self._socket.recv_into, self._slots, self._lengths
-        try:
-            while count < _MOST:
-                lengths[count] = receive(slots[count])
-                count += 1
-        except BlockingIOError:
-            pass
-        return self._decode(count)
-
-    def _decode(self, count: int) -> FrameBatch:
+        of_length: dict[int, list[npt.NDArray[np.uint8]]] = {}
+        for rows in self._socket.receive(timeout):
+            of_length.setdefault(rows.shape[1], []).append(rows)
         batch = FrameBatchBuilder()
-        for length in np.unique(self._lengths[:count]):
-            rows = self._datagrams[np.flatnonzero(self._lengths[:count] == length), :length]
-            for pattern in self._patterns.get(int(length), ()):
-                fits = (rows[:, pattern.care] == pattern.same).all(axis=1)
-                if fits.any():
-                    batch.add(pattern.frame_id, rows[fits, pattern.data])
-                    rows = rows[~fits]
-            while len(rows):
-                rows = self._learn(rows, batch)
+        for length, runs in of_length.items():
+            self._decode(length, np.concatenate(runs), batch)  # a copy: the socket's buffer is used again
         return batch.batch()
+
+    def _decode(self, length: int, rows: npt.NDArray[np.uint8], batch: FrameBatchBuilder) -> None:
+        for pattern in self._patterns.get(length, ()):
+            if not len(rows):
+                return
+            fits = pattern.fits(rows)
+            if fits.any():
+                batch.add(pattern.frame_id, rows[fits, pattern.data])
+                rows = rows[~fits]
+        while len(rows):
+            rows = self._learn(rows, batch)
 
     def _learn(self, rows: npt.NDArray[np.uint8], batch: FrameBatchBuilder) -> npt.NDArray[np.uint8]:
         """Unpack the first datagram, keep it as a pattern when it carries data, and return those that it does not fit."""
@@ -117,20 +102,23 @@ class MulticastFrames:
         known = self._patterns.setdefault(len(datagram), [])
         if sum(map(len, self._patterns.values())) < _PATTERNS:
             known.append(pattern)
-        fits = (rows[:, pattern.care] == pattern.same).all(axis=1)
+        fits = pattern.fits(rows)
         batch.add(frame_id, rows[fits, pattern.data])
         return rows[~fits]
 
     def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
         """Send one frame."""
-        self._socket.sendto(pack(frame_id, data, is_fd=is_fd), self._to)
+        self.send_many(frame_id, np.frombuffer(data, np.uint8)[None, :], is_fd=is_fd)
 
     def send_many(self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False) -> None:
-        """Send frames of one message, shape (n, length), one after the other."""
-        send, to = self._socket.sendto, self._to
-        head, tail = _around(frame_id, frames.shape[1], is_fd)
-        for data in frames:
-            send(head + data.tobytes() + tail, to)
+        """Send frames of one message, shape (n, length), in order; OSError when the network does not take them."""
+        n, length = frames.shape
+        head, tail = (np.frombuffer(part, np.uint8) for part in _around(frame_id, length, is_fd))
+        datagrams = np.empty((n, len(head) + length + len(tail)), np.uint8)
+        datagrams[:, : len(head)] = head
+        datagrams[:, len(head) : len(head) + length] = frames
+        datagrams[:, len(head) + length :] = tail
+        self._socket.send(datagrams)
 
     def close(self) -> None:
         """Leave the bus."""
@@ -148,13 +136,8 @@ def _pattern(datagram: bytes, row: npt.NDArray[np.uint8], frame_id: int, data: b
     return _Pattern(row.copy(), care, frame_id, slice(begin, begin + len(data)))
 
 
-def pack(frame_id: int, data: bytes, *, is_fd: bool) -> bytes:
-    """One frame as python-can's `udp_multicast` bus puts it on the wire."""
-    head, tail = _around(frame_id, len(data), is_fd)
-    return head + data + tail
-
-
 def _around(frame_id: int, length: int, is_fd: bool) -> tuple[bytes, bytes]:
+    """What stands before and behind the data where python-can's `udp_multicast` bus puts a frame on the wire."""
     message = {
         "timestamp": 0.0,
         "arbitration_id": frame_id,
@@ -171,47 +154,3 @@ def _around(frame_id: int, length: int, is_fd: bool) -> tuple[bytes, bytes]:
     packed = msgpack.packb(message, use_bin_type=True)
     begin = packed.find(b"\xa4data\xc4") + 7
     return packed[:begin], packed[begin + length :]
-
-
-def open_group(group: str, port: int, hops: int) -> socket.socket:
-    """A non-blocking socket that has joined a multicast group; on a machine without a network, through the loopback interface."""
-    version = ipaddress.ip_address(group).version
-    family = socket.AF_INET if version == 4 else socket.AF_INET6
-    opened = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if hasattr(socket, "SO_REUSEPORT"):
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-        _make_room(opened)
-        opened.bind(("", port))
-        (_join_ipv4 if version == 4 else _join_ipv6)(opened, group, hops)
-        opened.setblocking(False)
-    except OSError:
-        opened.close()
-        raise
-    return opened
-
-
-def _make_room(opened: socket.socket) -> None:
-    """Let frames wait while this process does not get the processor: beyond the system's limit where we may (root)."""
-    with suppress(OSError):
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-        if sys.platform == "linux":
-            opened.setsockopt(socket.SOL_SOCKET, _FORCED, _RECEIVE_BUFFER)
-
-
-def _join_ipv4(opened: socket.socket, group: str, hops: int) -> None:
-    opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hops)
-    member = socket.inet_aton(group)
-    try:
-        opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member + socket.inet_aton("0.0.0.0"))
-    except OSError:
-        loopback = socket.inet_aton("127.0.0.1")
-        opened.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
-        opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member + loopback)
-
-
-def _join_ipv6(opened: socket.socket, group: str, hops: int) -> None:
-    opened.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hops)
-    member = socket.inet_pton(socket.AF_INET6, group)
-    opened.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, member + struct.pack("@I", 0))
