@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.structures import VISIBLE_SUBSTEPS, Structure, bounded
+from residuum.identification.discrepancy.structures import COARSER, VISIBLE_SUBSTEPS, Structure, bounded
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
 from residuum.identification.errors import BadInput
@@ -22,13 +22,15 @@ FloatArray = npt.NDArray[np.float64]
 
 _WORTH_A_PASS = 2.0
 """Gain or loss of log-likelihood from which on a second pass, with the noise of the first, may matter."""
+_HOPELESS = 100.0
+"""Log-likelihood below the base's, under its noise, from which on no other noise is tried."""
+_NOTHING = 0.5
+"""Gain of log-likelihood under the base's noise up to which it is left."""
 _FRACTIONS = (1.0, 0.3, 0.1, 0.03)
-_COARSER = 2
-"""Factor by which an integration may be coarser where it serves a first-order look alone (a Runge–Kutta step errs by 3e-4)."""
 _MOVED = 1e-6
 """Part of the errors by which an effect at rest may change the outputs, by rounding."""
 _FALLEN = 0.98
-"""Share of the errors to which a step in white noise has to take them to be followed."""
+"""Share of the base's errors to which a step in white noise has to take them to be followed."""
 
 
 _Fitted = tuple[FloatArray, FloatArray, list[FloatArray], Noises]
@@ -167,7 +169,8 @@ class Screen:
         if linear is None:
             return None
         residuals, by_parameters, by_states = linear
-        step, pointwise = self._feasible_fit(model, names, len(names) - len(own), linear)
+        equations = NormalEquations.of(residuals, by_parameters, by_states, self.base.noises)
+        step, pointwise = self._feasible_fit(model, names, len(names) - len(own), linear, equations)
         gain = float(pointwise.sum()) - self.base.log_likelihood
         values = dict(zip(names, step + np.array([model.values[n] for n in names]), strict=True))
         return Screened(
@@ -176,15 +179,15 @@ class Screen:
             start=_clipped(model, values, start if effect.sizes else None),
             gain=gain,
             chi_square=2.0 * gain,
-            information=_information(
-                NormalEquations.of(residuals, by_parameters, by_states, self.base.noises), len(names) - len(own)
-            ),
+            information=_information(equations, len(names) - len(own)),
             own_parameters=len(shapes),
             own=tuple(n.removeprefix(f"{label}.") for n in own),
             slopes=[J[:, :, len(names) - len(own) :] for J in by_parameters],
         )
 
-    def _feasible_fit(self, model: PhysicalModel, names: list[str], first: int, linear: _Linear) -> tuple[FloatArray, FloatArray]:
+    def _feasible_fit(
+        self, model: PhysicalModel, names: list[str], first: int, linear: _Linear, equations: NormalEquations
+    ) -> tuple[FloatArray, FloatArray]:
         """The first-order step, the effect's own parameters (from `first` on) kept within bounds, and its pointwise likelihood.
 
         A friction that would have to drive explains nothing: were it given its gain, it would take the place of one that can.
@@ -193,7 +196,9 @@ class Screen:
         known = [model.all_parameters[n] for n in names]
         free = list(range(len(names)))
         while True:
-            part, pointwise, _ = first_order_fit(self.base, residuals, [J[:, :, free] for J in by_parameters], by_states)
+            known_equations = equations if len(free) == len(names) else None
+            slopes = [J[:, :, free] for J in by_parameters]
+            part, pointwise, _ = first_order_fit(self.base, residuals, slopes, by_states, known_equations)
             moved = {k: known[k].value + s for k, s in zip(free, part, strict=True) if k >= first}
             out = {k for k, value in moved.items() if not known[k].lower <= value <= known[k].upper}
             if not out:
@@ -205,8 +210,10 @@ class Screen:
 
     def _nearest(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
         """The model with the effect at that fraction of its start which simulates best: where it acts about as it should."""
-        tried = [start | {n: f * start[n] for n in EFFECTS[id].sizes if n in start} for f in _FRACTIONS]
-        models = [self.base.model.with_effect(id, target, _inside(self.base.model, id, target, values)) for values in tried]
+        full = self.base.model.with_effect(id, target, _inside(self.base.model, id, target, start))
+        label, sizes = full.effects[-1].label, [n for n in EFFECTS[id].sizes if n in start]
+        tried = [_inside(self.base.model, id, target, {n: f * start[n] for n in sizes}) for f in _FRACTIONS]
+        models = [full.with_values({f"{label}.{n}": value for n, value in values.items()}) for values in tried]
         errors = [self._error(model) for model in models]
         return models[int(np.argmin(errors))]
 
@@ -260,7 +267,7 @@ class Screen:
             p = simulator.p()
             steps = s
             if len(x0) > len(x):  # only new states can be faster than the base's
-                steps = max(s, -(-simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p) // _COARSER))
+                steps = max(s, -(-simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p) // COARSER))
             if steps > VISIBLE_SUBSTEPS:
                 return None
             run = simulator.run_vectors(e, x0, p, slopes=[*names, *states], substeps=steps)
@@ -279,28 +286,44 @@ def _repeated(means: FloatArray, experiment: Experiment) -> FloatArray:
 
 
 def first_order_fit(
-    base: Structure, residuals: list[FloatArray], by_parameters: list[FloatArray], by_states: list[FloatArray]
+    base: Structure,
+    residuals: list[FloatArray],
+    by_parameters: list[FloatArray],
+    by_states: list[FloatArray],
+    equations: NormalEquations | None = None,
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
 
-    The better of two beginnings: the base's noise, and white noise where the errors themselves fall in it.
+    The better of two beginnings: the base's noise (its normal `equations`, where they are known), and white noise where that
+    takes the errors below the base's. Where neither comes near the base, and where neither gains anything, the noise is left as
+    it was: no colour makes up for that, and the base's was the best.
     """
 
-    def solved(noises: Noises) -> tuple[FloatArray, list[FloatArray]]:
-        step, initial = NormalEquations.of(residuals, by_parameters, by_states, noises).step()
+    def solved(equations: NormalEquations) -> tuple[FloatArray, list[FloatArray]]:
+        step, initial = equations.step()
         return step, [r - J @ step - Z @ z for r, J, Z, z in zip(residuals, by_parameters, by_states, initial, strict=True)]
+
+    def under(noises: Noises) -> NormalEquations:
+        return NormalEquations.of(residuals, by_parameters, by_states, noises)
 
     def judged(step: FloatArray, rest: list[FloatArray], near: Noises | None) -> _Fitted:
         colour = fit_noises(rest, drifting=base.drifting, near=near)
         return step, pointwise_log_likelihood(rest, colour), rest, colour
 
+    step, rest = solved(under(base.noises) if equations is None else equations)
     white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
-    best = judged(*solved(base.noises), base.noises)
-    step, rest = solved(white)
-    if _error_ratio(rest, residuals) < _FALLEN:
-        best = max(best, judged(step, rest, None), key=lambda found: found[1].sum())
+    step_in_white, rest_in_white = solved(under(white))
+    fallen = _error_ratio(rest_in_white, base.residuals) < _FALLEN
+    if not fallen:
+        pointwise = pointwise_log_likelihood(rest, base.noises)
+        gained = pointwise.sum() - base.log_likelihood
+        if gained < -_HOPELESS or 0.0 <= gained < _NOTHING:
+            return step, pointwise, rest
+    best = judged(step, rest, base.noises)
+    if fallen:
+        best = max(best, judged(step_in_white, rest_in_white, None), key=lambda found: found[1].sum())
     if abs(best[1].sum() - base.log_likelihood) > _WORTH_A_PASS:
-        best = max(best, judged(*solved(best[3]), best[3]), key=lambda found: found[1].sum())
+        best = max(best, judged(*solved(under(best[3])), best[3]), key=lambda found: found[1].sum())
     return best[:3]
 
 

@@ -27,6 +27,8 @@ _DONE = 0.02
 """Stop when a step gains less log-likelihood than this."""
 VISIBLE_SUBSTEPS = 16
 """An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
+COARSER = 2
+"""Factor by which an integration may be coarser where it serves a first look alone (a Runge–Kutta step errs by 3e-4)."""
 _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
 _OPTIMISM, _CLOSE = 3.0, 20.0
@@ -160,10 +162,23 @@ class _Ascent:
             residuals.append(e.means(error))
             by_parameters.append(slopes[:, :, :q])
             by_states.append(slopes[:, :, q:])
-        noises = fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
+        noises = self._noises(residuals)
         rmse = np.sqrt(power / np.where(self.count > 0, self.count, np.nan))
         pointwise = pointwise_log_likelihood(residuals, noises)
         return _Point(p, initial, residuals, by_parameters, by_states, noises, pointwise, rmse)
+
+    def log_likelihood(self, p: FloatArray, initial: list[FloatArray]) -> float:
+        """At a point, without derivatives; −∞ where the simulation diverges."""
+        residuals = []
+        for e, x, s in zip(self.experiments, initial, self.substeps, strict=True):
+            run = self.simulator.run_vectors(e, x, p, substeps=s)
+            if not bounded(run.Y):
+                return -np.inf
+            residuals.append(e.means(e.Y - run.Y))
+        return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
+
+    def _noises(self, residuals: list[FloatArray]) -> Noises:
+        return fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
 
     def steps_from(self, p: FloatArray, initial: list[FloatArray]) -> tuple[int, ...]:
         """Integration steps a sample that each experiment asks for."""
@@ -176,18 +191,21 @@ class _Ascent:
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
                 break
-            before = here
+            before, refused = here, False
             while damping < _HARDEST:
-                there = self._trial(here, equations, damping)
-                if there is not None and there.log_likelihood > here.log_likelihood:
-                    here, damping = there, max(damping / 10.0, 1e-9)
-                    break
-                damping *= 8.0
+                trial = self._trial(here, equations, damping)
+                if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
+                    there = self.point(*trial)
+                    if there is not None and there.log_likelihood > here.log_likelihood:
+                        here, damping = there, max(damping / 10.0, 1e-9)
+                        break
+                damping, refused = damping * 8.0, True
             if here.log_likelihood - before.log_likelihood < _DONE:
                 break
         return here
 
-    def _trial(self, here: _Point, equations: NormalEquations, damping: float) -> _Point | None:
+    def _trial(self, here: _Point, equations: NormalEquations, damping: float) -> tuple[FloatArray, list[FloatArray]]:
+        """Parameters and first states after the damped step, within bounds."""
         theta = here.p[self.index]
         held = np.zeros(len(theta), dtype=bool)
         for _ in range(len(theta) + 1):
@@ -203,7 +221,7 @@ class _Ascent:
             x = x0.copy()
             x[self.states] += z
             initial.append(x)
-        return self.point(p, initial)
+        return p, initial
 
 
 def fit_structure(
@@ -239,7 +257,8 @@ def fit_structure(
     found = None if first is None else ascent.climb(first, iterations, rival)
     if second_start and noises is None:
         weights = None if found is None else _weights(found.residuals)
-        other = _least_simulation_error(ascent, model, start, weights)
+        plain = _least_simulation_error(ascent, model, start, weights)
+        other = None if plain is None else ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
         if other is not None and found is not None:
             other = ascent.climb(other, iterations, max(rival, found.log_likelihood))
         if found is None or (other is not None and other.log_likelihood > found.log_likelihood):
@@ -316,10 +335,12 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
-    if max(ascent.steps_from(ascent.simulator.p(), start)) > _visible(before):
+    steps = ascent.steps_from(ascent.simulator.p(), start)
+    if max(steps) > _visible(before):
         return -np.inf
-    point = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
-    return -np.inf if point is None else point.log_likelihood
+    ascent.substeps = tuple(-(-s // COARSER) for s in steps)
+    plain = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
+    return -np.inf if plain is None else ascent.log_likelihood(ascent.simulator.p(plain.model.values), plain.initial)
 
 
 def _states(initial: Sequence[FloatArray], simulator: Simulator) -> list[FloatArray]:
@@ -342,14 +363,13 @@ def _weights(residuals: Sequence[FloatArray]) -> FloatArray:
 
 def _least_simulation_error(
     ascent: _Ascent, model: PhysicalModel, start: list[FloatArray], weights: FloatArray | None, iterations: int = 8
-) -> _Point | None:
+) -> Estimate | None:
     """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges."""
     settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3)
     try:
-        plain = estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings)
+        return estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings, substeps=ascent.substeps)
     except NotIdentifiable:
         return None
-    return ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
 
 
 def plain_estimate(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:

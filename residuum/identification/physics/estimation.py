@@ -127,6 +127,7 @@ def estimate(
     free: Sequence[str] | None = None,
     initial: Sequence[Array] | None = None,
     settings: Settings = Settings(),
+    substeps: Sequence[int] | None = None,
 ) -> Estimate:
     """Estimate free parameters and initial states by (filtered) simulation error.
 
@@ -136,6 +137,8 @@ def estimate(
         Full names; default: the model's free parameters.
     initial : sequence of array
         First values of the states, one vector an experiment in kernel order; default: `first_states`.
+    substeps : sequence of int
+        Integration steps a sample of each experiment; default: as many as its first simulation asks for.
 
     Raises
     ------
@@ -147,7 +150,7 @@ def estimate(
     names = tuple(model.free if free is None else free)
     problem = _Problem(Simulator(model), list(experiments), names, settings)
     start = [np.array(x) for x in initial] if initial is not None else problem.first_states()
-    return problem.solve(start)
+    return problem.solve(start, substeps)
 
 
 @dataclass
@@ -231,10 +234,12 @@ class _Problem:
         p[self.index] = theta
         return p
 
-    def solve(self, initial: list[Array]) -> Estimate:
+    def solve(self, initial: list[Array], substeps: Sequence[int] | None = None) -> Estimate:
+        """Walk down from the model's values and these first states; `substeps` where they are known."""
         p = self.p(self.theta0)
-        for number, experiment in enumerate(self.experiments):
-            self.substeps[number] = self.simulator.substeps(experiment, initial[number], p)
+        if substeps is None:
+            substeps = [self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True)]
+        self.substeps = list(substeps)
         given = self.settings.weights
         self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
         point = self._evaluate(self.theta0, initial)
@@ -260,10 +265,12 @@ class _Problem:
     def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
         damping = 1e-3
         for iteration in range(self.settings.iterations):
-            for _ in range(12):
-                trial = self._evaluate(*self._step(point, damping))
-                if trial.cost < point.cost:
-                    break
+            for attempt in range(12):
+                there = self._step(point, damping)
+                if attempt == 0 or self._cost(*there) < point.cost:  # where one step was refused, the next may be
+                    trial = self._evaluate(*there)
+                    if trial.cost < point.cost:
+                        break
                 damping *= 6.0
             else:
                 return point, iteration, True
@@ -321,6 +328,17 @@ class _Problem:
                 point.own.append(H[q:, q:])
                 point.own_gradient.append(g[q:])
         return point
+
+    def _cost(self, theta: Array, initial: list[Array]) -> float:
+        """The cost alone, which needs no sensitivities."""
+        p, cost = self.p(theta), 0.0
+        for experiment, x0, steps in zip(self.experiments, initial, self.substeps, strict=True):
+            run = self.simulator.run_vectors(experiment, x0, p, substeps=steps)
+            if not _bounded(run.Y):
+                return np.inf
+            r, _ = self._weighted(experiment, run.Y, None)
+            cost += float(r @ r)
+        return cost
 
     def _weighted(self, experiment: Experiment, Y: Array, dY: Array | None) -> tuple[Array, Array | None]:
         """Weighted, filtered residuals stacked over the measured outputs, and their Jacobian."""
