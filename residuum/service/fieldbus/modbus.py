@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import TimeoutError as WaitTimeout
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,10 @@ from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.modbus_client import BadReply, DeviceRefused, StrictModbusClient
 from residuum.service.fieldbus.register_map import (
+    MOST_REGISTERS,
     Pages,
     RegisterMap,
+    Registers,
     StreamRegisters,
     float_registers,
     read_page,
@@ -27,6 +28,7 @@ from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
 _LEAST_PERIOD = 0.1
 _STATE_PERIOD = 1.0
 _SPARE_PAGES = 2
+_CONFIRMATIONS = 2
 _SWITCH_TIMEOUT = 3.0
 _SWITCH_AGAIN = 0.1
 
@@ -102,7 +104,6 @@ class ModbusSource(Source):
 
     async def _keep_reading(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._loop.set_exception_handler(self._protocol_failed)
         opened_before = False
         while not self._stopped.is_set():
             client = StrictModbusClient(self._host, self._port, self._map.unit_id, self._timeout, self.health)
@@ -124,10 +125,6 @@ class ModbusSource(Source):
                 client.close()
             await self._pause(self._backoff.next())
 
-    def _protocol_failed(self, _loop: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
-        """A reply so malformed that the decoder broke; asyncio has closed the connection, the read times out."""
-        self.health.count("undecodable", 1, str(context.get("exception") or context.get("message")))
-
     async def _read_while_it_works(self, client: StrictModbusClient) -> None:
         period = min(reader.period for reader in self._readers)
         state_due, due = 0.0, time.monotonic()
@@ -146,7 +143,7 @@ class ModbusSource(Source):
     async def _read_state(self, client: StrictModbusClient) -> None:
         if faults := self._map.faults:
             words = await client.read(faults.state, 2 * len(faults.ids))
-            sizes = [registers_float(words[2 * k], words[2 * k + 1]) for k in range(len(faults.ids))]
+            sizes = [registers_float(high, low) for high, low in words.reshape(-1, 2).tolist()]
             self._sizes = dict(zip(faults.ids, sizes, strict=True))
 
     async def _pause(self, seconds: float) -> None:
@@ -162,6 +159,7 @@ class _PagedReader:
     def __init__(self, name: str, stream: StreamRegisters, pages: Pages, source: ModbusSource) -> None:
         self.period = max(_LEAST_PERIOD, stream.sample_time * pages.samples)
         self._name, self._stream, self._pages, self._source = name, stream, pages, source
+        self._slots = max(1, MOST_REGISTERS // pages.stride) if pages.stride == stream.page_registers else 1
         self._next: int | None = None
         self._base = 0
 
@@ -176,34 +174,68 @@ class _PagedReader:
         elif self._next < oldest:
             self._source.health.count("lost", oldest - self._next, f"{self._name}: the ring went round before it was read")
             self._next = oldest
-        while self._next < newest:
-            channels = await self._page(client, self._next)
-            number = self._base + self._next * self._stream.samples + np.arange(self._stream.samples, dtype=np.int64)
-            self._next += 1
-            self._source.deliver(Block(self._name, number, channels), 1)
+        whole: list[Registers] = []
+        try:
+            await self._read_pages(client, self._next, newest, whole)
+        finally:  # what was whole before a failure is as good as any
+            if whole:
+                self._deliver(self._next, whole)
+
+    def _deliver(self, first: int, whole: list[Registers]) -> None:
+        number = self._base + first * self._stream.samples + np.arange(len(whole) * self._stream.samples, dtype=np.int64)
+        self._next = first + len(whole)
+        self._source.deliver(Block(self._name, number, self._stream.decode(np.concatenate(whole))), len(whole))
+
+    async def _read_pages(self, client: StrictModbusClient, first: int, end: int, whole: list[Registers]) -> None:
+        """Add the samples of pages `first` … `end` − 1 to those that are whole, until one of them has been written over."""
+        requests = list(self._requests(first, end))
+        for begin in range(0, len(requests), self._pages.at_once):
+            wanted = requests[begin : begin + self._pages.at_once]
+            replies = await client.read_all([self._place(*each) for each in wanted])
+            for (number, count), reply in zip(wanted, replies, strict=True):
+                for k, registers in enumerate(reply.reshape(count, self._stream.page_registers)):
+                    page = self._checked(number + k, registers)
+                    if page is None:
+                        return
+                    whole.append(page)
+
+    def _requests(self, first: int, end: int) -> Iterator[tuple[int, int]]:
+        """Each read as the first of its pages and how many: neighbours in the ring, as many as one read takes."""
+        while first < end:
+            count = min(self._slots, end - first, self._pages.count - first % self._pages.count)
+            yield first, count
+            first += count
+
+    def _place(self, number: int, count: int) -> tuple[int, int]:
+        """Address and registers of the pages from this one on."""
+        return self._pages.address + self._pages.stride * (number % self._pages.count), count * self._stream.page_registers
+
+    def _checked(self, number: int, registers: Registers) -> Registers | None:
+        """The samples of a page; None when a later page stands in its place: the device was faster, and it is lost."""
+        page = read_page(registers)
+        if page is None:
+            raise BadReply("corrupt_replies", f"{self._name}, page {number}: the checksum is wrong")
+        if page.number > number and (page.number - number) % self._pages.count == 0:
+            return None
+        if page.number != number:
+            raise BadReply("corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for")
+        return page.registers
 
     async def _newest(self, client: StrictModbusClient) -> int:
-        high, low = await client.read(self._pages.newest, 2)
-        return high << 16 | low
+        high, low = (await client.read(self._pages.newest, 2)).tolist()
+        return int(high << 16 | low)
 
     async def _confirm_restart(self, client: StrictModbusClient, newest: int) -> int:
-        """The device counts from 0 again; asked twice, because this number alone has no checksum."""
-        again = await self._newest(client)
-        if self._next is None or not newest <= again < self._next:
-            raise BadReply("corrupt_replies", f"{self._name}: page numbers {newest} and {again} cannot both be right")
+        """The device counts from 0 again; asked anew and anew, because this number alone has no checksum."""
+        for _ in range(_CONFIRMATIONS):
+            again = await self._newest(client)
+            if self._next is None or not newest <= again < self._next:
+                raise BadReply("corrupt_replies", f"{self._name}: page numbers {newest} and {again} cannot both be right")
+            newest = again
         self._source.health.count("counter_jumps", 1, f"{self._name}: the device began to count anew")
         self._base += BREAK
         self._next = None
-        return again
-
-    async def _page(self, client: StrictModbusClient, number: int) -> dict[str, Any]:
-        address = self._pages.address + self._pages.stride * (number % self._pages.count)
-        page = read_page(await client.read(address, self._stream.page_registers))
-        if page is None:
-            raise BadReply("corrupt_replies", f"{self._name}, page {number}: the checksum is wrong")
-        if page.number != number:
-            raise BadReply("corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for")
-        return self._stream.decode(page.registers)
+        return newest
 
 
 class _PolledReader:

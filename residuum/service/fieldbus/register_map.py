@@ -7,7 +7,9 @@ wrong reply from a right one:
 
 The page number p counts from 0 since the device started; page p lies at `address + stride · (p mod count)`. The checksum is
 the low 16 bits of the CRC-32 (zlib) over the other registers of the page, big-endian. A sample is one or more registers,
-described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet).
+described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet). Pages that lie
+side by side (`stride` is the length of a page) are read several at once, and `at_once` says how many requests the device takes
+before it has answered the first (1 unless its maker says more).
 
 A stream of a device that has no such pages is polled: the plain registers at `address` are read every `sample_time` seconds,
 on the reader's clock.
@@ -27,7 +29,7 @@ faults: {command: 100, state: 110, ids: [plier-bearing]}
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -103,6 +105,7 @@ class Pages(_Strict):
     stride: int = Field(ge=PAGE_HEAD + 1, le=MOST_REGISTERS + 3)
     count: int = Field(ge=4, le=4096)
     samples: int = Field(ge=1, le=MOST_REGISTERS)
+    at_once: int = Field(default=1, ge=1, le=16)
 
 
 class Poll(_Strict):
@@ -150,9 +153,9 @@ class StreamRegisters(_Strict):
         """The stream as windows are cut from it."""
         return StreamFormat(name, self.sample_time, {channel: where.unit for channel, where in self.channels.items()})
 
-    def decode(self, registers: Sequence[int] | Registers) -> dict[str, Samples]:
-        """Samples of each channel, shape (samples,), from the registers behind a page's head."""
-        table = np.asarray(registers, np.uint16).reshape(self.samples, self.words)
+    def decode(self, registers: Registers) -> dict[str, Samples]:
+        """Samples of each channel, shape (n,), from their registers, shape (n · words,): those behind the heads of pages."""
+        table = registers.reshape(-1, self.words)
         return {name: channel.decode(table) for name, channel in self.channels.items()}
 
     def encode(self, channels: Mapping[str, npt.ArrayLike]) -> Registers:
@@ -185,19 +188,19 @@ class RegisterMap(_Strict):
     faults: FaultRegisters | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Page:
     """A page that was read and is whole."""
 
     number: int
-    registers: Sequence[int]
+    registers: Registers
 
 
-def read_page(registers: Sequence[int]) -> Page | None:
+def read_page(registers: Registers) -> Page | None:
     """The page in these registers, None when its checksum is wrong."""
     if checksum(registers) != registers[2]:
         return None
-    return Page(registers[0] << 16 | registers[1], registers[PAGE_HEAD:])
+    return Page(int(registers[0]) << 16 | int(registers[1]), registers[PAGE_HEAD:])
 
 
 def build_page(number: int, samples: npt.ArrayLike) -> Registers:
@@ -208,10 +211,10 @@ def build_page(number: int, samples: npt.ArrayLike) -> Registers:
     return page
 
 
-def checksum(page: Sequence[int] | Registers) -> int:
+def checksum(page: Registers) -> int:
     """Low 16 bits of the CRC-32 over a page without its checksum register."""
-    words = np.asarray(page, ">u2")
-    return zlib.crc32(words[PAGE_HEAD:].tobytes(), zlib.crc32(words[:2].tobytes())) & 0xFFFF
+    words = page.astype(">u2").tobytes()
+    return zlib.crc32(words[2 * PAGE_HEAD :], zlib.crc32(words[:4])) & 0xFFFF
 
 
 def float_registers(value: float) -> list[int]:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
 
+from residuum.service.fieldbus.modbus_frames import (
+    READ_REGISTERS,
+    REFUSED,
+    WRITE_REGISTERS,
+    FrameCutter,
+    ModbusFrame,
+    NoModbus,
+    read_two_numbers,
+)
 from residuum.service.fieldbus.register_map import (
+    MOST_REGISTERS,
     RegisterMap,
     Registers,
     StreamRegisters,
@@ -20,8 +27,10 @@ from residuum.service.fieldbus.register_map import (
     registers_float,
 )
 
-_WRITES = (6, 16)
-_LAST = 65535
+_ADDRESSES = 1 << 16
+_ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE, _NO_SUCH_UNIT = 1, 2, 3, 11
+_WRITE_HEAD = 5
+"""Bytes of a write before the registers: address, count, and the number of bytes that follow."""
 
 OnFault = Callable[[str, float], None]
 """Told of a fault to switch: its id and size (0 clears it, negative: default size)."""
@@ -70,30 +79,26 @@ class RegisterServer:
     """
 
     def __init__(self, registers: RegisterMap, host: str, port: int, on_fault: OnFault) -> None:
-        self.memory: Registers = np.zeros(_LAST + 1, np.uint16)
+        self.memory: Registers = np.zeros(_ADDRESSES, np.uint16)
         self._map, self._on_fault = registers, on_fault
         self._address = (host, port)
         self.pages = {name: StreamPages(self.memory, stream) for name, stream in registers.streams.items() if stream.pages}
         self.asked = 0
+        self._clients: set[asyncio.Transport] = set()
 
     async def start(self) -> int:
         """Listen; returns the port. OSError when it is taken."""
-        device = SimDevice(
-            id=self._map.unit_id,
-            simdata=[SimData(0, values=0, count=_LAST, datatype=DataType.REGISTERS)],
-            action=self._access,
+        self._server = await asyncio.get_running_loop().create_server(
+            lambda: _Conversation(self.answer, self._clients), *self._address
         )
-        self._server = ModbusTcpServer(device, address=self._address)
-        try:
-            await self._server.serve_forever(background=True)
-        except RuntimeError as error:
-            raise OSError(f"cannot listen on {self._address[0]}:{self._address[1]}: {error}") from None
-        listening: Any = self._server.transport
-        return int(listening.sockets[0].getsockname()[1])
+        return int(self._server.sockets[0].getsockname()[1])
 
     async def stop(self) -> None:
-        """Stop listening."""
-        await self._server.shutdown()  # type: ignore[no-untyped-call]
+        """Stop listening, and end the connections."""
+        self._server.close()
+        for client in list(self._clients):
+            client.abort()
+        await self._server.wait_closed()
 
     def show_faults(self, sizes: Mapping[str, float]) -> None:
         """Write the sizes of the faults that are on into the state registers."""
@@ -102,22 +107,73 @@ class RegisterServer:
                 begin = faults.state + 2 * k
                 self.memory[begin : begin + 2] = float_registers(sizes.get(fault, 0.0))
 
-    async def _access(
-        self, function: int, start: int, address: int, count: int, registers: list[int], values: list[int] | list[bool] | None
-    ) -> ExcCodes | None:
-        """Called by pymodbus before it reads or after it checked a write: the memory is ours."""
-        begin = address - start
-        if values is None or function not in _WRITES:
-            self.asked += 1
-            registers[begin : begin + count] = self.memory[address : address + count].tolist()
-            return None
-        return self._command(address, [int(value) for value in values])
+    def answer(self, request: ModbusFrame) -> ModbusFrame:
+        """The reply to a request; NoModbus for one that is too short to be any."""
+        said = self._answered(request)
+        if isinstance(said, int):
+            return request._replace(function=request.function | REFUSED, content=bytes([said]))
+        return request._replace(content=said)
 
-    def _command(self, address: int, values: list[int]) -> ExcCodes | None:
+    def _answered(self, request: ModbusFrame) -> bytes | int:
+        """Content of the reply, or the number of the exception."""
+        if self._map.unit_id not in (0, request.unit):
+            return _NO_SUCH_UNIT
+        if request.function == READ_REGISTERS:
+            return self._read(*read_two_numbers(request.content))
+        if request.function == WRITE_REGISTERS:
+            return self._write(request.content)
+        return _ILLEGAL_FUNCTION
+
+    def _read(self, address: int, count: int) -> bytes | int:
+        if not 1 <= count <= MOST_REGISTERS:
+            return _ILLEGAL_VALUE
+        if address + count > _ADDRESSES:
+            return _ILLEGAL_ADDRESS
+        self.asked += 1
+        return bytes([2 * count]) + self.memory[address : address + count].astype(">u2").tobytes()
+
+    def _write(self, content: bytes) -> bytes | int:
+        address, count = read_two_numbers(content)
+        words = content[_WRITE_HEAD:]
+        if len(words) != 2 * count or content[_WRITE_HEAD - 1 : _WRITE_HEAD] != bytes([len(words)]):
+            return _ILLEGAL_VALUE
+        refused = self._command(address, np.frombuffer(words, ">u2").tolist())
+        return content[: _WRITE_HEAD - 1] if refused is None else refused
+
+    def _command(self, address: int, values: list[int]) -> int | None:
         faults = self._map.faults
         if faults is None or address != faults.command or len(values) != 3:
-            return ExcCodes.ILLEGAL_ADDRESS
+            return _ILLEGAL_ADDRESS
         if not 1 <= values[0] <= len(faults.ids):
-            return ExcCodes.ILLEGAL_VALUE
+            return _ILLEGAL_VALUE
         self._on_fault(faults.ids[values[0] - 1], registers_float(values[1], values[2]))
         return None
+
+
+class _Conversation(asyncio.Protocol):
+    """One client's connection: every request that has come is answered, all in one piece."""
+
+    def __init__(self, answer: Callable[[ModbusFrame], ModbusFrame], clients: set[asyncio.Transport]) -> None:
+        self._answer, self._clients = answer, clients
+        self._cutter = FrameCutter()
+        self._transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Called by asyncio."""
+        if isinstance(transport, asyncio.Transport):
+            self._transport = transport
+            self._clients.add(transport)
+
+    def data_received(self, data: bytes) -> None:
+        """Called by asyncio."""
+        if self._transport is None:
+            return
+        try:
+            self._transport.write(b"".join([self._answer(request).packed() for request in self._cutter.cut(data)]))
+        except NoModbus:
+            self._transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Called by asyncio."""
+        if self._transport is not None:
+            self._clients.discard(self._transport)

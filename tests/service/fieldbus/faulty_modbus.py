@@ -87,8 +87,6 @@ class FaultyModbus:
 
     async def _be_away(self):
         self._server.close()
-        for writer in self._writers:
-            writer.close()
         await asyncio.sleep(self.away)
         self._server = await asyncio.start_server(self._talk, "127.0.0.1", self.port)
         self.ended.append(("away", time.monotonic()))
@@ -107,15 +105,19 @@ class FaultyModbus:
             writer.close()
 
     async def _answer(self, writer, transaction, unit, address, count):
+        if writer.is_closing():  # requests that came with one whose answer ended the connection
+            return
         words = self.memory[address : address + count].astype(">u2")
         fault = next(self.faults, None)
-        before, self.old[address] = self.old.get(address, np.zeros(count, ">u2")), words
+        before, self.old[address] = np.resize(self.old.get(address, np.zeros(1, ">u2")), count), words
         reply = _reply(transaction, unit, words)
         if fault is None:
             writer.write(reply)
             return
         self.done += 1
         if fault == "away":
+            for each in self._writers:
+                each.close()
             self._leaving = self._loop.create_task(self._be_away())
             return
         self.ended.append((fault, time.monotonic()))

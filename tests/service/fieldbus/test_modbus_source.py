@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from residuum.service.fieldbus.modbus import ModbusSource
+from residuum.service.fieldbus.modbus_frames import FrameCutter, ModbusFrame, NoModbus
 from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
@@ -83,7 +84,7 @@ def test_pages_are_read_in_turn_from_the_oldest_one(make_bench):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench, kind):
-    bench = make_bench(itertools.chain([None] * 12, [kind], itertools.repeat(None)))
+    bench = make_bench(itertools.chain([None] * 3, [kind], itertools.repeat(None)))
     bench.server.publish(60)
     bench.source.start()
     bench.wait(lambda: len(bench.read()) == 60)
@@ -156,3 +157,49 @@ def test_plain_registers_are_polled_on_the_readers_clock(make_bench):
     numbers = np.concatenate([block.number for block in blocks])
     assert numbers[0] == 0 and np.all(np.diff(numbers) >= 1)
     assert source.health["lost"] == numbers[-1] + 1 - len(numbers)
+
+
+def test_pages_side_by_side_are_read_many_in_one_request(make_bench):
+    asked = []
+    bench = make_bench()
+    bench.server.faults = iter(lambda: asked.append(1), 0)
+    bench.server.publish(400)
+    bench.source.start()
+    bench.wait(lambda: len(bench.read()) == 400)
+    assert np.array_equal(bench.read(), np.arange(400))
+    bench.assert_all_values_are_true()
+    assert len(asked) < 60
+
+
+def test_pages_that_were_written_over_while_they_were_read_are_lost_and_end_no_connection(make_bench):
+    bench = make_bench()
+
+    def device_runs_ahead():
+        yield None  # where the newest page is
+        bench.server.publish(600)
+        yield None  # pages 0 … 16, as they were
+        yield from itertools.repeat(None)
+
+    bench.server.faults = device_runs_ahead()
+    bench.server.publish(20)
+    bench.source.start()
+    bench.wait(lambda: len(bench.read()) and bench.read()[-1] == 619)
+    assert len(bench.read()) + bench.counted()["lost"] == 620
+    assert set(bench.counted()) == {"lost"}
+    bench.assert_all_values_are_true()
+
+
+@pytest.mark.parametrize("length", [1, 5, 9, 13, 1000])
+def test_frames_are_cut_out_of_pieces_of_any_length(length):
+    frames = [ModbusFrame(k, 1, 3, bytes(range(k))) for k in range(40)]
+    stream = b"".join(frame.packed() for frame in frames)
+    cutter = FrameCutter()
+    found = [frame for at in range(0, len(stream), length) for frame in cutter.cut(stream[at : at + length])]
+    assert found == frames
+
+
+def test_frames_before_bytes_that_are_no_modbus_are_not_lost():
+    good, found = ModbusFrame(7, 1, 3, b"\x02\x00\x01"), []
+    with pytest.raises(NoModbus):
+        found.extend(FrameCutter().cut(good.packed() + bytes(range(200, 255))))
+    assert found == [good]
