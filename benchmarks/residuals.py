@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
+from scipy import signal, stats
 
 from residuum.diagnosis.adaptive_threshold import adaptive_threshold
 from residuum.diagnosis.balanced_truncation import balanced_truncation
@@ -246,8 +246,11 @@ def thesis_steps(runs: int = 100) -> None:
 NOISES: dict[str, Callable | None] = {
     "Gaussian": None,
     "bounded (±3 σ)": lambda rng, n: np.clip(rng.standard_normal(n), -3, 3),
+    "truncated (|e| < 3 σ)": lambda rng, n: stats.truncnorm.rvs(-3, 3, size=n, random_state=rng),
     "uniform": lambda rng, n: np.sqrt(3) * rng.uniform(-1, 1, n),
     "coloured, AR(1) .6": lambda rng, n: signal.lfilter([0.8], [1.0, -0.6], rng.standard_normal(n)),
+    "coloured and uniform": lambda rng, n: signal.lfilter([0.8], [1.0, -0.6], np.sqrt(3) * rng.uniform(-1, 1, n)),
+    "Laplace": lambda rng, n: rng.laplace(size=n) / np.sqrt(2),
     "Student t, 3 dof": lambda rng, n: rng.standard_t(3, n) / np.sqrt(3),
 }
 

@@ -54,13 +54,13 @@ def with_unbiased_size(
     power = (centred.energy - explained) / left
     size = float(np.sqrt(power / (sums.energy / sums.rows)))
     error = float(np.sqrt(np.sum(centred.gram * model.covariance) / sums.rows / power))
-    sharp = replace(noise, shape=_shape_without(error, noise, residuals)) if noise.shape > GAUSSIAN_SHAPE else noise
+    sharp = replace(noise, shape=shape_without(error, noise, residuals)) if noise.shape > GAUSSIAN_SHAPE else noise
     unit = sharp.innovation_std / sharp.sigma
     sigma = size * noise.innovation_std / unit
     return replace(sharp, sigma=sigma, freedom=_scale_freedom(sharp, float(left)), blur=error * unit)
 
 
-def _shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArray]) -> float:
+def shape_without(error: float, noise: NoiseModel, residuals: Sequence[FloatArray]) -> float:
     """β of the noise alone, by maximum likelihood, where the residual also carries a Gaussian model error `error` σ large."""
     white = np.concatenate([np.convolve(e, noise.ar)[: len(e)] for e in residuals])
     white = np.abs(white[np.isfinite(white)])

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, optimize, signal, special, stats
 
+from residuum.diagnosis.hazard_tail import HazardTail
 from residuum.diagnosis.state_space import FloatArray
 from residuum.identification.errors import BadInput
 
@@ -23,6 +24,11 @@ _NODES = 60  # of the Gauss–Hermite rule; its outermost lies 14 standard devia
 _RAREST = -1e4  # ln of the smallest probability that is told apart, a score of 141
 _TABLE = np.arcsinh(np.logspace(-3, 9, 400))
 _LIGHT_TABLE = np.arcsinh(np.concatenate([np.linspace(0.01, 4.0, 400), np.logspace(0.61, 9, 200)]))
+_NATS, _APART = np.arange(0.025, 40.0, 0.05), 0.05  # ln of the probabilities at which a law is stood for by single values
+_SLIGHT = 1e-2  # σ, to take a slope over
+_STRAIGHT = 1e-6  # of a hazard's growth times a change of variance, below which the tail is as good as exponential
+_FURTHEST = 1e100
+_LEVELS = 25  # sizes of the model error at which a limit is worked out; between them it is interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,8 @@ class NoiseModel:
     blur : float
         Standard deviation, in σ, of the model error that a residual carries besides its noise. Noise with bounds must allow for
         it: beyond the bound the noise alone has no probability left, and every small error would count as a fault.
+    tail : HazardTail or None
+        Of |ε| with that model error in it, where healthy samples contradict the form that `dof` and `shape` give.
     """
 
     ar: FloatArray
@@ -55,6 +63,7 @@ class NoiseModel:
     shape: float = 2.0
     freedom: float = float("inf")
     blur: float = 0.0
+    tail: HazardTail | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ar", np.ascontiguousarray(self.ar, dtype=float))
@@ -64,7 +73,7 @@ class NoiseModel:
     @property
     def is_gaussian(self) -> bool:
         """Whether the tails are Gaussian."""
-        return bool(np.isinf(self.dof)) and self.shape == 2.0
+        return bool(np.isinf(self.dof)) and self.shape == GAUSSIAN_SHAPE and self.tail is None
 
     @property
     def innovation_std(self) -> float:
@@ -73,13 +82,55 @@ class NoiseModel:
             return self.sigma * float(self._law.std())
         return self.sigma * float(np.sqrt(self.dof / (self.dof - 2))) if self.dof > 2 else self.sigma
 
-    def limit(self, rate: float) -> float:
-        """|innovation|, model error included, over its standard deviation that is exceeded at `rate` per sample."""
-        if self.blur > 0.0 and np.isinf(self.dof) and not self.is_gaussian:
-            knots, scores = self.score_table
-            exceeded = float(np.sinh(np.interp(stats.norm.isf(rate / 2.0), scores, knots)))
-            return exceeded / float(np.hypot(self.innovation_std / self.sigma, self.blur))
-        return float(self._law.isf(rate / 2.0)) * self.sigma / self.innovation_std
+    def limit(self, rate: float, error: npt.ArrayLike = 0.0) -> FloatArray:
+        """|innovation plus model error| that is exceeded at `rate` per sample, both in standard deviations of the innovation.
+
+        Parameters
+        ----------
+        error : array, any shape
+            Standard deviation of the model error at each sample; it is Gaussian and independent of the noise.
+
+        Gaussian noise gives q √(1 + error²), which also stands for noise with heavier tails. With lighter tails, or a tail of its
+        own, the law that is known carries the error `blur`: what a sample carries beyond it is added by convolution,
+
+            rate = mean over the law of Q((L − |ε|)/d) + Q((L + |ε|)/d),   d² = error² − blur²,
+
+        and what it lacks is taken off as from a Gaussian tail: h/c (1 − √(1 + c d²)), h the hazard at L and c its growth.
+        """
+        unit = self.innovation_std / self.sigma
+        error = np.asarray(error, dtype=float)
+        if self.tail is None and (np.isfinite(self.dof) or self.is_gaussian):
+            return np.asarray(float(self._law.isf(rate / 2.0)) / unit * np.hypot(1.0, error))
+        errors = np.unique(np.linspace(error.min(), error.max(), _LEVELS))
+        return np.asarray(np.interp(error, errors, [self._limit_with(rate, unit * size) / unit for size in errors]))
+
+    def _limit_with(self, rate: float, error: float) -> float:
+        """|ε| exceeded at `rate` where the model error has this standard deviation, both in σ."""
+        own = float(self._size_at(np.array([rate]))[0])
+        further = error**2 - self.blur**2
+        if further <= 0.0:
+            return own + self._moved(own, further)
+        sizes, spread = self._size_at(np.exp(-_NATS)), float(np.sqrt(further))
+        shares = np.exp(-_NATS) * 2.0 * np.sinh(0.5 * _APART)
+
+        def excess(level: float) -> float:
+            exceeded = shares @ (special.ndtr((sizes - level) / spread) + special.ndtr(-(sizes + level) / spread))
+            return float(np.log(max(exceeded, np.finfo(float).tiny) / rate))
+
+        return float(optimize.brentq(excess, 0.0, sizes[-1] + 40.0 * spread))
+
+    def _moved(self, size: float, further: float) -> float:
+        """How far the limit `size` moves when the model error's variance changes by `further` ≤ 0."""
+        before, at, after = self.log_tail(size + _SLIGHT * np.array([-1.0, 0.0, 1.0]))
+        hazard, growth = float(before - after) / (2.0 * _SLIGHT), float(2.0 * at - before - after) / _SLIGHT**2
+        if growth * abs(further) < _STRAIGHT:
+            return 0.5 * hazard * further
+        return hazard / growth * (float(np.sqrt(max(1.0 + growth * further, 0.0))) - 1.0)
+
+    def _size_at(self, probability: FloatArray) -> FloatArray:
+        """|ε| that is exceeded with these probabilities."""
+        knots, scores = self.score_table
+        return np.asarray(np.sinh(np.interp(stats.norm.isf(probability / 2.0), scores, knots)))
 
     @property
     def samples(self) -> float:
@@ -136,7 +187,7 @@ class NoiseModel:
     def score_table(self) -> tuple[FloatArray, FloatArray]:
         """Knots in arcsinh|ε| and the normal scores there; computed in logarithms, so far tails keep their order."""
         knots = _LIGHT_TABLE if np.isinf(self.dof) else _TABLE
-        scores = -special.ndtri_exp(np.minimum(self._blurred_log_tail(np.sinh(knots)), np.log(0.5)))
+        scores = -special.ndtri_exp(np.minimum(self.log_tail(np.sinh(knots)), np.log(0.5)))
         return np.concatenate([[0.0], knots]), np.concatenate([[0.0], scores])
 
     @cached_property
@@ -151,6 +202,17 @@ class NoiseModel:
     def _law(self) -> Any:
         """Distribution of ε."""
         return stats.gennorm(self.shape, scale=_unit_scale(self.shape)) if np.isinf(self.dof) else stats.t(self.dof)
+
+    def log_tail(self, epsilon: FloatArray) -> FloatArray:
+        """ln P(ε' > ε) for ε ≥ 0, model error included: from `tail` where there is one, the law of `dof` and `shape` below it."""
+        if self.tail is None:
+            return self._blurred_log_tail(epsilon)
+        start, share = np.array([self.tail.start]), self.tail.share
+        inside = 1.0 - 2.0 * np.exp(self._blurred_log_tail(np.minimum(epsilon, start)))
+        inside *= (1.0 - share) / (1.0 - 2.0 * np.exp(self._blurred_log_tail(start)))
+        outside = self.tail.log_probability(np.clip(epsilon, start, _FURTHEST))
+        both = np.where(epsilon > start, outside, np.log1p(-inside)) - np.log(2.0)
+        return np.asarray(np.maximum(both, _RAREST))
 
     def _blurred_log_tail(self, epsilon: FloatArray) -> FloatArray:
         """ln P(ε' + ξ > ε) with ξ ~ N(0, blur²), for ε ≥ 0; heavier tails than Gaussian drown it."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,9 @@ from scipy import signal, stats
 
 from residuum.diagnosis.approximate_fault_detection import FaultKind, PostFilter, approximate_fault_detection, noise_path
 from residuum.diagnosis.coprime import left_coprime
+from residuum.diagnosis.hazard_tail import HazardTail
 from residuum.diagnosis.healthy_reference import block_peaks
+from residuum.diagnosis.healthy_tails import single_sample_law, with_healthy_tail
 from residuum.diagnosis.innovation_size import with_unbiased_size
 from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.noise_model import NoiseModel, fit_noise_model
@@ -31,6 +33,8 @@ from residuum.identification.transfer_function import TransferFunction
 KIND, VERSION = "residual-design", 1
 _SWAPPED = 0.3  # of explained variance by which the reverse direction must win
 _RATE_TOLERANCE = 1e-3
+_NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
+_SETTLED = 1000  # samples of the post-filter's impulse response
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,6 +49,8 @@ class ResidualDesign:
         Verified AFDP filter with γ, β and the error of its reduction.
     noise : NoiseModel
         Of the healthy primary residual.
+    robust_noise : NoiseModel or None
+        Law of the noise in one sample of the healthy robust residual; None without healthy records.
     W_T : TransferFunction or None
         Multiplicative uncertainty weight the filter was designed for.
     gamma : float
@@ -64,6 +70,7 @@ class ResidualDesign:
     model: IdentifiedModel
     post_filter: PostFilter
     noise: NoiseModel
+    robust_noise: NoiseModel | None = None
     W_T: TransferFunction | None = None
     gamma: float = 0.1
     fault: FaultKind = "sensor"
@@ -84,6 +91,24 @@ class ResidualDesign:
         """Σ_k |impulse response| from each fictitious noise [u; e] of (4.5), or e alone, to the robust residual."""
         factors = left_coprime(StateSpace.from_transfer_function(self.model.transfer_function()))
         return np.asarray(peak_gain(self.post_filter.Q @ noise_path(factors, self.W_T))[0])
+
+    @cached_property
+    def robust_spread(self) -> float:
+        """Standard deviation of the noise in the robust residual [output unit × γ]."""
+        return self.noise.output_std(self.post_filter.Q.impulse_response(_SETTLED)[:, 0, 0])
+
+    @property
+    def single_sample_noise(self) -> NoiseModel:
+        """`robust_noise`; without healthy records the noise model's own law at the size it has in the robust residual."""
+        if self.robust_noise is not None:
+            return self.robust_noise
+        noise = self.noise
+        return replace(noise, ar=np.ones(1), sigma=noise.sigma * self.robust_spread / noise.innovation_std)
+
+    def robust_error(self, u: FloatArray) -> FloatArray:
+        """√(φ_Qᵀ Σ_g φ_Q), shape (n,): standard deviation of the model error in the robust residual, φ_Q being u through Q."""
+        filtered = self.post_filter.Q.modal.simulate((u - self.input_mean)[:, None])[0][:, 0]
+        return self.model.simulation_std(filtered)
 
     def bank(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
         """A likelihood-ratio bank that knows how uncertain this model and its operating point are."""
@@ -151,7 +176,8 @@ class ResidualDesign:
         meta = {
             "model": {name: _jsonable(value) for name, value in model.items() if not isinstance(value, np.ndarray)},
             "post_filter": filter_numbers,
-            "noise": {name: _jsonable(getattr(self.noise, name)) for name in ("sigma", "dof", "n", "shape", "freedom", "blur")},
+            "noise": _noise_numbers(self.noise),
+            "robust_noise": None if self.robust_noise is None else _noise_numbers(self.robust_noise),
             "settings": settings or {},
             "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
         }
@@ -171,12 +197,13 @@ class ResidualDesign:
             model = IdentifiedModel(**{name: _number(value) for name, value in stored.meta["model"].items()}, **model_arrays)
             A, B, C, D = (stored.arrays[f"Q-{name}"] for name in "ABCD")
             Q = StateSpace(A, B, C, D, model.sample_time)
-            noise = {name: _number(value) for name, value in stored.meta["noise"].items()}
+            robust_noise = stored.meta.get("robust_noise")
             weight = stored.arrays.get("W_T-num")
             design = cls(
                 model=model,
                 post_filter=PostFilter(Q=Q, **stored.meta["post_filter"]),
-                noise=NoiseModel(stored.arrays["noise-ar"], **noise),
+                noise=_noise_of(stored.arrays["noise-ar"], stored.meta["noise"]),
+                robust_noise=None if robust_noise is None else _noise_of(np.ones(1), robust_noise),
                 W_T=None if weight is None else TransferFunction(weight, stored.arrays["W_T-den"], model.sample_time),
                 peaks={name[6:]: value for name, value in stored.arrays.items() if name.startswith("peaks-")},
                 **{name: _number(value) for name, value in stored.meta["design"].items()},
@@ -241,8 +268,9 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     centred = _replaced(first, output_mean=first.output_mean + level)
     primary = [_primary(centred.generator, u, y) for u, y in pairs]
     noise = with_unbiased_size(fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model)
-    second = _replaced(centred, noise=noise)
-    signals = [second.generator.run(u, y) for u, y in pairs]
+    whitened = _replaced(centred, noise=with_healthy_tail(noise, primary))
+    signals = [whitened.generator.run(u, y) for u, y in pairs]
+    second = _replaced(whitened, robust_noise=_robust_noise(whitened, [u for u, _ in pairs], signals))
     peaks = {
         name: block_peaks([evaluate(name, second.bank, part) for part in signals], [part.valid for part in signals])
         for name in EVALUATIONS
@@ -254,6 +282,16 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
         noise_bound=float(max(np.nanmax(np.abs(part)) for part in primary)),
         structured_p=_structured_p(second, signals),
     )
+
+
+def _robust_noise(design: ResidualDesign, inputs: Sequence[FloatArray], signals: Sequence[ResidualSignals]) -> NoiseModel:
+    """Law of the noise in one sample of the robust residual."""
+    errors = [
+        design.robust_error(np.where(np.isnan(u), design.input_mean, u))[part.valid]
+        for u, part in zip(inputs, signals, strict=True)
+    ]
+    robust = [np.where(part.valid, part.robust, np.nan) for part in signals]
+    return single_sample_law(robust, design.robust_spread, np.concatenate(errors))
 
 
 def _primary(generator: ResidualGenerator, u: FloatArray, y: FloatArray) -> FloatArray:
@@ -277,6 +315,17 @@ def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) ->
 
 def _replaced(design: ResidualDesign, **changes: Any) -> ResidualDesign:
     return ResidualDesign(**{item.name: getattr(design, item.name) for item in fields(design)} | changes)
+
+
+def _noise_numbers(noise: NoiseModel) -> dict[str, Any]:
+    numbers = {name: _jsonable(getattr(noise, name)) for name in _NOISE_NUMBERS}
+    return numbers | {"tail": None if noise.tail is None else asdict(noise.tail)}
+
+
+def _noise_of(ar: FloatArray, numbers: Mapping[str, Any]) -> NoiseModel:
+    known = {name: _number(value) for name, value in numbers.items() if name != "tail"}
+    tail = numbers.get("tail")
+    return NoiseModel(ar, **known, tail=None if tail is None else HazardTail(**tail))
 
 
 def _jsonable(value: Any) -> Any:

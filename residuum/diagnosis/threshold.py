@@ -12,7 +12,7 @@ from residuum.diagnosis.false_alarm_rate import cusum_threshold, scan_threshold
 from residuum.diagnosis.healthy_reference import calibrated_threshold
 from residuum.diagnosis.residual_design import ResidualDesign
 from residuum.diagnosis.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
-from residuum.diagnosis.state_space import FloatArray, StateSpace
+from residuum.diagnosis.state_space import FloatArray
 from residuum.identification.errors import BadInput
 
 ThresholdKind = Literal["posterior", "peak", "source", "calibrated"]
@@ -52,8 +52,7 @@ def source_threshold(design: ResidualDesign, input_bound: float, noise_bound: fl
     white input and noise it lies many standard deviations out; for slow inputs against a wrong gain it can be crossed.
     """
     level = design.gamma * max(input_bound, noise_bound)
-    std = design.noise.output_std(_impulse(design.post_filter.Q))
-    per_sample = 2.0 * float(stats.norm.sf(level / std))
+    per_sample = 2.0 * float(stats.norm.sf(level / design.robust_spread))
     return Threshold(
         "source", "point", level, design.model.output_unit, per_sample * 86400.0 / design.model.sample_time,
         "none: it bounds energy, not peaks; the rate is that of Gaussian noise with an exact model",
@@ -95,9 +94,8 @@ def posterior_threshold(design: ResidualDesign, u: FloatArray, rate: float, eval
         return Threshold("posterior", "cusum", cusum_threshold(rate, CUSUM_REFERENCE), "σ", per_day, said)
     if evaluation == "rms":
         return Threshold("posterior", "rms", _rms_level(rate), "σ", per_day, said)
-    filtered = design.post_filter.Q.modal.simulate((u - design.input_mean)[:, None])[0][:, 0]
-    spread = design.noise.output_std(_impulse(design.post_filter.Q))
-    level = design.noise.limit(rate) * np.hypot(design.model.simulation_std(filtered), spread)
+    law = design.single_sample_noise
+    level = law.innovation_std * law.limit(rate, design.robust_error(u) / law.innovation_std)
     return Threshold("posterior", "point", level, design.model.output_unit, per_day, said)
 
 
@@ -137,7 +135,3 @@ def _rms_level(rate: float) -> float:
     spread = 2.0 / (9.0 * RMS_WINDOW)
     b = scan_threshold(rate, [(1, [RMS_WINDOW])])
     return float((1.0 - spread + b * np.sqrt(spread)) ** 1.5)
-
-
-def _impulse(Q: StateSpace) -> FloatArray:
-    return Q.impulse_response(1000)[:, 0, 0]

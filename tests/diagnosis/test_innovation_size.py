@@ -110,7 +110,7 @@ def test_scores_of_bounded_noise_allow_for_the_models_error():
     epsilon = stats.gennorm(20.0, scale=20.0**0.05).rvs(n, random_state=rng) + 0.1 * rng.standard_normal(n)
     chosen = 2.0 * stats.norm.sf(3.5) * n
     assert np.count_nonzero(np.abs(noise.normal_scores(epsilon)) > 3.5) == pytest.approx(chosen, rel=0.3)
-    limit = noise.limit(1e-4) * np.std(epsilon)
+    limit = float(noise.limit(1e-4, 0.1 / noise.innovation_std)) * noise.innovation_std
     assert np.count_nonzero(np.abs(epsilon) > limit) == pytest.approx(1e-4 * n, abs=25)
     without = NoiseModel(np.ones(1), 1.0, shape=20.0)
     assert np.count_nonzero(np.abs(without.normal_scores(epsilon)) > 3.5) > 5.0 * chosen
