@@ -140,11 +140,8 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True
     simulator = Simulator(plain.model)
-    runs = [
-        simulator.run_vectors(e, x, simulator.p(), substeps=s).X
-        for e, x, s in zip(experiments, plain.initial, plain.substeps, strict=True)
-    ]
-    axes = [signal_axes(plain.model, e, X) for e, X in zip(experiments, runs, strict=True)]
+    runs = simulator.run_each(experiments, plain.initial, simulator.p(), substeps=plain.substeps)
+    axes = [signal_axes(plain.model, e, run.X) for e, run in zip(experiments, runs, strict=True)]
     tests = structured_errors(experiments, plain.residuals, axes, plain.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
     return any(test.present and test.share > _SHARE for test in tests.values())
 

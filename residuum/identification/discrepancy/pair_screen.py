@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.score_test import Screened
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
+from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
 from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics.least_squares import solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 Key = tuple[str, str]
@@ -42,7 +43,7 @@ def promising_pairs(
 
     def promise(*keys: Key) -> float:
         S = np.concatenate([free, *(own[k] for k in keys)])
-        return 0.5 * float(g[S] @ solve_symmetric(H[np.ix_(S, S)], g[S, None])[:, 0])
+        return 0.5 * float(g[S] @ solve_scaled(H[np.ix_(S, S)], g[S, None], RIDGE)[:, 0])
 
     mark = promise(*keys) + (_WORTH_REFITTING if len(keys) == 1 else 0.0)
     others = [s.key for s in tested if len(keys) > 1 or s.key != keys[0]]

@@ -12,11 +12,12 @@ from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.structures import COARSER, VISIBLE_SUBSTEPS, Structure, bounded
 from residuum.identification.discrepancy.track import regressed, track
-from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, solve_symmetric
+from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
+from residuum.identification.physics.least_squares import solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -90,10 +91,8 @@ class Screen:
         self.base, self.experiments = base, list(experiments)
         self.origin = base.model if origin is None else origin
         simulator = Simulator(base.model)
-        self.X = [
-            simulator.run_vectors(e, x, simulator.p(), substeps=s).X
-            for e, x, s in zip(self.experiments, base.initial, base.substeps, strict=True)
-        ]
+        runs = simulator.run_each(self.experiments, base.initial, simulator.p(), substeps=base.substeps)
+        self.X = [run.X for run in runs]
 
         self.track = track(self.origin, base, self.experiments, self.X)
         self._conditions: dict[tuple[str, str], Conditions] = {}
@@ -224,9 +223,11 @@ class Screen:
         except (BadInput, NotImplementedError):
             return np.inf
         power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
-        for e, x, s in zip(self.experiments, self.base.initial, self.base.substeps, strict=True):
-            x0 = np.pad(x, (0, len(simulator.states) - len(x)))  # an effect's own states are set by its kernel
-            r = e.Y - simulator.run_vectors(e, x0, simulator.p(), substeps=s).Y
+        new = len(simulator.states) - len(self.base.initial[0])  # an effect's own states are set by its kernel
+        initial = [np.pad(x, (0, new)) for x in self.base.initial]
+        runs = simulator.run_each(self.experiments, initial, simulator.p(), substeps=self.base.substeps)
+        for e, run in zip(self.experiments, runs, strict=True):
+            r = e.Y - run.Y
             if not bounded(r[np.isfinite(e.Y)]):
                 return np.inf
             power += np.nansum(r**2, axis=0)
@@ -246,9 +247,8 @@ class Screen:
         if len(simulator.states) > len(base.initial[0]):
             return None
         by_parameters = []
-        known = zip(self.experiments, base.initial, base.substeps, base.residuals, base.by_parameters, strict=True)
-        for e, x, steps, before, slopes in known:
-            run = simulator.run_vectors(e, x, simulator.p(), slopes=own, substeps=steps)
+        runs = simulator.run_each(self.experiments, base.initial, simulator.p(), slopes=own, substeps=base.substeps)
+        for e, run, before, slopes in zip(self.experiments, runs, base.residuals, base.by_parameters, strict=True):
             moved = np.abs(e.means(e.Y - run.Y) - before)
             if run.dY is None or not bounded(run.dY) or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
                 return None
@@ -262,15 +262,16 @@ class Screen:
             return None
         states = [f"initial:{name}" for name in simulator.free_states]
         residuals, by_parameters, by_states = [], [], []
-        for e, x, s, X in zip(self.experiments, self.base.initial, self.base.substeps, self.X, strict=True):
-            x0 = np.concatenate([x, np.zeros(len(simulator.states) - len(x))])
-            p = simulator.p()
-            steps = s
-            if len(x0) > len(x):  # only new states can be faster than the base's
-                steps = max(s, -(-simulator.substeps_along(e, np.pad(X, ((0, 0), (0, len(x0) - len(x)))), p) // COARSER))
-            if steps > VISIBLE_SUBSTEPS:
-                return None
-            run = simulator.run_vectors(e, x0, p, slopes=[*names, *states], substeps=steps)
+        base, p = self.base, simulator.p()
+        new, steps = len(simulator.states) - len(base.initial[0]), list(base.substeps)
+        initial = [np.pad(x, (0, new)) for x in base.initial]
+        if new:  # only new states can be faster than the base's
+            wanted = simulator.substeps_along_each(self.experiments, [np.pad(X, ((0, 0), (0, new))) for X in self.X], p)
+            steps = [max(s, -(-fast // COARSER)) for s, fast in zip(steps, wanted, strict=True)]
+        if max(steps) > VISIBLE_SUBSTEPS:
+            return None
+        runs = simulator.run_each(self.experiments, initial, p, slopes=[*names, *states], substeps=steps)
+        for e, run in zip(self.experiments, runs, strict=True):
             if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
                 return None
             slopes_there = e.means(run.dY)
@@ -336,7 +337,7 @@ def _error_ratio(after: list[FloatArray], before: list[FloatArray]) -> float:
 def _information(equations: NormalEquations, leading: int) -> float:
     """Information on parameter `leading` after those before it are free."""
     H = equations.information()
-    absorbed = solve_symmetric(H[:leading, :leading], H[:leading, leading : leading + 1])
+    absorbed = solve_scaled(H[:leading, :leading], H[:leading, leading : leading + 1], RIDGE)
     return float(H[leading, leading] - H[leading, :leading] @ absorbed[:, 0])
 
 

@@ -153,8 +153,8 @@ class _Ascent:
             self.substeps = self.steps_from(p, initial)
         residuals, by_parameters, by_states = [], [], []
         power = np.zeros(self.count.size)
-        for e, x, s in zip(self.experiments, initial, self.substeps, strict=True):
-            run = self.simulator.run_vectors(e, x, p, slopes=self.slopes, substeps=s)
+        runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
+        for e, run in zip(self.experiments, runs, strict=True):
             if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
                 return None
             error, slopes = e.Y - run.Y, e.means(run.dY)
@@ -170,8 +170,9 @@ class _Ascent:
     def log_likelihood(self, p: FloatArray, initial: list[FloatArray]) -> float:
         """At a point, without derivatives; −∞ where the simulation diverges."""
         residuals = []
-        for e, x, s in zip(self.experiments, initial, self.substeps, strict=True):
-            run = self.simulator.run_vectors(e, x, p, substeps=s)
+        for e, run in zip(
+            self.experiments, self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps), strict=True
+        ):
             if not bounded(run.Y):
                 return -np.inf
             residuals.append(e.means(e.Y - run.Y))
@@ -182,7 +183,7 @@ class _Ascent:
 
     def steps_from(self, p: FloatArray, initial: list[FloatArray]) -> tuple[int, ...]:
         """Integration steps a sample that each experiment asks for."""
-        return tuple(self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True))
+        return tuple(self.simulator.substeps_each(self.experiments, initial, p))
 
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""

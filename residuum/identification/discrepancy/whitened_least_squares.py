@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.innovations import Noises, likelihood_weights
+from residuum.identification.physics.least_squares import damped, solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -18,13 +19,17 @@ RIDGE = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """H θ = g with each experiment's own unknowns z beside them: cross, own, own_gradient (one an experiment)."""
+    """H θ = g with each experiment's own m unknowns z beside them.
+
+    Shapes: H (q, q), g (q,), and one an experiment cross (experiments, q, m), own (experiments, m, m), own_gradient
+    (experiments, m).
+    """
 
     H: FloatArray
     g: FloatArray
-    cross: list[FloatArray]
-    own: list[FloatArray]
-    own_gradient: list[FloatArray]
+    cross: FloatArray
+    own: FloatArray
+    own_gradient: FloatArray
 
     @classmethod
     def of(
@@ -45,14 +50,14 @@ class NormalEquations:
             cross.append(G[:q, q:])
             own.append(G[q:, q:])
             own_gradient.append(b[q:])
-        return cls(H, g, cross, own, own_gradient)
+        return cls(H, g, np.array(cross), np.array(own), np.array(own_gradient))
 
     def step(self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None) -> tuple[FloatArray, list[FloatArray]]:
         """Damped solution (θ, z of each experiment); `held` parameters stay where they are."""
         eliminated, H, g = self._eliminated(damping)
         free = np.ones(len(g), dtype=bool) if held is None else ~held
         theta = np.zeros(len(g))
-        theta[free] = solve_symmetric(H[np.ix_(free, free)], g[free, None])[:, 0]
+        theta[free] = solve_scaled(H[np.ix_(free, free)], g[free, None], RIDGE)[:, 0]
         return theta, [K[:, -1] - K[:, :-1] @ theta for K in eliminated]
 
     def decrement(self) -> float:
@@ -82,15 +87,12 @@ class NormalEquations:
             found[seen] = np.sqrt(inverse) / scale[seen]
         return found
 
-    def _eliminated(self, damping: float) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-        H, g = self.H + damping * np.diag(np.diag(self.H)), self.g.copy()
-        eliminated = []
-        for X, G, b in zip(self.cross, self.own, self.own_gradient, strict=True):
-            K = solve_symmetric(G + damping * np.diag(np.diag(G)), np.column_stack([X.T, b]))
-            H -= X @ K[:, :-1]
-            g -= X @ K[:, -1]
-            eliminated.append(K)
-        return eliminated, H, g
+    def _eliminated(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """own⁻¹ [crossᵀ own_gradient] of each experiment, and what is left of H and g without their unknowns."""
+        wanted = np.concatenate([self.cross.swapaxes(1, 2), self.own_gradient[:, :, None]], axis=2)
+        K = solve_scaled(damped(self.own, damping), wanted, RIDGE)
+        absorbed = np.einsum("kqm,kmc->qc", self.cross, K)
+        return K, damped(self.H, damping) - absorbed[:, :-1], self.g - absorbed[:, -1]
 
 
 def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, FloatArray]:
@@ -108,15 +110,3 @@ def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, Flo
         G += weighted @ A.T
         b += weighted @ e
     return G, b
-
-
-def solve_symmetric(H: FloatArray, right: FloatArray) -> FloatArray:
-    """H⁻¹ right, scaled to unit diagonal, directions without information left at zero; zero where the numbers have overflowed."""
-    if H.shape[0] == 0 or not (np.all(np.isfinite(H)) and np.all(np.isfinite(right))):
-        return np.zeros((H.shape[0], right.shape[1]))
-    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = values > RIDGE * max(float(values[-1]), 1e-300)
-    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-    return np.asarray(((vectors * inverse) @ vectors.T @ (right / scale[:, None])) / scale[:, None])

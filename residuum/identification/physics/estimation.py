@@ -187,8 +187,7 @@ class _Problem:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
         starts = [self._measured_start(experiment) for experiment in self.experiments]
         p = self.p(self.theta0)
-        for number, experiment in enumerate(self.experiments):
-            self.substeps[number] = self.simulator.substeps(experiment, starts[number], p)
+        self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
         self.weights = self._scales()
         for _ in range(3):
             for number, x0 in enumerate(starts):
@@ -238,7 +237,7 @@ class _Problem:
         """Walk down from the model's values and these first states; `substeps` where they are known."""
         p = self.p(self.theta0)
         if substeps is None:
-            substeps = [self.simulator.substeps(e, x, p) for e, x in zip(self.experiments, initial, strict=True)]
+            substeps = self.simulator.substeps_each(self.experiments, initial, p)
         self.substeps = list(substeps)
         given = self.settings.weights
         self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
@@ -283,14 +282,11 @@ class _Problem:
 
     def _step(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
         """The damped Gauss–Newton step, initial states eliminated, parameters kept within bounds."""
-        eliminated = [
-            solve_scaled(damped(H, damping), np.column_stack([X.T, g]))
-            for H, X, g in zip(point.own, point.cross, point.own_gradient, strict=True)
-        ]
-        H, g = damped(point.hessian, damping), point.gradient.copy()
-        for X, solved in zip(point.cross, eliminated, strict=True):
-            H = H - X @ solved[:, :-1]
-            g = g - X @ solved[:, -1]
+        cross = np.array(point.cross)
+        wanted = np.concatenate([cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2)
+        eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
+        absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
+        H, g = damped(point.hessian, damping) - absorbed[:, :-1], point.gradient - absorbed[:, -1]
         held = np.zeros(len(g), dtype=bool)
         step = np.zeros(len(g))
         for _ in range(len(g) + 1):
@@ -312,8 +308,8 @@ class _Problem:
     def _evaluate(self, theta: Array, initial: list[Array]) -> _Point:
         q, p = len(self.names), self.p(theta)
         point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
-        for number, experiment in enumerate(self.experiments):
-            run = self.simulator.run_vectors(experiment, initial[number], p, slopes=self.slopes, substeps=self.substeps[number])
+        runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
+        for experiment, run in zip(self.experiments, runs, strict=True):
             if not _bounded(run.Y) or (run.dY is not None and not _bounded(run.dY)):
                 point.cost = np.inf
                 return point
@@ -331,9 +327,9 @@ class _Problem:
 
     def _cost(self, theta: Array, initial: list[Array]) -> float:
         """The cost alone, which needs no sensitivities."""
-        p, cost = self.p(theta), 0.0
-        for experiment, x0, steps in zip(self.experiments, initial, self.substeps, strict=True):
-            run = self.simulator.run_vectors(experiment, x0, p, substeps=steps)
+        cost = 0.0
+        runs = self.simulator.run_each(self.experiments, initial, self.p(theta), substeps=self.substeps)
+        for experiment, run in zip(self.experiments, runs, strict=True):
             if not _bounded(run.Y):
                 return np.inf
             r, _ = self._weighted(experiment, run.Y, None)
@@ -359,9 +355,8 @@ class _Problem:
         return np.asarray(lfilter(self.settings.filters[o], [1.0], signal, axis=0))
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
-        reduced = point.hessian.copy()
-        for X, H in zip(point.cross, point.own, strict=True):
-            reduced -= X @ solve_scaled(H, X.T)
+        cross = np.array(point.cross)
+        reduced = point.hessian - np.einsum("kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2)))
         samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
         unknowns = len(self.names) + len(self.experiments) * len(self.states)
         variance = point.cost / max(samples - unknowns, 1)

@@ -338,15 +338,23 @@ def observe_slopes(q, w, p):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def simulate(q, U, p, x0, sample_time, substeps, hold, columns):
-    """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples; NaN after a state ceases to be
-    finite."""
+def simulate(q, U, starts, p, X0, sample_times, substeps, holds, columns):
+    """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several experiments.
+
+    Experiment j has rows starts[j] … starts[j + 1] − 1 of all these and of U, and its own first state X0[j], sample time,
+    sub-steps and hold; one call for all, since a call costs as much as hundreds of steps. NaN after a state ceases to be finite.
+    """
     n, w = U.shape[0], new_memory(q, columns.shape[0])
     X, Y = np.full((n, q.sizes[0]), np.nan), np.full((n, q.sizes[3]), np.nan)
     dY = np.full((n, q.sizes[3], columns.shape[0]), np.nan)
-    start(q, w, U, sample_time, hold, p, x0)
-    start_slopes(q, w, columns)
-    integrate(q, w, U, 0, n - 1, sample_time, substeps, hold, p, columns, X, Y, dY)
+    for j in range(X0.shape[0]):
+        a, b = starts[j], starts[j + 1]
+        w.s[:] = 0.0
+        w.m[:] = 0.0
+        start(q, w, U[a:b], sample_times[j], holds[j], p, X0[j])
+        start_slopes(q, w, columns)
+        last, h = b - a - 1, sample_times[j]
+        integrate(q, w, U[a:b], 0, last, h, substeps[j], holds[j], p, columns, X[a:b], Y[a:b], dY[a:b])
     return X, Y, dY
 
 
@@ -372,15 +380,22 @@ def evaluate_outputs(q, U, X, p, sample_time, hold):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def rate_slopes(q, U, X, p, sample_time, hold, samples):
-    """A = ∂f/∂x at the given samples, shape (samples, NX, NX), for the choice of sub-steps."""
+def rate_slopes(q, U, starts, X, p, sample_times, holds, samples):
+    """A = ∂f/∂x at the given samples of several experiments laid out as in `simulate`, for the choice of sub-steps.
+
+    Samples (experiments, count) are counted from each experiment's first; shape of A (experiments, count, NX, NX).
+    """
     w = new_memory(q, 0)
-    out = np.zeros((samples.shape[0], q.sizes[0], q.sizes[0]))
-    for i in range(samples.shape[0]):
-        w.x[:] = X[samples[i]]
-        if set_directions(w.x, q.surfaces, w.s, w.m):
-            stand(q, w, U, samples[i], 0.0, sample_time, hold, p)
-        set_inputs(q.delays, w.u, w.ur, U, samples[i], 0.0, sample_time, hold, p)
-        q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
-        out[i] = w.A
+    out = np.zeros((samples.shape[0], samples.shape[1], q.sizes[0], q.sizes[0]))
+    for j in range(samples.shape[0]):
+        a, b = starts[j], starts[j + 1]
+        part, h, hold = U[a:b], sample_times[j], holds[j]
+        for i in range(samples.shape[1]):
+            k = samples[j, i]
+            w.x[:] = X[a + k]
+            if set_directions(w.x, q.surfaces, w.s, w.m):
+                stand(q, w, part, k, 0.0, h, hold, p)
+            set_inputs(q.delays, w.u, w.ur, part, k, 0.0, h, hold, p)
+            q.slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+            out[j, i] = w.A
     return out

@@ -12,6 +12,9 @@ Array = npt.NDArray[np.float64]
 FLAT = 1e-9
 """Eigenvalues of the scaled Gauss–Newton matrix below this fraction of the largest are flat."""
 
+RIDGE = 1e-13
+"""And below this fraction a solution has nothing along them."""
+
 
 @dataclass(frozen=True)
 class FlatDirection:
@@ -22,20 +25,27 @@ class FlatDirection:
 
 
 def damped(H: Array, damping: float) -> Array:
-    """H with its diagonal raised by the fraction `damping` (Marquardt)."""
-    return H + damping * np.diag(np.diag(H))
+    """H, or each of several (…, m, m), with its diagonal raised by the fraction `damping` (Marquardt)."""
+    raised = H.copy()
+    np.einsum("...ii->...i", raised)[...] *= 1.0 + damping
+    return raised
 
 
-def solve_scaled(H: Array, right: Array) -> Array:
-    """H⁻¹ right for a symmetric H scaled to unit diagonal; components without curvature, or all after an overflow, stay zero."""
-    if H.shape[0] == 0 or not (np.all(np.isfinite(H)) and np.all(np.isfinite(right))):
-        return np.zeros((H.shape[0], right.shape[1]))
-    scale = np.sqrt(np.maximum(np.diag(H), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = values > 1e-13 * max(float(values[-1]), 1e-300)
+def solve_scaled(H: Array, right: Array, ridge: float = RIDGE) -> Array:
+    """H⁻¹ right for symmetric H scaled to unit diagonal, zero along directions of too little curvature, or after an overflow.
+
+    Shapes (…, m, m) and (…, m, columns); `ridge` is the fraction of the largest scaled curvature that is too little.
+    """
+    if H.shape[-1] == 0:
+        return np.zeros(right.shape)
+    sound = np.all(np.isfinite(H), axis=(-2, -1)) & np.all(np.isfinite(right), axis=(-2, -1))
+    H, right = np.where(sound[..., None, None], H, 0.0), np.where(sound[..., None, None], right, 0.0)
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)[..., None]
+    values, vectors = np.linalg.eigh(H / (scale * scale.swapaxes(-2, -1)))
+    kept = values > ridge * np.maximum(values[..., -1:], 1e-300)
     inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-    return ((vectors * inverse) @ vectors.T @ (right / scale[:, None])) / scale[:, None]
+    return np.asarray(((vectors * inverse[..., None, :]) @ vectors.swapaxes(-2, -1) @ (right / scale)) / scale)
 
 
 def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Array) -> tuple[Array, tuple[FlatDirection, ...]]:

@@ -15,11 +15,14 @@ from residuum.identification.physics.kernel import Kernel, kernel_of
 from residuum.identification.physics.model import PhysicalModel
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 MOST_SUBSTEPS = 64
 _OSCILLATING, _DECAYING = 0.25, 0.8
 _EXACT, _LEAST = 0.02, 1e-4
 """Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
+_LOOKED_AT, _LOOKS = 20_000, 60
+"""First samples of an experiment, and points along them, at which its eigenvalues are looked at."""
 _CHECKED, _DOUBLINGS, _SETTLING = 5000, 3, 0.7
 """Samples on which that is tried, how often steps are halved for it, and the factor by which the change has to fall each time: a
 chaotic model's does not."""
@@ -133,11 +136,32 @@ class Simulator:
     ) -> Simulation:
         """`run` with initial states and parameters as vectors in kernel order; nothing depends on what the experiment knows."""
         steps = substeps or self.substeps(experiment, x0, p)
-        columns = self.columns(slopes)
-        arguments = (experiment.U, p, x0, experiment.sample_time, steps, experiment.hold, columns)
-        X, Y, dY = integration.simulate(self.kernel.system, *arguments)
-        dY[:, :, [name.removeprefix("initial:") in experiment.known for name in slopes]] = 0.0
-        return Simulation(X, Y, dY if slopes else None, tuple(slopes))
+        return self.run_each([experiment], [x0], p, slopes=slopes, substeps=[steps])[0]
+
+    def run_each(
+        self,
+        experiments: Sequence[Experiment],
+        initial: Sequence[Array],
+        p: Array,
+        *,
+        slopes: Sequence[str] = (),
+        substeps: Sequence[int],
+    ) -> list[Simulation]:
+        """`run_vectors` of several experiments, each from its own first states and with its own steps a sample, at one go."""
+        joined = _Joined.of(experiments)
+        runs = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
+        found = []
+        for e, X, Y, dY in zip(experiments, *map(joined.cut, runs), strict=True):
+            if e.known:
+                dY[:, :, [name.removeprefix("initial:") in e.known for name in slopes]] = 0.0
+            found.append(Simulation(X, Y, dY if slopes else None, tuple(slopes)))
+        return found
+
+    def _simulated(
+        self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
+    ) -> tuple[Array, Array, Array]:
+        system, at = self.kernel.system, joined
+        return integration.simulate(system, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, columns)
 
     def look(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> dict[str, Array]:
         """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`) along the states X."""
@@ -152,47 +176,107 @@ class Simulator:
         return np.asarray(integration.evaluate_outputs(self.kernel.system, *arguments))
 
     def substeps(self, experiment: Experiment, x0: Array, p: Array) -> int:
-        """Runge–Kutta steps a sample, from the eigenvalues of ∂f/∂x along a first simulation.
+        """`substeps_each` of one experiment."""
+        return self.substeps_each([experiment], [x0], p)[0]
+
+    def substeps_each(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> list[int]:
+        """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a first simulation.
 
         |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
         whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
         """
-        steps = 1
-        part = experiment.window(0, min(experiment.n, 20_000))
+        joined, X0, none = _Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
+        steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
-            X, *_ = integration.simulate(self.kernel.system, part.U, p, x0, part.sample_time, steps, part.hold, self.columns(()))
-            needed = self.substeps_along(part, X, p)
-            if needed <= steps or steps >= MOST_SUBSTEPS:
+            X, *_ = self._simulated(joined, X0, p, steps, none)
+            needed = np.maximum(self._needed_along(joined, X, p), steps)
+            if np.all((needed <= steps) | (steps >= MOST_SUBSTEPS)):
                 break
             steps = needed
-        return self._exact_enough(part.window(0, min(part.n, _CHECKED)), x0, p, steps)
+        return self._exact_enough(experiments, X0, p, steps).tolist()
 
-    def _exact_enough(self, experiment: Experiment, x0: Array, p: Array, first: int) -> int:
+    def _exact_enough(self, experiments: Sequence[Experiment], X0: Array, p: Array, first: Integers) -> Integers:
         """Steps doubled until the outputs no longer change visibly; the first where that does not settle."""
-        steps, before = first, np.inf
-        Y = self.run_vectors(experiment, x0, p, substeps=steps).Y
-        tolerance = _EXACT * _noise(experiment.Y, Y) + _LEAST * _spread(experiment.Y)
-        seen = tolerance > 0.0
+        steps, open_ = first.copy(), np.arange(len(experiments))
+        before = np.full(len(experiments), np.inf)
+        parts = [e.window(0, min(e.n, _CHECKED)) for e in experiments]
+        none = self.columns(())
+
+        def outputs(which: Integers, substeps: Integers) -> list[Array]:
+            joined = _Joined.of([parts[k] for k in which])
+            return joined.cut(self._simulated(joined, X0[which], p, substeps, none)[1])
+
+        runs = dict(zip(open_.tolist(), outputs(open_, steps), strict=True))
+        tolerances = [_EXACT * _noise(e.Y, runs[k]) + _LEAST * _spread(e.Y) for k, e in enumerate(parts)]
         for _ in range(_DOUBLINGS):
-            if 2 * steps > MOST_SUBSTEPS:
+            open_ = open_[2 * steps[open_] <= MOST_SUBSTEPS]
+            if not open_.size:
                 break
-            finer = self.run_vectors(experiment, x0, p, substeps=2 * steps).Y
-            with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
-                change = np.sqrt(np.mean((finer - Y) ** 2, axis=0))
-            visible = float(np.max(change[seen] / tolerance[seen], initial=0.0))
-            if not visible > 1.0:
-                break
-            if visible > _SETTLING * before:
-                return first
-            steps, Y, before = 2 * steps, finer, visible
+            still = []
+            for k, finer in zip(open_.tolist(), outputs(open_, 2 * steps[open_]), strict=True):
+                visible = _visible(finer, runs[k], tolerances[k])
+                if not visible > 1.0:
+                    continue
+                if visible > _SETTLING * before[k]:
+                    steps[k] = first[k]
+                    continue
+                steps[k], runs[k], before[k] = 2 * steps[k], finer, visible
+                still.append(k)
+            open_ = np.array(still, dtype=np.int64)
         return steps
 
-    def substeps_along(self, experiment: Experiment, X: Array, p: Array) -> int:
-        """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X ask for."""
-        samples = np.unique(np.linspace(0, X.shape[0] - 1, 60).astype(np.int64))
-        samples = samples[np.all(np.isfinite(X[samples]), axis=1)]
-        A = integration.rate_slopes(self.kernel.system, experiment.U, X, p, experiment.sample_time, experiment.hold, samples)
-        return min(_needed(A[np.all(np.isfinite(A), axis=(1, 2))], experiment.sample_time), MOST_SUBSTEPS)
+    def substeps_along_each(self, experiments: Sequence[Experiment], X: Sequence[Array], p: Array) -> list[int]:
+        """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X of each experiment ask for."""
+        return self._needed_along(_Joined.of(experiments), np.concatenate(X), p).tolist()
+
+    def _needed_along(self, joined: _Joined, X: Array, p: Array) -> Integers:
+        """Those of each of several experiments, at most 64."""
+        lengths = np.diff(joined.starts)
+        samples = np.linspace(0, lengths - 1, _LOOKS, axis=1).astype(np.int64)
+        at = joined.starts[:-1, None] + samples
+        finite = np.all(np.isfinite(X[at]), axis=2)
+        A = integration.rate_slopes(
+            self.kernel.system, joined.U, joined.starts, X, p, joined.sample_times, joined.holds, np.where(finite, samples, 0)
+        )
+        finite &= np.all(np.isfinite(A), axis=(2, 3))
+        A[~finite] = 0.0
+        steps = np.max(_steps_for(A) * joined.sample_times[:, None], axis=1, initial=1.0)
+        return np.where(np.any(finite, axis=1), np.minimum(np.ceil(steps), MOST_SUBSTEPS), MOST_SUBSTEPS).astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joined:
+    """Experiments laid end to end, as the integrator takes them: inputs U, first rows (and the last one's end), and of each
+    its sample time and hold.
+    """
+
+    U: Array
+    starts: Integers
+    sample_times: Array
+    holds: Array
+
+    @classmethod
+    def of(cls, experiments: Sequence[Experiment], most: int | None = None) -> _Joined:
+        """Of each experiment at most so many samples."""
+        inputs = [e.U[:most] for e in experiments]
+        return cls(
+            np.concatenate(inputs) if len(inputs) > 1 else np.ascontiguousarray(inputs[0]),
+            np.concatenate([[0], np.cumsum([len(u) for u in inputs])]).astype(np.int64),
+            np.array([e.sample_time for e in experiments]),
+            np.array([e.hold for e in experiments]),
+        )
+
+    def cut(self, values: Array) -> list[Array]:
+        """The rows of each experiment."""
+        return [values[a:b] for a, b in zip(self.starts[:-1], self.starts[1:], strict=True)]
+
+
+def _visible(finer: Array, Y: Array, tolerance: Array) -> float:
+    """RMS change of the outputs over what may be, at the output where it is most."""
+    seen = tolerance > 0.0
+    with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+        change = np.sqrt(np.mean((finer - Y) ** 2, axis=0))
+    return float(np.max(change[seen] / tolerance[seen], initial=0.0))
 
 
 def _noise(measured: Array, simulated: Array) -> Array:
@@ -208,10 +292,8 @@ def _spread(measured: Array) -> Array:
     return np.where(known, np.nanstd(np.where(known, measured, 0.0), axis=0), 0.0)
 
 
-def _needed(A: Array, sample_time: float) -> int:
-    if A.size == 0:
-        return MOST_SUBSTEPS
+def _steps_for(A: Array) -> Array:
+    """Steps a second that the eigenvalues of each matrix (…, NX, NX) ask for, shape (…)."""
     eigenvalues = np.linalg.eigvals(A)
     oscillating = np.abs(eigenvalues.imag) > 0.05 * np.abs(eigenvalues.real)
-    scaled = np.abs(eigenvalues) * sample_time / np.where(oscillating, _OSCILLATING, _DECAYING)
-    return max(1, int(np.ceil(np.max(scaled))))
+    return np.asarray(np.max(np.abs(eigenvalues) / np.where(oscillating, _OSCILLATING, _DECAYING), axis=-1, initial=0.0))

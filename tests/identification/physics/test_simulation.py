@@ -21,9 +21,8 @@ def stiff_drive(noise, n=3000, sample_time=0.002, seed=5):
 
 def test_steps_are_so_fine_that_their_error_hides_in_the_noise():
     simulator, x0, exact, spread, experiment = stiff_drive(noise=0.003)
-    coarse = simulator.substeps_along(
-        experiment, simulator.run_vectors(experiment, x0, simulator.p(), substeps=8).X, simulator.p()
-    )
+    X = simulator.run_vectors(experiment, x0, simulator.p(), substeps=8).X
+    coarse = simulator.substeps_along_each([experiment], [X], simulator.p())[0]
     chosen = simulator.substeps(experiment, x0, simulator.p())
 
     def error(steps):
@@ -37,4 +36,25 @@ def test_steps_are_so_fine_that_their_error_hides_in_the_noise():
 def test_steps_are_no_finer_than_a_noisy_record_can_tell():
     simulator, x0, _, _, experiment = stiff_drive(noise=3.0)
     X = simulator.run_vectors(experiment, x0, simulator.p(), substeps=8).X
-    assert simulator.substeps(experiment, x0, simulator.p()) == simulator.substeps_along(experiment, X, simulator.p())
+    assert [simulator.substeps(experiment, x0, simulator.p())] == simulator.substeps_along_each([experiment], [X], simulator.p())
+
+
+def test_experiments_together_are_simulated_as_each_alone():
+    """Of other lengths, sample times, holds, first states and steps; one of them diverges."""
+    rng = np.random.default_rng(8)
+    model = load_model("gate-drive").with_effect("coulomb-friction", "shaft", {"tau_c": 0.02})
+    simulator, slopes = Simulator(model), ["K", "coulomb-friction@shaft.tau_c", "initial:omega"]
+    nothing = np.full((1, len(model.outputs)), np.nan)
+    each = [
+        Experiment(6.0 * rng.standard_normal((n, 1)), np.repeat(nothing, n, axis=0), np.array([hold]), h, known=known)
+        for n, h, hold, known in ((400, 0.002, 0.0, {}), (90, 0.01, 1.0, {}), (250, 0.001, 0.0, {"omega": 1.0}))
+    ]
+    initial = [np.array([0.0, 0.0]), np.array([0.1, -20.0]), np.array([0.0, np.inf])]
+    together = simulator.run_each(each, initial, simulator.p(), slopes=slopes, substeps=[2, 5, 1])
+    for e, x0, steps, run in zip(each, initial, (2, 5, 1), together, strict=True):
+        alone = simulator.run_vectors(e, x0, simulator.p(), slopes=slopes, substeps=steps)
+        for values, expected in ((run.X, alone.X), (run.Y, alone.Y), (run.dY, alone.dY)):
+            np.testing.assert_array_equal(values, expected)
+    assert np.all(together[2].dY[:, :, 2] == 0.0) and not together[2].finite and together[1].finite
+    alone = [simulator.substeps(e, x0, simulator.p()) for e, x0 in zip(each, initial, strict=True)]
+    assert simulator.substeps_each(each, initial, simulator.p()) == alone
