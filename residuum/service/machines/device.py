@@ -22,14 +22,14 @@ from residuum.simulation.machine import BadSetting, Machine
 
 _TICK = 0.02
 _STATE_PERIOD = 0.5
-_FURTHEST_BEHIND = 1.0
+_FURTHEST_BEHIND = 0.2
 
 
 class Device:
     """A machine on a CAN bus, a Modbus server, or both.
 
-    Time runs `speed` times as fast as real time. When the computer cannot keep up for a second, the machine's life pauses;
-    nothing is skipped.
+    Time runs `speed` times as fast as real time. When the computer cannot keep up for a fifth of a second, the machine's life
+    pauses: nothing is skipped, and nothing is sent in a burst that no machine could make and no reader be ready for.
 
     Parameters
     ----------
