@@ -17,6 +17,7 @@ from residuum.identification.transfer_function import TransferFunction
 
 FaultKind = Literal["sensor", "actuator"]
 _GRID = 1000
+_SAME_RATE = 1e-9  # sample times read from a record differ by rounding
 _NEGLIGIBLE = 1e-10  # of N, below which its states are dropped before the synthesis; what they carry is charged to γ
 
 
@@ -139,7 +140,7 @@ def _check(factors: LeftCoprimeFactors, W_T: TransferFunction | None, gamma: flo
         raise BadModel(f"approximate_fault_detection, levels: are {levels}; must be positive")
     if W_T is None:
         return
-    if W_T.sample_time != factors.M.sample_time:
+    if abs(W_T.sample_time / factors.M.sample_time - 1.0) > _SAME_RATE:
         raise BadModel(
             f"approximate_fault_detection, W_T: has sample time {W_T.sample_time} s, "
             f"the model {factors.M.sample_time} s; must be equal"

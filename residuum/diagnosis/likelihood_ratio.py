@@ -27,6 +27,7 @@ _SHORT, _SHORT_START = 2, 1.2  # samples, nats: so that one or two samples find 
 _EPOCH = 65536  # samples after which time is counted anew
 _SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
 _LARGEST_RATIO = 1e300
+_LARGEST_SCORE = 600.0  # either way; its exponential, and the inverse of that, still are numbers
 _LAZY = 3.0  # a Shiryaev–Roberts statistic below it need not know the model error exactly
 
 
@@ -315,7 +316,7 @@ def _scan(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915  one pass o
                     largest = z * z
                     if z > b:
                         kind[t], window[t] = 3, length
-        up = np.exp(min(s, 600.0) - 0.5)
+        up = np.exp(min(max(s, -_LARGEST_SCORE), _LARGEST_SCORE) - 0.5)
         for side in range(2):
             ratio = min((1.0 + both_steps[side, 0]) * (up if side == 0 else np.exp(-1.0) / up), _LARGEST_RATIO)
             length = int(both_steps[side, 1]) + 1 if ratio > 1.0 else 0

@@ -120,6 +120,12 @@ def test_a_weight_that_cannot_serve_is_refused(weight, says):
         approximate_fault_detection(left_coprime(state_space(PROCESS)), weight)
 
 
+def test_sample_times_that_differ_by_rounding_are_the_same():
+    read = TransferFunction([0.5, -0.45], [1.0, -0.3], float(np.median(np.diff(TS * np.arange(4000)))) * (1.0 - 1e-15))
+    assert read.sample_time != TS
+    assert approximate_fault_detection(left_coprime(state_space(PROCESS)), read, gamma=0.1).gamma == pytest.approx(0.1)
+
+
 def test_improper_and_continuous_models_are_refused():
     with pytest.raises(BadModel, match="not proper"):
         state_space(TransferFunction([1.0, 0.0, 0.0], [1.0, 0.5], TS))

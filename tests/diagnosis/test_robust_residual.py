@@ -121,6 +121,15 @@ def test_chosen_false_alarm_rate_is_met(noise, slack):
     assert slack[0] < alarms / (rate * n) < slack[1]
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_residual_a_million_times_too_large_alarms_and_no_more(sign):
+    scores, zero = np.random.default_rng(31).standard_normal(400), np.zeros(400)
+    scores[200:] += sign * 1e6
+    signals = ResidualSignals(scores, scores, scores, zero, zero, np.ones(400, dtype=bool))
+    bank = LikelihoodRatioBank(1e-6, np.zeros((1, 1)), 1)
+    assert int(np.argmax(bank.process(signals).alarm)) == 200
+
+
 def test_the_bank_allows_for_model_error_but_not_for_faults():
     """A wrong gain within its own variance must not alarm although the input is large; the same residual alone must."""
     n, m = 2000, 5

@@ -78,7 +78,7 @@ def _design_result(made: ResidualDesign, identified: Path, out: Path, records: l
             "ar_order": len(noise.ar) - 1,
             "tail_dof": noise.dof,
             "shape": noise.shape,
-            "tails": _tails(noise),
+            "tails": _tails(noise, made.model.output_unit),
             "degrees_of_freedom": noise.freedom,
         },
         "healthy_samples": sum(record.n for record in records),
@@ -92,7 +92,7 @@ def _design_text(made: ResidualDesign, out: Path) -> str:
         f"residual for {made.fault} faults of {made.model.output_name!r}: γ = {f.gamma:.4g} (verified), β = {f.beta:.4g}, "
         f"β/γ = {f.decoupling:.3g}",
         f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g}) → {out}",
-        f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise)}",
+        f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise, made.model.output_unit)}",
     ]
     if made.structured_p < _STRUCTURED_P:
         lines.append(
@@ -106,8 +106,11 @@ def _size(made: ResidualDesign) -> str:
     return f"σ = {made.noise.innovation_std:.4g} {made.model.output_unit}".rstrip()
 
 
-def _tails(noise: NoiseModel) -> str:
+def _tails(noise: NoiseModel, unit: str) -> str:
     """The law of the noise in words, with the parameter that shapes it."""
+    if noise.tail is not None:
+        beyond = f"{noise.tail.start * noise.sigma:.4g} {unit}".rstrip()
+        return f"beyond {beyond} those of its largest {100 * noise.tail.share:.2g} % of samples, which no usual law fits"
     if np.isfinite(noise.dof):
         return f"heavier than Gaussian (Student t, {noise.dof:.3g} degrees of freedom)"
     return "Gaussian" if noise.is_gaussian else f"lighter than Gaussian (exponential power, β = {noise.shape:.3g})"

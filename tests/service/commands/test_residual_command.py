@@ -48,6 +48,16 @@ def test_design_reports_what_it_verified(folder, capsys):
     assert noise["shape"] == 2.0 and noise["tails"] == "Gaussian" and 3500 < noise["degrees_of_freedom"] < 4000
 
 
+def test_design_says_where_healthy_samples_contradict_every_usual_tail(folder, capsys):
+    rng = np.random.default_rng(9)
+    u = rng.standard_normal(20_000)
+    y = PLANT.simulate(u) + 0.3 * np.clip(rng.standard_normal(20_000), -2.5, 2.5)
+    table = np.column_stack([0.1 * np.arange(20_000), u, y])
+    np.savetxt(folder / "clipped.csv", table, delimiter=",", header="time [s],u [V],y [m]", comments="", fmt="%.9g")
+    result = answer(capsys, "design", folder / "model.json", "--healthy", folder / "clipped.csv", "--out", folder / "clipped")
+    assert "no usual law fits" in result["noise"]["tails"] and " m " in result["noise"]["tails"]
+
+
 @pytest.mark.parametrize("threshold", ["posterior", "peak", "source", "calibrated"])
 def test_run_answers_in_the_contracts_words(folder, capsys, threshold):
     common = ["--threshold", threshold, "--false-alarms-per-day", "2"]
