@@ -140,7 +140,7 @@ def _check(factors: LeftCoprimeFactors, W_T: TransferFunction | None, gamma: flo
         raise BadModel(f"approximate_fault_detection, levels: are {levels}; must be positive")
     if W_T is None:
         return
-    if abs(W_T.sample_time / factors.M.sample_time - 1.0) > _SAME_RATE:
+    if W_T.sample_time is None or abs(W_T.sample_time / factors.M.sample_time - 1.0) > _SAME_RATE:
         raise BadModel(
             f"approximate_fault_detection, W_T: has sample time {W_T.sample_time} s, "
             f"the model {factors.M.sample_time} s; must be equal"
