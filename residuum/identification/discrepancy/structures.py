@@ -185,6 +185,10 @@ class _Ascent:
         """Integration steps a sample that each experiment asks for."""
         return tuple(self.simulator.substeps_each(self.experiments, initial, p))
 
+    def too_fast(self, initial: list[FloatArray], most: float) -> bool:
+        """Whether the model's fastest mode asks for more integration steps a sample than `most`."""
+        return most < np.inf and self.simulator.fastest(self.experiments, initial, self.simulator.p()) > most
+
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
         damping = 1e-4
@@ -251,9 +255,9 @@ def fit_structure(
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
     start = _states(initial, ascent.simulator)
-    ascent.substeps = ascent.steps_from(ascent.simulator.p(), start)
-    if max(ascent.substeps) > most_substeps:
+    if ascent.too_fast(start, most_substeps):
         return None
+    ascent.substeps = ascent.steps_from(ascent.simulator.p(), start)
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival)
     if second_start and noises is None:
@@ -336,9 +340,9 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
-    steps = ascent.steps_from(ascent.simulator.p(), start)
-    if max(steps) > _visible(before):
+    if ascent.too_fast(start, _visible(before)):
         return -np.inf
+    steps = ascent.steps_from(ascent.simulator.p(), start)
     ascent.substeps = tuple(-(-s // COARSER) for s in steps)
     plain = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
     return -np.inf if plain is None else ascent.log_likelihood(ascent.simulator.p(plain.model.values), plain.initial)

@@ -8,6 +8,9 @@ import sympy as sp
 from residuum.identification.physics.effects.base import Conditions, Parameter, Site, product
 from residuum.identification.physics.effects.two_bodies import TwoBodies
 
+_CROSSINGS = (4.0, 12.0, 36.0)
+"""Samples in which the drive side alone, pushed as it is on average, crosses the play."""
+
 
 class Backlash(TwoBodies):
     """A share r of the inertia is driven through a contact with play: nothing is transmitted while |φ| < gap/2, beyond it
@@ -40,10 +43,13 @@ class Backlash(TwoBodies):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         found, travelled = [], conditions.largest("velocity") * conditions.sample_time
-        for steps, share in ((2.0, 0.5), (10.0, 0.5), (50.0, 0.3)):
-            omega = 0.4 * np.pi / conditions.sample_time / 4.0
+        crossed = 0.5 * conditions.magnitude / conditions.storage * conditions.sample_time**2
+        omega = 0.4 * np.pi / conditions.sample_time / 4.0
+        plays = [(2.0 * travelled, 0.5), (10.0 * travelled, 0.5), (50.0 * travelled, 0.3)]
+        plays += [(samples**2 * crossed / 0.5, 0.5) for samples in _CROSSINGS]
+        for gap, share in plays:
             k = omega**2 * share * (1.0 - share) * conditions.storage
-            found.append({"gap": steps * travelled, "k": k, "d": 0.3 * k / omega, "share": share})
+            found.append({"gap": gap, "k": k, "d": 0.3 * k / omega, "share": share})
         return found
 
     def specialised(self, general: Mapping[str, float]) -> dict[str, float]:

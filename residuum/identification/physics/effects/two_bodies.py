@@ -12,6 +12,8 @@ from residuum.identification.physics.effects.example_models import axis_example,
 class TwoBodies(Effect):
     """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ transmits:
     φ' = v − w, r·J·w' = transmitted; the drive side keeps (1 − r)·J and feels −transmitted.
+
+    A record, or a window of one, may begin while the contact is twisted or the far body still swings: where is estimated.
     """
 
     acts_on = ("torque", "force")
@@ -31,6 +33,7 @@ class TwoBodies(Effect):
             term=-transmitted,
             rates={"twist": v - w, "far_velocity": transmitted / (p["share"] * scene["storage"])},
             initial={"twist": sp.S.Zero, "far_velocity": v},
+            deviating=("twist", "far_velocity"),
             storage_factor=1 - p["share"],
         )
 
