@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,12 @@ class Split:
 
     training: list[Record]
     testing: list[tuple[Record, int]]
+
+    @property
+    def aside(self) -> str:
+        """What is kept aside, in words."""
+        spans = [(r.t0 + first * r.sample_time, r.t0 + r.n * r.sample_time, Path(r.source).name) for r, first in self.testing]
+        return ", ".join(f"{start:.4g} to {end:.4g} s of {name or 'the record'}" for start, end, name in spans)
 
 
 def split(records: Sequence[Record], *, end: bool = True) -> Split:

@@ -43,7 +43,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """The improved model with provenance, and how its error on held-out data fell, in `error_unit` of `output`."""
+    """The improved model with provenance, and how its error on held-out data (`aside`) fell, in `error_unit` of `output`."""
 
     model: PhysicalModel
     history: tuple[Step, ...]
@@ -51,6 +51,7 @@ class Improvement:
     output: str
     error_unit: str
     explanation: Explanation | None
+    aside: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ def _improved(
     improved = _with_provenance(final, records, history, judge)
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
-    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation), strange)
+    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
 
 
 def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -> tuple[list[Experiment], Structure] | None:

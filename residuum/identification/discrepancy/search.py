@@ -58,6 +58,8 @@ PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
 """An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0
 """As `ACCEPT`, of a second and third effect, which must not make up for what the first does not follow exactly."""
+SAME = 0.5
+"""Log-likelihood within which two structures of the same effects are one: what was tried on top of it is not tried again."""
 EXCHANGES = 3
 """How often at most effects that were accepted one by one are exchanged for others that do more together."""
 
@@ -154,7 +156,7 @@ def search(
 class _Task:
     """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
 
-    `tell` hears of every look at the catalogue.
+    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model.
     """
 
     experiments: Sequence[Experiment]
@@ -163,12 +165,20 @@ class _Task:
     refits: int
     most_effects: int
     tell: Callable[[str], None] = field(default=lambda _doing: None)
+    looks: dict[frozenset[str], _Look] = field(default_factory=dict)
 
-    def screen(self, structure: Structure) -> Screen:
-        """Score tests on top of a structure."""
-        beside = ", ".join(use.id for use in structure.model.effects)
-        self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
-        return Screen(structure, self.experiments, self.origin(structure))
+    def look(self, structure: Structure, without: tuple[str, str] | None = None) -> _Look:
+        """All candidates on top of a structure, or all but one; those that were tried there before are not tried again."""
+        effects = frozenset(use.label for use in structure.model.effects)
+        pairs = [pair for pair in self.candidates(structure) if pair != without]
+        look = self.looks.get(effects)
+        if look is None or not look.is_from(structure):
+            look = self.looks[effects] = _Look(Screen(structure, self.experiments, self.origin(structure)))
+        if new := [pair for pair in pairs if pair not in look.tried]:
+            beside = ", ".join(use.id for use in structure.model.effects)
+            self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
+            look.add(*trials(look.screen, new, self.refits), new)
+        return look
 
     def candidates(self, structure: Structure) -> list[tuple[str, str]]:
         """Those that the structure does not have yet."""
@@ -180,6 +190,29 @@ class _Task:
             return structure.model
         values = self.nominal.values
         return structure.model.with_values({n: values[n] for n in structure.parameters if n in self.nominal.parameters})
+
+
+@dataclass(eq=False)
+class _Look:
+    """Candidates on top of one structure: as screened, refitted, and which were tried."""
+
+    screen: Screen
+    refitted: dict[tuple[str, str], Structure] = field(default_factory=dict)
+    tested: list[Screened] = field(default_factory=list)
+    tried: set[tuple[str, str]] = field(default_factory=set)
+
+    def is_from(self, structure: Structure) -> bool:
+        """Whether the structure is the one that was looked from, to what the likelihood can tell."""
+        base = self.screen.base
+        return base.drifting == structure.drifting and abs(base.log_likelihood - structure.log_likelihood) < SAME
+
+    def add(
+        self, refitted: Mapping[tuple[str, str], Structure], tested: Iterable[Screened], tried: Iterable[tuple[str, str]]
+    ) -> None:
+        """What else was tried there."""
+        self.refitted |= refitted
+        self.tested += tested
+        self.tried |= set(tried)
 
 
 def _strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:
@@ -366,10 +399,9 @@ def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> boo
         if others is None:
             settled.append(key)
             continue
-        screen = task.screen(others)
-        tried = trials(screen, [pair for pair in task.candidates(others) if pair != key], task.refits)[0]
-        refitted = {k: s for k, s in tried.items() if not within_a_sample(s, k, task.experiments)}
-        refitted[key] = followed(screen, key, found.best)
+        look = task.look(others, key)
+        look.add({key: followed(look.screen, key, found.best)}, (), [key])
+        refitted = {k: s for k, s in look.refitted.items() if k == key or not within_a_sample(s, k, task.experiments)}
         best, wins = _winner(refitted, others, _asked(found, ACCEPT_MORE))
         if best == key and wins:
             moved = _moved(refitted[key], found.best)
@@ -402,11 +434,10 @@ def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[E
 
 
 def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
-    screen = task.screen(found.best)
-    refitted, tested = trials(screen, task.candidates(found.best), task.refits)
+    look = task.look(found.best)
     if not found.accepted:
-        found.screened = {s.key: s for s in tested}
-    return refitted, screen
+        found.screened = {s.key: s for s in look.tested}
+    return dict(look.refitted), look.screen
 
 
 def _is_timing(

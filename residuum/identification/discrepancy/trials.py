@@ -148,10 +148,10 @@ def _simplified(
     """Effects refitted from the estimate of one that generalises them, where that one does better: they may have been stuck, or
     not been among the likeliest to first order.
     """
-    found = {}
+    found: dict[tuple[str, str], Structure] = {}
     for (id, target), general in refitted.items():
         key = EFFECTS[id].generalises, target
-        special, label = refitted.get(key), general.label_of((id, target))
+        special, label = found.get(key, refitted.get(key)), general.label_of((id, target))
         reached = best.log_likelihood + ACCEPT if special is None else schwarz(special, best)
         if key not in candidates(best.model, [key[0]] if key[0] else []) or schwarz(general, best) <= reached:
             continue

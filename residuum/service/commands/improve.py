@@ -55,6 +55,7 @@ def improve_command(
         "output": improvement.output,
         "error_unit": improvement.error_unit,
         "held_out": True,
+        "kept_aside": improvement.aside,
         "model_file": str(out),
     }
     report(result, improvement_text(improvement, out), as_json=as_json)
@@ -62,8 +63,8 @@ def improve_command(
 
 def improvement_text(improvement: Improvement, out: Path) -> str:
     """The short human report."""
-    lines = [f"error of {improvement.output} on held-out data:"]
+    lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
     lines += [
         f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
     ]
-    return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file: {out}"])
+    return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file (estimated on everything): {out}"])

@@ -52,6 +52,7 @@ def test_either_end_of_a_record_can_be_kept_aside():
     record = Record({"pump": np.arange(100.0), "height": np.arange(100.0)}, {"pump": "V", "height": "m"}, 1.0)
     parts = split([record], end=False)
     assert (parts.training[0].t0, parts.training[0].n, parts.testing[0][0].n, parts.testing[0][1]) == (30.0, 70, 30, 0)
+    assert (parts.aside, split([record]).aside) == ("0 to 30 s of the record", "70 to 100 s of the record")
     _, experiments = match(read_model(VESSEL), [record])
     training, testing, kept = split_experiments(experiments, end=False)
     assert kept == [0]

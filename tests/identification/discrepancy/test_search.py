@@ -64,11 +64,13 @@ def controlled_axis(load, seed=6, n=5000, sample_time=0.002):
 def test_two_effects_for_which_a_third_could_stand_are_both_found():
     """Drag and rolling friction of a vehicle, whose position nobody records: alone, viscous friction fits best."""
     effects = ["viscous-friction", "quadratic-drag", "coulomb-friction", "linear-spring", "stribeck-friction"]
-    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 320.0)], effects=effects)
+    told = []
+    found = explain(read_model(VAN, "van.yaml"), [van(1.1, 320.0)], effects=effects, tell=lambda _, doing: told.append(doing))
     accepted = dict.fromkeys(id for id, _ in found.search.accepted)
     assert list(accepted) in (["quadratic-drag", "coulomb-friction"], ["coulomb-friction", "quadratic-drag"])
     drag = next(c for c in found.candidates if c.effect == "quadratic-drag").parameters["c"]
     assert abs(drag.value - 1.1) < 4 * drag.std
+    assert len(told) == len(set(told)) > 5  # nothing is tried twice beside the same effects
 
 
 def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
