@@ -48,9 +48,10 @@ def preferred(structures: Mapping[Key, Structure], base: Structure) -> Key | Non
     """The structure with the largest Schwarz criterion among those that exceed the base's; None when none does.
 
     Of structures within `ALIKE` of the largest, at what the gain is worth, the one with the fewest parameters is preferred.
-    An estimate on a physical bound is another effect, or none, in disguise: such a structure is never preferred.
+    An estimate on a physical bound is another effect, or none, in disguise, and so is one that the data do not determine (a play
+    that is never taken up): such a structure is never preferred.
     """
-    score = {key: s.log_likelihood - s.penalty(base) for key, s in structures.items() if not _at_a_bound(key, s)}
+    score = {key: s.log_likelihood - s.penalty(base) for key, s in structures.items() if not _is_no_estimate(key, s)}
     better = [key for key in score if score[key] > base.log_likelihood]
     if not better:
         return None
@@ -63,21 +64,25 @@ def relative_evidence(structures: Mapping[Key, Structure], base: Structure) -> t
     """Log evidence of each structure, and of the base, relative to the preferred one (0): tempered gains less prices.
 
     Gains are tempered pairwise, against the preferred structure, so that the order of two structures is never reversed;
-    none exceeds the preferred one, and estimates on a bound stand at least a hundred times below it.
+    none exceeds the preferred one, and what is no estimate stands at least a hundred times below it.
     """
     best = preferred(structures, base)
     winner = base if best is None else structures[best]
     values: dict[Key, float] = {}
     for key, structure in structures.items():
-        highest = -OUT_OF_BOUNDS if key != best and _at_a_bound(key, structure) else 0.0
+        highest = -OUT_OF_BOUNDS if key != best and _is_no_estimate(key, structure) else 0.0
         values[key] = 0.0 if key == best else min(_behind(winner, structure), highest)
     return values, 0.0 if best is None else _behind(winner, base)
 
 
-def _at_a_bound(key: Key, structure: Structure) -> bool:
+def _is_no_estimate(key: Key, structure: Structure) -> bool:
+    """Whether the effect was estimated on a bound, or the data leave its first parameter, which is what it does, open."""
     label = "@".join(map(str, key)) if isinstance(key, tuple) else str(key)
     effect = EFFECTS.get(label.partition("@")[0])
     natural = () if effect is None else tuple(f"{label}.{name}" for name in effect.natural_bounds)
+    own = [k for k, name in enumerate(structure.parameters) if name.startswith(f"{label}.")]
+    if own and not np.isfinite(structure.std[own[0]]):
+        return True
     return any(name.startswith(label) and name not in natural for name in structure.at_bound)
 
 
