@@ -17,7 +17,8 @@ import numpy as np
 import orjson
 
 from residuum.identification.discrepancy.explain import Explanation, explain
-from residuum.identification.physics import load_model
+from residuum.identification.discrepancy.improve import added
+from residuum.identification.physics import candidates, load_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
@@ -27,6 +28,8 @@ SIZES = os.environ.get("HIDDEN_SIZES", "small,medium,large").split(",")
 FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks").split(",")
 RESULTS = Path(os.environ.get("HIDDEN_RESULTS", "var/hidden_effects.jsonl"))
 
+SINGLE = ("drive", "oven", "tanks")
+"""Families in which one effect of the catalogue is hidden."""
 PAIRS = (
     ("coulomb-friction", "inductance"),
     ("viscous-friction", "constant-load"),
@@ -125,11 +128,20 @@ def run(case: Case) -> dict[str, Any]:
         "verdict": explanation.verdict,
         "first": first.effect if first else None,
         "group": [first.effect, *first.indistinguishable_from] if first else [],
+        "chi_square": chi_square(case, explanation) if case.family in SINGLE else None,
         "probability": group_probability(explanation),
         "accepted": [key[0] for key in explanation.search.accepted],
         "unknown": explanation.probability_unknown,
         "seconds": explanation.seconds,
     }
+
+
+def chi_square(case: Case, explanation: Explanation) -> float:
+    """Twice the log-likelihood that the hidden effect gains over the refitted base: how much of it the record can show."""
+    search, id = explanation.search, case.hidden[0][0]
+    known = [s for key, s in search.alternatives[0].items() if key[0] == id] if search.alternatives else []
+    fitted = known or [added(search.base, explanation.experiments, key) for key in candidates(search.base.model, [id])]
+    return 2.0 * max((s.log_likelihood - search.base.log_likelihood for s in fitted if s is not None), default=0.0)
 
 
 def group_probability(explanation: Explanation) -> float:
@@ -167,10 +179,10 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     print("| machine | effect | size | named first (group) | misses |\n|---|---|---|---|---|")
     rows: dict[tuple[str, str, str], list[tuple[Case, dict[str, Any]]]] = defaultdict(list)
     for case, out in outcomes:
-        if case.family in ("drive", "oven", "tanks"):
+        if case.family in SINGLE:
             rows[case.machine, *case.hidden[0]].append((case, out))
     for (machine, effect, size), found in rows.items():
-        hits = [effect in out["group"] and out["verdict"] == "missing-effect" for _, out in found]
+        hits = [_hits(case, out) for case, out in found]
         misses = ", ".join(_says(case, out) for (case, out), hit in zip(found, hits, strict=True) if not hit)
         print(f"| {machine} | {effect} | {size} | {sum(hits)} / {len(hits)} | {misses} |")
     print("\n### Nothing missing\n\n| case | not blamed | blamed |\n|---|---|---|")
@@ -194,11 +206,23 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     for case, out in outcomes:
         if case.family == "two":
             print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
-    sure = [(case, out) for case, out in outcomes if case.family in ("drive", "oven", "tanks") and out["probability"] >= 0.9]
+    single = [(case, out) for case, out in outcomes if case.family in SINGLE]
+    for least, channels, what in ((150.0, None, "all"), (40.0, (), "all channels")):
+        visible = [
+            _hits(case, out)
+            for case, out in single
+            if (out.get("chi_square") or 0.0) >= least and (channels is None or case.channels == channels)
+        ]
+        print(f"\nNamed first where χ² ≥ {least:g} ({what}): {sum(visible)} / {len(visible)}")
+    sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
     print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
     seconds = [out["seconds"] for _, out in outcomes]
     print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
+
+
+def _hits(case: Case, out: dict[str, Any]) -> bool:
+    return _blames(out) and case.hidden[0][0] in out["group"]
 
 
 def _blames(out: dict[str, Any]) -> bool:
@@ -209,4 +233,5 @@ def _says(case: Case, out: dict[str, Any]) -> str:
     channels = "speed only" if case.channels == ("voltage", "speed") else ""
     where = " ".join(filter(None, [case.settings.get("profile", ""), channels]))
     said = f"{out['first']} {out['probability']:.2f}" if _blames(out) else out["verdict"]
-    return f"{where}: {said}".strip(": ")
+    shown = "" if out.get("chi_square") is None else f", χ² {out['chi_square']:.0f}"
+    return f"{where}: {said}{shown}".strip(": ")
