@@ -1,18 +1,20 @@
 """Bus ingest: CPU and losses at the demo's full traffic, beside python-can's own receive loop on the same bus.
 
-    python -m benchmarks.ingest [--seconds 60]        # 600 for the ten minutes of the requirement
+    python -m benchmarks.ingest [--seconds 60] [--speed 20]        # 600 for the ten minutes of the requirement
 
 The three simulated machines run as processes of their own: 5000 CAN frames, 413 CAN FD frames and 1010 Modbus samples a
-second. The CPU is that of this process alone: sockets, decoding, sequence counters, clock alignment and window cutting,
-without diagnosers and storage.
+second, times the speed. The CPU is that of this process alone: sockets, decoding, sequence counters, clock alignment and window
+cutting, without diagnosers and storage; that of the machines' processes, their equations and their sending, stands beside it.
 """
 
 import argparse
 import json
+import os
 import resource
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import can
 
@@ -21,10 +23,10 @@ from residuum.service.fieldbus.can import multicast_address
 from residuum.service.machine_line import MachineLine
 
 
-def residuum_share(seconds: float) -> dict[str, object]:
+def residuum_share(seconds: float, speed: float) -> dict[str, object]:
     """Share of one core, losses and rates of our sources and cutters."""
-    demo = Demo()
-    lines = [MachineLine(machine, lambda *_: None, lambda _: None) for machine in demo.machines]
+    demo = Demo(speed)
+    lines = [MachineLine(machine, lambda *_: lambda: None, lambda _: None) for machine in demo.machines]
     demo.start()
     for line in lines:
         line.start()
@@ -43,9 +45,10 @@ def residuum_share(seconds: float) -> dict[str, object]:
             stdout=subprocess.PIPE,
         )
         before = {name: state["samples"] for line in lines for name, state in line.source_status().items()}
-        cpu, begun = time.process_time(), time.monotonic()
+        cpu, begun, machines = time.process_time(), time.monotonic(), _machines_cpu(demo)
         time.sleep(seconds)
         share, wall = time.process_time() - cpu, time.monotonic() - begun
+        machines_share = {name: (used - machines[name]) / wall for name, used in _machines_cpu(demo).items()}
         states = {name: state for line in lines for name, state in line.source_status().items()}
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         peer_share = json.loads(peer.communicate(timeout=60)[0])
@@ -56,6 +59,7 @@ def residuum_share(seconds: float) -> dict[str, object]:
     return {
         "seconds": wall,
         "share_of_one_core": share / wall,
+        "share_of_the_machines": machines_share,
         "memory_mb": memory,
         "python_can_share_for_the_5000_frames_alone": peer_share,
         "windows": {line.settings.asset: len(line._windows) + line._dropped for line in lines},
@@ -67,6 +71,15 @@ def residuum_share(seconds: float) -> dict[str, object]:
             for name, state in states.items()
         },
     }
+
+
+def _machines_cpu(demo: Demo) -> dict[str, float]:
+    """Processor time of each machine's process so far [s]."""
+    used = {}
+    for name, process in demo._processes.items():
+        fields = Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        used[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return used
 
 
 def _wait_until_all_are_good(lines: list[MachineLine]) -> None:
@@ -91,9 +104,10 @@ def python_can_share(channel: str, seconds: float) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--python-can", help=argparse.SUPPRESS)
     given, _ = parser.parse_known_args()
-    result = python_can_share(given.python_can, given.seconds) if given.python_can else residuum_share(given.seconds)
+    result = python_can_share(given.python_can, given.seconds) if given.python_can else residuum_share(given.seconds, given.speed)
     print(json.dumps(result, indent=None if given.python_can else 2))
 
 

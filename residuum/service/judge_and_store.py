@@ -1,8 +1,13 @@
-"""JudgeAndStore: a window is judged in a worker process and kept with its finding."""
+"""JudgeAndStore: a window is judged in a worker process and kept with its finding.
+
+Judging begins when the window is handed over, storing when its turn has come: while one window waits for the disk, the next one
+is judged.
+"""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import structlog
 
@@ -32,14 +37,24 @@ class JudgeAndStore:
     def __init__(self, pool: WorkerPool, store: Store) -> None:
         self._pool, self._store = pool, store
 
-    def __call__(self, machine: MachineSettings, window: Record, baseline: str, stopped: threading.Event) -> Finding | None:
-        """The stored finding; None when the service stopped before the window could be stored."""
-        finding = self._pool.call(score_window, machine.diagnoser, baseline, PlainRecord.of(window))
-        while True:
-            try:
-                self._store.add_window(asset=machine.asset, record=window, finding=finding)
-                return finding
-            except StorageUnavailable as error:
-                log.error("window not stored, trying again", machine=machine.asset, reason=str(error))
-                if stopped.wait(_STORAGE_RETRY):
-                    return None
+    def __call__(
+        self, machine: MachineSettings, window: Record, baseline: str, stopped: threading.Event
+    ) -> Callable[[], Finding | None]:
+        """Begin to judge; the call that is returned stores the window and gives its finding.
+
+        It gives None when the service stopped before the window could be stored.
+        """
+        judged = self._pool.begin(score_window, machine.diagnoser, baseline, PlainRecord.of(window))
+
+        def store() -> Finding | None:
+            finding = judged()
+            while True:
+                try:
+                    self._store.add_window(asset=machine.asset, record=window, finding=finding)
+                    return finding
+                except StorageUnavailable as error:
+                    log.error("window not stored, trying again", machine=machine.asset, reason=str(error))
+                    if stopped.wait(_STORAGE_RETRY):
+                        return None
+
+        return store

@@ -23,11 +23,13 @@ log = structlog.get_logger()
 
 _MOST_BLOCKS = 4096
 _MOST_WINDOWS = 32
+_AT_ONCE = 2
 _WAIT = 0.2
 _LAST_WINDOW = 3.0
 
-Handle = Callable[[MachineSettings, Record, str, threading.Event], Finding | None]
-"""What is done with a window: (machine, window, file of the baseline, stopped); the finding that was stored, if any was."""
+Handle = Callable[[MachineSettings, Record, str, threading.Event], Callable[[], Finding | None]]
+"""Begins with a window: (machine, window, file of the baseline, stopped). The call that it returns ends it, in the windows'
+order, and gives the finding that was stored, if any was."""
 Changed = Callable[[str], None]
 """Told when the state of the machine of this name has changed."""
 
@@ -42,7 +44,7 @@ class MachineLine:
     ----------
     settings : MachineSettings
     handle : callable
-        Has a window judged and kept, or sends it to where that is done; one window after the other.
+        Has a window judged and kept, or sends it to where that is done; the next window is begun while one is being kept.
     changed : callable
 
     Raises
@@ -56,6 +58,7 @@ class MachineLine:
         self._handle, self._changed = handle, changed
         self._blocks: queue.Queue[Block] = queue.Queue(_MOST_BLOCKS)
         self._windows: deque[Record] = deque()
+        self._begun: deque[Callable[[], Finding | None]] = deque()
         self._window_came = threading.Event()
         self._stopped = threading.Event()
         self.sources = [
@@ -118,7 +121,7 @@ class MachineLine:
             "diagnoser": self.settings.diagnoser,
             "sources": [source.name for source in self.sources],
             "windows_judged": self._judged,
-            "windows_waiting": len(self._windows),
+            "windows_waiting": len(self._windows) + len(self._begun),
             "windows_dropped": self._dropped,
             "scoring_errors": self._errors,
             "last_finding_at": None if last is None else last[0],
@@ -170,20 +173,29 @@ class MachineLine:
 
     def _judge(self) -> None:
         while not self._stopped.is_set():
-            if self._baseline is None or not self._windows:
+            if self._baseline is not None and self._windows and len(self._begun) < _AT_ONCE:
+                self._safely(partial(self._begin, self._windows.popleft(), self._baseline))
+            elif self._begun:
+                self._safely(self._end_first)
+            else:
                 self._window_came.wait(_WAIT)
                 self._window_came.clear()
-                continue
-            window = self._windows.popleft()
-            try:
-                self._judge_one(window, self._baseline)
-            except Exception:  # one window must never end the machine's thread; it is counted and logged
-                self._errors += 1
-                if not self._stopped.is_set():  # else its worker was ended with the service
-                    log.exception("judging a window", machine=self.settings.asset)
+        while self._begun:
+            self._safely(self._end_first)
 
-    def _judge_one(self, window: Record, baseline: str) -> None:
-        finding = self._handle(self.settings, window, baseline, self._stopped)
+    def _safely(self, step: Callable[[], None]) -> None:
+        try:
+            step()
+        except Exception:  # one window must never end the machine's thread; it is counted and logged
+            self._errors += 1
+            if not self._stopped.is_set():  # else its worker was ended with the service
+                log.exception("judging a window", machine=self.settings.asset)
+
+    def _begin(self, window: Record, baseline: str) -> None:
+        self._begun.append(self._handle(self.settings, window, baseline, self._stopped))
+
+    def _end_first(self) -> None:
+        finding = self._begun.popleft()()
         if finding is not None:
             self._judged += 1
             self._last = (time.time(), finding)

@@ -67,6 +67,22 @@ class WorkerPool(Executor):
                 self._replace(pool)
         return self.submit(fn, *args).result()
 
+    def begin(self, fn: Callable[..., T], *args: Any) -> Callable[[], T]:
+        """Hand work to a worker process at once; what is returned waits for it, as `call` does."""
+        pool = self._pool
+        begun = self.submit(fn, *args)
+
+        def end() -> T:
+            try:
+                return begun.result()
+            except BrokenProcessPool:
+                if self._closed:
+                    raise
+                self._replace(pool)
+                return self.call(fn, *args)
+
+        return end
+
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
             if self._pool is broken and not self._closed:

@@ -148,6 +148,8 @@ def test_a_killed_worker_is_replaced_and_its_work_done_again(tmp_path):
         marker = tmp_path / "once"
         assert pool.call(_die_once, str(marker)) == "done"
         assert pool.replaced == 2
+        assert pool.begin(_die_once, str(tmp_path / "begun once"))() == "done"
+        assert pool.replaced == 3
     finally:
         pool.shutdown()
 

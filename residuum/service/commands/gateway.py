@@ -2,6 +2,7 @@
 
 import re
 import socket
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -32,7 +33,7 @@ def gateway(
         raise BadInput(f"--name {name!r}: must be letters, digits, '.', '_' and '-'")
     set_up_logs(settings)
     sender = Gateway(name, Spool(settings.data / "spool", settings.keep_bytes), broker_address(settings.mqtt))
-    lines = [MachineLine(machine, sender.handle, lambda _: None) for machine in settings.machines]
+    lines = [MachineLine(machine, partial(partial, sender.handle), lambda _: None) for machine in settings.machines]
     sender.start()
     for line in lines:
         line.start()

@@ -23,7 +23,7 @@ import numpy.typing as npt
 Bytes = npt.NDArray[np.uint8]
 
 _LINUX = sys.platform == "linux"
-_RECEIVE_BUFFER = 4 << 20
+_RECEIVE_BUFFER = 16 << 20
 _READ_BUFFER = 1 << 20
 _LONGEST = 1 << 16
 _LONGEST_SENT = 60_000
