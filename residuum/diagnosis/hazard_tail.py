@@ -14,6 +14,8 @@ from residuum.diagnosis.state_space import FloatArray
 _SAMPLES = (1000, 500, 250, 100, 50)  # in a tail: fewer scatter, more reach to where the hazard bends
 _LARGEST_SHARE = 0.05
 _FITS = 0.1  # Cramér–von Mises probability above which a fitted tail is not doubted
+_FARTHEST = 10  # samples that a fitted tail expects beyond a level: what it says of the far end is held against their number
+_LIKELY = (5, 16)  # of a Poisson count of 10, with a probability of 94 %
 _STEP = 1e-3  # for the density of the law that a tail is held against
 _PARAMETERS = 3  # of a tail: its share, its hazard and its growth
 
@@ -106,12 +108,18 @@ def differing_tail(sizes: npt.ArrayLike, log_tail: Callable[[FloatArray], FloatA
             continue
         tail = HazardTail(start, k / n, *fit_hazard_tail(excess))
         nats = tail.hazard * excess + 0.5 * tail.growth * excess**2
-        if stats.cramervonmises(nats, "expon").pvalue < _FITS:
+        if not _fits(nats):
             continue
         gain = _log_likelihood(tail, excess, n) - _law_log_likelihood(log_tail, start, ascending[n - k :], n)
         if gain > 0.5 * _PARAMETERS * np.log(n):
             return tail
     return None
+
+
+def _fits(nats: FloatArray) -> bool:
+    """Whether a fitted tail's integrated hazards at its samples are exponential, as a whole and at the far end."""
+    far = int(np.count_nonzero(nats > np.log(len(nats) / _FARTHEST)))
+    return bool(_LIKELY[0] <= far <= _LIKELY[1] and stats.cramervonmises(nats, "expon").pvalue >= _FITS)
 
 
 def _log_likelihood(tail: HazardTail, excess: FloatArray, n: int) -> float:

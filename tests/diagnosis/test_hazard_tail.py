@@ -26,6 +26,11 @@ def clipped(rng, n):
     return np.clip(rng.standard_normal(n), -3.0, 3.0)
 
 
+def truncated(rng, n):
+    drawn = rng.standard_normal(int(1.01 * n) + 100)
+    return drawn[np.abs(drawn) < 3.0][:n]
+
+
 def laplace(rng, n):
     return rng.laplace(size=n) / np.sqrt(2.0)
 
@@ -59,6 +64,16 @@ def test_a_tail_that_differs_is_found_and_its_rate_met(draw):
     tail = differing_tail(draw(rng, 20_000) + ERROR * rng.standard_normal(20_000), normal_tail)
     fresh = np.abs(draw(rng, 1_000_000) + ERROR * rng.standard_normal(1_000_000))
     assert 0.5 < np.mean(fresh > tail.level(RATE)) / RATE < 2.0
+
+
+def test_a_tail_that_is_cut_off_far_out_is_not_fitted_from_where_it_still_looks_whole():
+    """Of 50 000 truncated Gaussian samples the 1000 largest fit a hazard that misses the cut; their far end says so."""
+    rng = np.random.default_rng(10)
+    fresh, ratios = np.abs(truncated(rng, 2_000_000) + ERROR * rng.standard_normal(2_000_000)), []
+    for _ in range(5):
+        tail = differing_tail(truncated(rng, 50_000) + ERROR * rng.standard_normal(50_000), normal_tail)
+        ratios.append(np.mean(fresh > tail.level(1e-4)) / 1e-4)
+    assert 0.5 < np.mean(ratios) < 2.0
 
 
 def test_too_few_samples_show_no_tail():
