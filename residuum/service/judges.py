@@ -30,9 +30,9 @@ class Judges:
         self._lock = threading.Lock()
 
     def untrained(self, diagnoser: str, settings: Mapping[str, Any] | None = None) -> Diagnoser:
-        """A diagnoser without baseline: it judges by absolute indicators and fault lines alone."""
+        """A diagnoser without baseline, which judges by absolute indicators and fault lines; BadInput for a setting it lacks."""
         key = (diagnoser, repr(sorted((settings or {}).items())))
-        return self._get(key, lambda: diagnoser_class(diagnoser)(**(settings or {})))
+        return self._get(key, lambda: diagnoser_class(diagnoser)().with_settings(**(settings or {})))
 
     def trained(self, diagnoser: str, baseline: str) -> Diagnoser:
         """A diagnoser with the newest version of a stored baseline; BadInput when it is one of another diagnoser."""

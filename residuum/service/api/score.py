@@ -66,13 +66,14 @@ def _query(query_string: bytes) -> QueryParams:
 
 
 async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diagnoser:
+    settings = bearing_settings(_speed(query.get("speed_rpm")), query.get("orders"), query.get("hertz"))
     baseline = query.get("baseline")
     if baseline is None:
-        settings = bearing_settings(_speed(query.get("speed_rpm")), query.get("orders"), query.get("hertz"))
         return services.judges.untrained(diagnoser, settings)
     if not re.match(NAME, baseline):
         raise BadInput(f"query, baseline: {baseline[:60]!r} is not a name of letters, digits, '.', '_' and '-'")
-    return await run_in_threadpool(services.judges.trained, diagnoser, baseline)
+    judge = await run_in_threadpool(services.judges.trained, diagnoser, baseline)
+    return judge.with_settings(**settings) if settings else judge
 
 
 def _speed(text: str | None) -> float | None:

@@ -117,6 +117,20 @@ def test_bad_queries_of_an_npy_body(refused, query, says):
 
 
 @pytest.mark.parametrize(
+    ("diagnoser", "query", "says"),
+    [
+        ("robust-residual", {"speed_rpm": "1500"}, "has no setting 'speed_rpm'"),
+        ("gripping-pliers", {"orders": "bpfi=5.4"}, "has no setting 'orders'"),
+        ("bearing", {"speed_rpm": "-1"}, "speed_rpm is -1.0; must be a positive number"),
+        ("bearing", {"hertz": "bpfi=much"}, "must be name=number"),
+    ],
+)
+def test_settings_that_a_diagnoser_does_not_have(refused, diagnoser, query, says):
+    _, detail = refused("POST", f"/api/v1/score/{diagnoser}", params=query, content=text())
+    assert says in detail
+
+
+@pytest.mark.parametrize(
     ("body", "says"),
     [
         (b"", "is empty"),

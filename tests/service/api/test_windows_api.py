@@ -98,6 +98,10 @@ def test_an_asset_is_judged_by_the_baseline_of_its_name(client, example, tmp_pat
         answer = client.post(path, params=None if "?" in path else {"diagnoser": "bearing"}, json=as_json(record)).json()
         said = trained.score(record).to_json()
         assert same(answer.get("finding", answer), said)
+    query = {"baseline": "fan", "speed_rpm": 900, "orders": "bpfi=5.4"}
+    answer = client.post("/api/v1/score/bearing", params=query, json=as_json(example.faulty[0])).json()
+    judge = trained.with_settings(speed_rpm=900.0, orders={"bpfi": 5.4})
+    assert same(answer, judge.score(example.faulty[0]).to_json()) and answer["class"] != said["class"]
 
 
 def test_a_signal_never_loses_its_largest_peak_however_far_it_is_reduced(client):
