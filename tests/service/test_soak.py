@@ -51,6 +51,22 @@ def test_windows_judged_before_a_fault_was_switched_do_not_count_as_after_it():
     assert machine.found == 1 and machine.on is None
 
 
+def test_windows_that_end_while_an_order_is_under_way_do_not_count_as_after_it():
+    machine, service = soak.Machine("gate-actuator", ["notch"], speed=100.0), FakeService({"notch"})  # five windows a second
+    while machine.on is None:
+        service.judge()
+        machine.look(service)
+    service.shows = set()  # the order has not come through
+    for _ in range(5):
+        service.judge()
+        machine.look(service)
+    assert machine.on == "notch" and not machine.missed
+    service.shows = {"notch"}
+    service.judge()
+    machine.look(service)
+    assert machine.found == 1 and not machine.missed
+
+
 def test_memory_and_files_are_those_of_all_processes_below():
     code = "import subprocess, sys; a = open('/dev/null'); p = subprocess.Popen([sys.executable, '-c', %r]); p.wait()"
     inner = "held = b'x' * 50_000_000; print('ready', flush=True); import sys; sys.stdin.read()"

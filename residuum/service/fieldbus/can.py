@@ -20,7 +20,6 @@ from residuum.service.fieldbus.udp_multicast import MulticastFrames
 
 _MULTICAST_PORT = 43113
 _POLL = 0.1
-_GATHER = 0.01
 _MOST_IN_ONE_READ = 2048
 _BUS_OFF = 0x40
 COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
@@ -28,6 +27,8 @@ COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
 
 class PythonCanFrames:
     """Any bus that python-can opens (`socketcan`, `virtual`, adapters), read in batches."""
+
+    gather = 0.01  # the system keeps some hundred frames of such a bus, and 8000 come in a second at most
 
     def __init__(self, interface: str, channel: str) -> None:
         self._bus = can.Bus(interface=interface, channel=channel, fd=True, receive_own_messages=False)
@@ -176,14 +177,15 @@ class CanSource(Source):
 
     def _read_while_it_works(self, backoff: Backoff) -> None:
         while not self._stopped.is_set() and self._bus is not None:
-            batch = self._bus.read(_POLL)
+            bus = self._bus
+            batch = bus.read(_POLL)
             if batch.empty:
                 self._was_empty = True
                 continue
             self._take(batch)
             backoff.reset()
             self._was_empty = False
-            self._stopped.wait(_GATHER)
+            self._stopped.wait(bus.gather)
 
     def _take(self, batch: FrameBatch) -> None:
         if batch.errors:

@@ -44,6 +44,9 @@ class FrameBatchBuilder:
 class FrameBus(Protocol):
     """A CAN bus that is read in batches."""
 
+    gather: float
+    """How long frames may wait in the bus's own buffer, so that they are read together [s]."""
+
     def read(self, timeout: float) -> FrameBatch:
         """Frames that came within `timeout` seconds; an empty batch when none came."""
 

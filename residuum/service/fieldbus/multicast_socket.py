@@ -24,7 +24,7 @@ Bytes = npt.NDArray[np.uint8]
 
 _LINUX = sys.platform == "linux"
 _RECEIVE_BUFFER = 16 << 20
-_READ_BUFFER = 1 << 20
+_READ_BUFFER = 4 << 20
 _LONGEST = 1 << 16
 _LONGEST_SENT = 60_000
 _MOST_SEGMENTS = 64
@@ -83,7 +83,7 @@ class MulticastSocket:
     def receive(self, timeout: float) -> Sequence[Bytes]:
         """Datagrams that came within `timeout` seconds, or at once those that wait: arrays of shape (n, length).
 
-        They are in their order and stay what they are until the next call; more than a mebibyte is left for that one.
+        They are in their order and stay what they are until the next call; more than four mebibytes are left for that one.
         """
         if not select.select([self._in], [], [], timeout)[0]:
             return []

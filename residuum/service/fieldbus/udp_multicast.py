@@ -55,6 +55,8 @@ class MulticastFrames:
         The group cannot be joined.
     """
 
+    gather = 0.04  # its socket keeps many thousand frames
+
     def __init__(self, group: str, port: int, hops: int = 0) -> None:
         self._socket = MulticastSocket(group, port, hops)
         self._patterns: dict[int, list[_Pattern]] = {}
