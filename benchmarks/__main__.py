@@ -13,6 +13,7 @@ BENCHMARKS: dict[str, str] = {
     "prediction_error": "prediction error methods: coverage of the ellipsoids, order and fit on (2.38), real data beside peers",
     "vibration": "kurtogram and envelope beside PySDKit and SciPy; bands found in noise; Table 6; real bearings",
     "residuals": "residual methods: detection and delay at one false alarm a day, false-alarm rates, bound, estimate, speed",
+    "residual_tails": "far tails of noise from healthy samples: rate of single samples against how many samples there were",
     "robust_control": "fixed-structure design beside differential evolution; Algorithms 2, 3; the guarantee on plants",
     "web": "the page in Chromium: bytes, first paint, zooming into a million samples, memory of twenty tabs",
     "http": "scoring a window over HTTP beside the framework's own routes",

@@ -257,7 +257,7 @@ def thesis_steps(runs: int = 100) -> None:
 NOISES: dict[str, Callable | None] = {
     "Gaussian": None,
     "bounded (±3 σ)": lambda rng, n: np.clip(rng.standard_normal(n), -3, 3),
-    "truncated (|e| < 3 σ)": lambda rng, n: stats.truncnorm.rvs(-3, 3, size=n, random_state=rng),
+    "truncated (±3 σ)": lambda rng, n: stats.truncnorm.rvs(-3, 3, size=n, random_state=rng),
     "uniform": lambda rng, n: np.sqrt(3) * rng.uniform(-1, 1, n),
     "coloured, AR(1) .6": lambda rng, n: signal.lfilter([0.8], [1.0, -0.6], rng.standard_normal(n)),
     "coloured and uniform": lambda rng, n: signal.lfilter([0.8], [1.0, -0.6], np.sqrt(3) * rng.uniform(-1, 1, n)),

@@ -77,11 +77,14 @@ def peak_threshold(design: ResidualDesign, input_bound: float, noise_bound: floa
 def posterior_threshold(design: ResidualDesign, u: FloatArray, rate: float, evaluation: EvaluationName) -> Threshold:
     """The threshold of a chosen false-alarm rate, from the noise model and the posterior of the identified model.
 
-    `point`: τ(t) = q √(φ_Qᵀ Σ_g φ_Q + σ_r²), φ_Q the input applied so far through Q: it follows the input. `glr`: b of the
+    `point`: τ(t) = q √(φ_Qᵀ Σ_g φ_Q + σ_r²), φ_Q the input applied so far through Q: it follows the input; noise with bounds or
+    with a tail of its own is convolved with that error (`NoiseModel.limit`), and where its rate is below one in all healthy
+    samples the tail is extrapolated. `glr`: b of the
     likelihood-ratio bank, which carries the same variance in its statistic, and that of the operating point; it allows for
     a σ that was estimated. `rms`, `cusum`: of the whitened scores, whose
     variance these two do not enlarge by the model error. The rate holds over the joint draw of identification data and
-    noise while the noise keeps the colour and tails it had when healthy; scores of bounded noise alarm less often.
+    noise while the noise keeps the colour and tails it had when healthy. Bounds that too few healthy samples reach are not
+    seen, and single samples then alarm less often than chosen.
     """
     per_day = rate * 86400.0 / design.model.sample_time
     said = "the chosen rate, while noise and model are as identified"
