@@ -76,12 +76,16 @@ def relative_evidence(structures: Mapping[Key, Structure], base: Structure) -> t
 
 
 def _is_no_estimate(key: Key, structure: Structure) -> bool:
-    """Whether the effect was estimated on a bound, or the data leave its first parameter, which is what it does, open."""
+    """Whether the effect was estimated on a bound; or it has no size of zero, and the data leave its first parameter open.
+
+    (Sizes may be open and the effect plain: who does not know the origin of a position does not know the phase of a ripple.)
+    """
     label = "@".join(map(str, key)) if isinstance(key, tuple) else str(key)
     effect = EFFECTS.get(label.partition("@")[0])
     natural = () if effect is None else tuple(f"{label}.{name}" for name in effect.natural_bounds)
-    own = [k for k, name in enumerate(structure.parameters) if name.startswith(f"{label}.")]
-    if own and not np.isfinite(structure.std[own[0]]):
+    open_ = [name for name, std in zip(structure.parameters, structure.std, strict=True) if not np.isfinite(std)]
+    first = next((name for name in structure.parameters if name.startswith(f"{label}.")), "")
+    if effect is not None and not effect.sizes and first in open_:
         return True
     return any(name.startswith(label) and name not in natural for name in structure.at_bound)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise
 from residuum.identification.discrepancy.structures import base_structure, refit
@@ -124,7 +125,8 @@ def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
     model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
     base = base_structure(model, experiments)
     key, parameters = ("output-quantisation", "speed"), (*base.parameters, "output-quantisation@speed.q")
-    stepped = replace(base, model=model.with_effect(*key), parameters=parameters, pointwise=base.pointwise + 1.0)
+    std, pointwise = np.append(base.std, 0.1), base.pointwise + 1.0
+    stepped = replace(base, model=model.with_effect(*key), parameters=parameters, std=std, pointwise=pointwise)
     for factor, kept in ((1.02, False), (0.99, False), (0.6, True)):
         refitted = {key: replace(stepped, rmse=factor * base.rmse)}
         _leave_to_the_noise(refitted, base)
@@ -138,6 +140,18 @@ def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
     lower = replace(top, pointwise=top.pointwise - 20.0 / top.samples)
     assert abs(_climbed_without(with_it, key, lower, experiments).log_likelihood - top.log_likelihood) < 1.0
     assert _climbed_without(with_it, key, top, experiments) is None
+
+
+def test_an_open_phase_is_no_doubt_about_a_ripple_but_an_open_gap_is_one_about_play():
+    """Who does not know the origin of a position knows neither of the two amplitudes of what repeats along it."""
+    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
+    base = base_structure(model, experiments)
+    for id, kept in (("tooth-ripple", True), ("backlash", False)):
+        with_it = model.with_effect(id, "chassis")
+        own = [name for name in with_it.free if name.startswith(id)]
+        std, names = np.append(base.std, np.full(len(own), np.inf)), (*base.parameters, *own)
+        found = replace(base, model=with_it, parameters=names, std=std, pointwise=base.pointwise + 1.0)
+        assert preferred({(id, "chassis"): found}, base) == ((id, "chassis") if kept else None)
 
 
 def test_play_that_is_never_taken_up_is_no_answer_to_an_inertia_that_is_wrong():
