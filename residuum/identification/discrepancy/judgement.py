@@ -88,7 +88,7 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     """
     share = _unexplained(found, free)
     unknown = float(np.clip((share - _NEGLIGIBLE) / (_MOST - _NEGLIGIBLE), 0.0, 1.0))
-    if incomplete or ((found.refuted or found.base.drifting) and not found.accepted):
+    if incomplete or ((found.refuted or found.drifting) and not found.accepted):
         unknown = max(unknown, _REFUTED)
     left = max(map(times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True)))
     if found.accepted and left > _MUCH:

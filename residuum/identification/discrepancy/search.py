@@ -9,6 +9,7 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.drifting_load import bears_a_drifting_load, likeliest_drifting_load
 from residuum.identification.discrepancy.evidence import ALIKE, preferred, relative_evidence, tempered_gain
 from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.pair_screen import promising_pairs
@@ -60,6 +61,8 @@ ACCEPT_MORE = 6.0
 """As `ACCEPT`, of a second and third effect, which must not make up for what the first does not follow exactly."""
 SAME = 0.5
 """Log-likelihood within which two structures of the same effects are one: what was tried on top of it is not tried again."""
+FAR_LESS = 0.2
+"""Share of the error that is left by what was found to which an unknown load has to take it to be believed."""
 EXCHANGES = 3
 """How often at most effects that were accepted one by one are exchanged for others that do more together."""
 
@@ -107,6 +110,11 @@ class Search:
     timing: list[tuple[str, str]] = field(default_factory=list)
     plain: list[tuple[str, str]] = field(default_factory=list)
 
+    @property
+    def drifting(self) -> bool:
+        """Whether an unknown load or offset that drifts is taken to be there, whatever else is."""
+        return self.base.drifting or bears_a_drifting_load(self.base)
+
     def values_of(self, key: tuple[str, str]) -> dict[str, float]:
         """Every parameter, by full name, where an accepted effect was estimated."""
         structure = self.best if key in self.timing else self.alternatives[self.accepted.index(key)][key]
@@ -130,7 +138,8 @@ def search(
     log(number of candidates) + `ACCEPT`.
 
     Where noise that drifts explains more, with no effect at all, than everything that was found, the search is done again
-    with noise that may drift: a load that walks at random resembles every effect that has a mean.
+    with noise that may drift: a load that walks at random resembles every effect that has a mean. So it is where a load of every
+    window's own explains more.
 
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
@@ -145,11 +154,21 @@ def search(
         if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
             return found
     found = _forward(base, task)
-    wanting = found.accepted or found.refuted
-    drift = fit_structure(base.model, experiments, base.initial, drifting=True) if wanting else None
-    if drift is None or drift.log_likelihood <= found.best.log_likelihood + ACCEPT:
-        return found
-    return _forward(drift, task)
+    if found.accepted or found.refuted:
+        drift = fit_structure(base.model, experiments, base.initial, drifting=True)
+        if drift is not None and drift.log_likelihood > found.best.log_likelihood + ACCEPT:
+            return _forward(drift, task)
+    load = likeliest_drifting_load(base, experiments)
+    return _forward(load, task) if load is not None and _outdoes(load, found) else found
+
+
+def _outdoes(load: Structure, found: Search) -> bool:
+    """Whether a load of every window's own is likelier than what was found, and leaves far less of the error.
+
+    Little less it leaves where it makes up for what an effect, or the integration of its input, does not follow exactly.
+    """
+    likelier = schwarz(load, found.base) > schwarz(found.best, found.base) + _asked(found, ACCEPT)
+    return likelier and mean_ratio(load.rmse, found.best.rmse) < FAR_LESS
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects import EFFECTS, UNNAMED
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
 from residuum.identification.physics.expression import Expression
 
@@ -90,8 +90,8 @@ class EffectUse:
 
     @property
     def effect(self) -> Effect:
-        """The catalogue's entry."""
-        return EFFECTS[self.id]
+        """The catalogue's entry, or an unnamed one."""
+        return EFFECTS[self.id] if self.id in EFFECTS else UNNAMED[self.id]
 
     @property
     def label(self) -> str:
@@ -204,6 +204,10 @@ class PhysicalModel:
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}))
         return replace(self, effects=(*self.effects, use))
+
+    def with_unnamed(self, id: str, target: str) -> PhysicalModel:
+        """The model with an effect at `target` that names no physics and has no parameters; no model file may hold one."""
+        return replace(self, effects=(*self.effects, EffectUse(id, target, MappingProxyType({}))))
 
     def without_effect(self, label: str) -> PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""

@@ -56,7 +56,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
-        "drifting": explanation.search.base.drifting,
+        "drifting": explanation.search.drifting,
         "seconds": explanation.seconds,
     }
 
@@ -114,7 +114,7 @@ def explanation_text(explanation: Explanation) -> str:
         )
         if (formula := suggestion(free)) is not None:
             lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
-    if explanation.search.base.drifting:
+    if explanation.search.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
     lines += [
         f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing

@@ -13,6 +13,7 @@ from residuum.identification.physics.effects.coulomb_friction import CoulombFric
 from residuum.identification.physics.effects.cubic_spring import CubicSpring
 from residuum.identification.physics.effects.directional_friction import DirectionalFriction
 from residuum.identification.physics.effects.door_opening import DoorOpening
+from residuum.identification.physics.effects.drifting_load import DriftingLoad
 from residuum.identification.physics.effects.elastic_transmission import ElasticTransmission
 from residuum.identification.physics.effects.end_stop import EndStop
 from residuum.identification.physics.effects.heater_nonlinearity import HeaterNonlinearity
@@ -83,3 +84,5 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "output-quantisation": OutputQuantisation(),
     }
 )
+UNNAMED: Mapping[str, Effect] = MappingProxyType({"drifting-load": DriftingLoad()})
+"""What stands in a model only while it is judged, beside the catalogue: effects that name no physics."""
