@@ -12,6 +12,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.drifting_load import bears_a_drifting_load, likeliest_drifting_load
 from residuum.identification.discrepancy.evidence import ALIKE, preferred, relative_evidence, tempered_gain
 from residuum.identification.discrepancy.held_out import cross_checked
+from residuum.identification.discrepancy.looks import NEAR, Task, strayed
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.structures import (
@@ -30,11 +31,10 @@ from residuum.identification.discrepancy.trials import (
     schwarz,
     simulates_no_worse,
     times_its_innovations,
-    trials,
     within_a_sample,
 )
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.physics import Experiment, PhysicalModel
 
 FloatArray = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]
@@ -43,8 +43,8 @@ Tell = Callable[[float, str], None]
 FEWEST_REFITS = 6
 MOST_EFFECTS = 3
 _READING = "output-quantisation"
-NEAR, FAR = 3.0, 20.0
-"""Factors from its nominal value within which a parameter is near, and beyond which it has strayed."""
+FAR = 20.0
+"""Factor from its nominal value beyond which a parameter has strayed too far to go on from there."""
 RISE, FALL = 1.005, 0.99
 """Factors of the outputs' errors, in the mean of their logarithms: by which they may rise with the first effect, and to which
 they have to fall with a later one or where they are slow; less is enough where the gain is plain.
@@ -59,8 +59,6 @@ PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
 """An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0
 """As `ACCEPT`, of a second and third effect, which must not make up for what the first does not follow exactly."""
-SAME = 0.5
-"""Log-likelihood within which two structures of the same effects are one: what was tried on top of it is not tried again."""
 FAR_LESS = 0.2
 """Share of the error that is left by what was found to which an unknown load has to take it to be believed."""
 EXCHANGES = 3
@@ -147,7 +145,7 @@ def search(
     How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
     """
     wanted, looks = None if effects is None else tuple(effects), count()
-    task = _Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
+    task = Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
         found = _forward(near, task)
@@ -171,78 +169,9 @@ def _outdoes(load: Structure, found: Search) -> bool:
     return likelier and mean_ratio(load.rmse, found.best.rmse) < FAR_LESS
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
-
-    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model.
-    """
-
-    experiments: Sequence[Experiment]
-    nominal: PhysicalModel | None
-    wanted: tuple[str, ...] | None
-    refits: int
-    most_effects: int
-    tell: Callable[[str], None] = field(default=lambda _doing: None)
-    looks: dict[frozenset[str], _Look] = field(default_factory=dict)
-
-    def look(self, structure: Structure, without: tuple[str, str] | None = None) -> _Look:
-        """All candidates on top of a structure, or all but one; those that were tried there before are not tried again."""
-        effects = frozenset(use.label for use in structure.model.effects)
-        pairs = [pair for pair in self.candidates(structure) if pair != without]
-        look = self.looks.get(effects)
-        if look is None or not look.is_from(structure):
-            look = self.looks[effects] = _Look(Screen(structure, self.experiments, self.origin(structure)))
-        if new := [pair for pair in pairs if pair not in look.tried]:
-            beside = ", ".join(use.id for use in structure.model.effects)
-            self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
-            look.add(*trials(look.screen, new, self.refits), new)
-        return look
-
-    def candidates(self, structure: Structure) -> list[tuple[str, str]]:
-        """Those that the structure does not have yet."""
-        return candidates(structure.model, self.wanted)
-
-    def origin(self, structure: Structure) -> PhysicalModel:
-        """The structure's model, at its nominal values where the estimation led some of them away."""
-        if self.nominal is None or not _strayed(self.nominal, structure, NEAR):
-            return structure.model
-        values = self.nominal.values
-        return structure.model.with_values({n: values[n] for n in structure.parameters if n in self.nominal.parameters})
-
-
-@dataclass(eq=False)
-class _Look:
-    """Candidates on top of one structure: as screened, refitted, and which were tried."""
-
-    screen: Screen
-    refitted: dict[tuple[str, str], Structure] = field(default_factory=dict)
-    tested: list[Screened] = field(default_factory=list)
-    tried: set[tuple[str, str]] = field(default_factory=set)
-
-    def is_from(self, structure: Structure) -> bool:
-        """Whether the structure is the one that was looked from, to what the likelihood can tell."""
-        base = self.screen.base
-        return base.drifting == structure.drifting and abs(base.log_likelihood - structure.log_likelihood) < SAME
-
-    def add(
-        self, refitted: Mapping[tuple[str, str], Structure], tested: Iterable[Screened], tried: Iterable[tuple[str, str]]
-    ) -> None:
-        """What else was tried there."""
-        self.refitted |= refitted
-        self.tested += tested
-        self.tried |= set(tried)
-
-
-def _strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:
-    """Free parameters that lie farther than this factor from their nominal values."""
-    known = {n: p.value for n, p in nominal.parameters.items() if n in structure.parameters and p.value != 0.0}
-    return [n for n, value in known.items() if not 1.0 / factor < abs(structure.model.values[n] / value) < factor]
-
-
 def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
     """The base fitted within `NEAR` of the nominal values; None where it lies within a few times that anyway, or diverges."""
-    if not _strayed(nominal, base, FAR):
+    if not strayed(nominal, base, FAR):
         return None
     values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
     narrowed = dict(nominal.parameters)
@@ -256,7 +185,7 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
         return None
 
 
-def _forward(base: Structure, task: _Task) -> Search:
+def _forward(base: Structure, task: Task) -> Search:
     found = Search(base, base, len(task.candidates(base)))
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
@@ -278,7 +207,7 @@ def _does_more(other: Search, found: Search) -> bool:
     return len(other.accepted) > 1 and gain > _asked(found, ACCEPT_MORE)
 
 
-def _settle(found: Search, task: _Task) -> None:
+def _settle(found: Search, task: Task) -> None:
     """Exchange what was accepted one by one for what does more together, until nothing changes."""
     settled = [] if _two_instead(found, task) else found.accepted[-1:]
     for _ in range(EXCHANGES):
@@ -288,7 +217,7 @@ def _settle(found: Search, task: _Task) -> None:
         settled = found.accepted[-1:]
 
 
-def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], task: _Task) -> Search | None:
+def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], task: Task) -> Search | None:
     """The search from the best of its first candidates that it does not have: where a base is far off, the first best may lead
     astray, and where two effects are missing neither may be enough alone.
     """
@@ -314,7 +243,7 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
     return other
 
 
-def _two_instead(found: Search, task: _Task) -> bool:
+def _two_instead(found: Search, task: Task) -> bool:
     """Put two effects in place of those accepted where they do more together; whether that was so."""
     if not found.accepted:
         return False
@@ -339,7 +268,7 @@ def _asked(found: Search, beyond: float) -> float:
     return float(np.log(max(found.count, 1))) + beyond
 
 
-def _grow(found: Search, task: _Task) -> None:
+def _grow(found: Search, task: Task) -> None:
     """Add effects while the evidence wants one more; what the last step tried stands after those of the accepted ones."""
     del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
     while len(found.accepted) < task.most_effects:
@@ -402,7 +331,7 @@ def _winner(
     return preferred(refitted, before), bool(-nothing >= asked)
 
 
-def _exchange(found: Search, task: _Task, settled: list[tuple[str, str]]) -> bool:
+def _exchange(found: Search, task: Task, settled: list[tuple[str, str]]) -> bool:
     """Judge each of several effects again on top of the others: kept, exchanged for a better one, or dropped as needless.
 
     The first that a greedy search accepts may only stand for two that are missing together (viscous friction for drag and rolling
@@ -452,7 +381,7 @@ def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[E
     return refit(structure, less, experiments)
 
 
-def _step(found: Search, task: _Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
+def _step(found: Search, task: Task) -> tuple[dict[tuple[str, str], Structure], Screen]:
     look = task.look(found.best)
     if not found.accepted:
         found.screened = {s.key: s for s in look.tested}
