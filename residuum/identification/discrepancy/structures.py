@@ -149,8 +149,6 @@ class _Ascent:
     def point(self, p: FloatArray, initial: list[FloatArray]) -> _Point | None:
         """Simulate with derivatives; None when that diverges."""
         q = len(self.names)
-        if not self.substeps:
-            self.substeps = self.steps_from(p, initial)
         residuals, by_parameters, by_states = [], [], []
         power = np.zeros(self.count.size)
         runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
@@ -170,9 +168,8 @@ class _Ascent:
     def log_likelihood(self, p: FloatArray, initial: list[FloatArray]) -> float:
         """At a point, without derivatives; −∞ where the simulation diverges."""
         residuals = []
-        for e, run in zip(
-            self.experiments, self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps), strict=True
-        ):
+        runs = self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps)
+        for e, run in zip(self.experiments, runs, strict=True):
             if not bounded(run.Y):
                 return -np.inf
             residuals.append(e.means(e.Y - run.Y))
@@ -181,13 +178,13 @@ class _Ascent:
     def _noises(self, residuals: list[FloatArray]) -> Noises:
         return fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
 
-    def steps_from(self, p: FloatArray, initial: list[FloatArray]) -> tuple[int, ...]:
-        """Integration steps a sample that each experiment asks for."""
-        return tuple(self.simulator.substeps_each(self.experiments, initial, p))
-
-    def too_fast(self, initial: list[FloatArray], most: float) -> bool:
-        """Whether the model's fastest mode asks for more integration steps a sample than `most`."""
-        return most < np.inf and self.simulator.fastest(self.experiments, initial, self.simulator.p()) > most
+    def choose_steps(self, initial: list[FloatArray], most: float) -> bool:
+        """Set the integration steps a sample of each experiment; False when its fastest mode asks for more than `most`."""
+        p = self.simulator.p()
+        modal = self.simulator.modal_substeps(self.experiments, initial, p)
+        if max(modal) <= most:
+            self.substeps = tuple(self.simulator.substeps_each(self.experiments, initial, p, modal))
+        return bool(self.substeps)
 
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
@@ -255,9 +252,8 @@ def fit_structure(
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
     start = _states(initial, ascent.simulator)
-    if ascent.too_fast(start, most_substeps):
+    if not ascent.choose_steps(start, most_substeps):
         return None
-    ascent.substeps = ascent.steps_from(ascent.simulator.p(), start)
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival)
     if second_start and noises is None:
@@ -340,10 +336,9 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
-    if ascent.too_fast(start, _visible(before)):
+    if not ascent.choose_steps(start, _visible(before)):
         return -np.inf
-    steps = ascent.steps_from(ascent.simulator.p(), start)
-    ascent.substeps = tuple(-(-s // COARSER) for s in steps)
+    ascent.substeps = tuple(-(-s // COARSER) for s in ascent.substeps)
     plain = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
     return -np.inf if plain is None else ascent.log_likelihood(ascent.simulator.p(plain.model.values), plain.initial)
 

@@ -179,20 +179,21 @@ class Simulator:
         """`substeps_each` of one experiment."""
         return self.substeps_each([experiment], [x0], p)[0]
 
-    def substeps_each(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> list[int]:
+    def substeps_each(
+        self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array, modal: Sequence[int] | None = None
+    ) -> list[int]:
         """Runge–Kutta steps a sample of each experiment, from the eigenvalues of ∂f/∂x along a first simulation.
 
         |λ|·h ≤ 0.25 for oscillating and 0.8 for decaying modes, at most 64; a run that diverges is tried finer, and so is one
         whose outputs would still change by a fiftieth of the record's noise: what the integrator errs would pass for physics.
+        `modal` are those of `modal_substeps`, where they are known.
         """
-        return self._exact_enough(experiments, np.array(initial), p, self._followed(experiments, np.array(initial), p)).tolist()
+        first = np.array(self.modal_substeps(experiments, initial, p) if modal is None else modal, dtype=np.int64)
+        return self._exact_enough(experiments, np.array(initial), p, first).tolist()
 
-    def fastest(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> int:
-        """Steps a sample that the fastest mode in any of the experiments asks for, if they need not be exact."""
-        return int(self._followed(experiments, np.array(initial), p).max())
-
-    def _followed(self, experiments: Sequence[Experiment], X0: Array, p: Array) -> Integers:
-        joined, none = _Joined.of(experiments, _LOOKED_AT), self.columns(())
+    def modal_substeps(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> list[int]:
+        """Steps a sample that the fastest mode in each experiment asks for, if they need not be exact."""
+        joined, X0, none = _Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
             X, *_ = self._simulated(joined, X0, p, steps, none)
@@ -200,7 +201,7 @@ class Simulator:
             if np.all((needed <= steps) | (steps >= MOST_SUBSTEPS)):
                 break
             steps = needed
-        return steps
+        return steps.tolist()
 
     def _exact_enough(self, experiments: Sequence[Experiment], X0: Array, p: Array, first: Integers) -> Integers:
         """Steps doubled until the outputs no longer change visibly; the first where that does not settle."""
