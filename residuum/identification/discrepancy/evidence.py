@@ -48,8 +48,8 @@ def preferred(structures: Mapping[Key, Structure], base: Structure) -> Key | Non
     """The structure with the largest Schwarz criterion among those that exceed the base's; None when none does.
 
     Of structures within `ALIKE` of the largest, at what the gain is worth, the one with the fewest parameters is preferred.
-    An estimate on a physical bound is another effect, or none, in disguise, and so is one that the data do not determine (a play
-    that is never taken up): such a structure is never preferred.
+    An estimate on a physical bound is another effect, or none, in disguise, and so is one that no output feels (a play that is
+    never taken up): such a structure is never preferred.
     """
     score = {key: s.log_likelihood - s.penalty(base) for key, s in structures.items() if not _is_no_estimate(key, s)}
     better = [key for key in score if score[key] > base.log_likelihood]
@@ -76,16 +76,12 @@ def relative_evidence(structures: Mapping[Key, Structure], base: Structure) -> t
 
 
 def _is_no_estimate(key: Key, structure: Structure) -> bool:
-    """Whether the effect was estimated on a bound; or it has no size of zero, and the data leave its first parameter open.
-
-    (Sizes may be open and the effect plain: who does not know the origin of a position does not know the phase of a ripple.)
-    """
+    """Whether the effect was estimated on a bound, or no output feels its first parameter, which is what it does."""
     label = "@".join(map(str, key)) if isinstance(key, tuple) else str(key)
     effect = EFFECTS.get(label.partition("@")[0])
     natural = () if effect is None else tuple(f"{label}.{name}" for name in effect.natural_bounds)
-    open_ = [name for name, std in zip(structure.parameters, structure.std, strict=True) if not np.isfinite(std)]
-    first = next((name for name in structure.parameters if name.startswith(f"{label}.")), "")
-    if effect is not None and not effect.sizes and first in open_:
+    own = [k for k, name in enumerate(structure.parameters) if name.startswith(f"{label}.")]
+    if own and not any(np.any(slopes[:, :, own[0]]) for slopes in structure.by_parameters):
         return True
     return any(name.startswith(label) and name not in natural for name in structure.at_bound)
 

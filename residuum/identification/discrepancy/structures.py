@@ -27,6 +27,8 @@ _DONE = 0.02
 """Stop when a step gains less log-likelihood than this."""
 VISIBLE_SUBSTEPS = 16
 """An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
+_TOKEN, _NEAR_TOKEN = 1e-9, 1e3
+"""Positive lower bounds up to which they only keep a parameter from zero, and times such a bound up to which it lies on it."""
 COARSER = 2
 """Factor by which an integration may be coarser where it serves a first look alone (a Runge–Kutta step errs by 3e-4)."""
 _EARLIER = 2.0
@@ -267,7 +269,8 @@ def fit_structure(
     if found is None:
         return None
     theta = found.p[ascent.index]
-    bound = (theta <= ascent.lower) | (theta >= ascent.upper)
+    token = (ascent.lower > 0.0) & (ascent.lower <= _TOKEN)
+    bound = (theta <= np.where(token, _NEAR_TOKEN * ascent.lower, ascent.lower)) | (theta >= ascent.upper)
     equations = NormalEquations.of(found.residuals, found.by_parameters, found.by_states, found.noises)
     return Structure(
         model=model.with_values(dict(zip(names, theta.tolist(), strict=True))),

@@ -125,8 +125,15 @@ def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
     model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
     base = base_structure(model, experiments)
     key, parameters = ("output-quantisation", "speed"), (*base.parameters, "output-quantisation@speed.q")
-    std, pointwise = np.append(base.std, 0.1), base.pointwise + 1.0
-    stepped = replace(base, model=model.with_effect(*key), parameters=parameters, std=std, pointwise=pointwise)
+    slopes = [np.concatenate([J, np.ones((*J.shape[:2], 1))], axis=2) for J in base.by_parameters]
+    stepped = replace(
+        base,
+        model=model.with_effect(*key),
+        parameters=parameters,
+        std=np.append(base.std, 0.1),
+        by_parameters=slopes,
+        pointwise=base.pointwise + 1.0,
+    )
     for factor, kept in ((1.02, False), (0.99, False), (0.6, True)):
         refitted = {key: replace(stepped, rmse=factor * base.rmse)}
         _leave_to_the_noise(refitted, base)
@@ -142,16 +149,20 @@ def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
     assert _climbed_without(with_it, key, top, experiments) is None
 
 
-def test_an_open_phase_is_no_doubt_about_a_ripple_but_an_open_gap_is_one_about_play():
-    """Who does not know the origin of a position knows neither of the two amplitudes of what repeats along it."""
+def test_an_effect_whose_first_parameter_no_output_feels_is_no_answer():
+    """However open that parameter is otherwise: the phase of a ripple, or a stiffness beside a mass that is not known either."""
     model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
-    base = base_structure(model, experiments)
-    for id, kept in (("tooth-ripple", True), ("backlash", False)):
-        with_it = model.with_effect(id, "chassis")
-        own = [name for name in with_it.free if name.startswith(id)]
-        std, names = np.append(base.std, np.full(len(own), np.inf)), (*base.parameters, *own)
-        found = replace(base, model=with_it, parameters=names, std=std, pointwise=base.pointwise + 1.0)
-        assert preferred({(id, "chassis"): found}, base) == ((id, "chassis") if kept else None)
+    base, key = base_structure(model, experiments), ("backlash", "chassis")
+    with_it = model.with_effect(*key)
+    own = [name for name in with_it.free if name.startswith("backlash")]
+    names, std = (*base.parameters, *own), np.append(base.std, np.full(len(own), np.inf))
+    found = replace(base, model=with_it, parameters=names, std=std, pointwise=base.pointwise + 1.0)
+    for felt in (True, False):
+        own_slopes = [np.ones((len(J), J.shape[1], len(own))) for J in base.by_parameters]
+        for slopes in own_slopes:
+            slopes[:, :, 0] = felt
+        joined = [np.concatenate(parts, axis=2) for parts in zip(base.by_parameters, own_slopes, strict=True)]
+        assert preferred({key: replace(found, by_parameters=joined)}, base) == (key if felt else None)
 
 
 def test_play_that_is_never_taken_up_is_no_answer_to_an_inertia_that_is_wrong():
