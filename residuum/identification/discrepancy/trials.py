@@ -39,8 +39,8 @@ def trials(
     tested.sort(key=lambda s: -s.gain)
     promising = [s.start for s in tested if s.gain > 2.0][:refits]
     negative = [s for s in tested if s.gain < 0.0]
-    stateful = [s for s in negative[MOST_GLIMPSES:] if _has_states(best.model, s.key)]
-    promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *stateful)])
+    without_zero = [s for s in negative[MOST_GLIMPSES:] if not EFFECTS[s.effect].vanishes or _has_states(best.model, s.key)]
+    promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)])
     if times_its_innovations(best) > SLOW:
         promising += _overlooked(best, experiments, _from_the_track(screen, pairs)[:MOST_GLIMPSES])
         promising += _overlooked(best, experiments, _with_states(screen, pairs))

@@ -8,8 +8,9 @@ from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise
 from residuum.identification.discrepancy.structures import base_structure, refit
-from residuum.identification.physics import match, read_model
+from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
+from residuum.simulation import MACHINES
 
 VAN = """
 name: van
@@ -177,3 +178,11 @@ def test_play_that_is_never_taken_up_is_no_answer_to_an_inertia_that_is_wrong():
     record = Record({"pump": u, "flow": flow + 0.005 * rng.standard_normal(u.size)}, {"pump": "bar", "flow": "m/s"}, 0.25)
     found = explain(read_model(COLUMN), [record], effects=["backlash", "elastic-transmission"])
     assert found.search.accepted == [] and found.verdict == "unknown-effect"
+
+
+def test_a_limit_that_acts_seldom_is_looked_at_though_no_first_order_test_can_see_it():
+    """A limit has no zero: tested where it acts always, it is hopeless, and so it stood behind others that are."""
+    signals = MACHINES["gate-drive"](seed=23, effects={"input-saturation": "medium"}, profile="rich").simulate(30.0)
+    found = explain(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
+    assert found.search.accepted == [("input-saturation", "voltage")]
+    assert abs(found.candidates[0].parameters["u_max"].value - 20.0) < 0.01
