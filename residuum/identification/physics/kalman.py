@@ -173,7 +173,8 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
     """The noise that maximises the innovations' likelihood on at most `TUNING_SAMPLES` samples, from `first_noise`."""
     start = first_noise(model, experiments)
     parts = [e.window(0, max(2, min(e.n, TUNING_SAMPLES // len(experiments)))) for e in experiments]
-    steps = [Simulator(model).substeps(e, x, Simulator(model).p()) for e, x in zip(parts, initial, strict=True)]
+    simulator = Simulator(model)
+    steps = simulator.substeps_each(parts, initial, simulator.p())
     balances = list(start.walk)
 
     def noise(exponents: Array) -> Noise:

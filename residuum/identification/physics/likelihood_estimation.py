@@ -84,7 +84,7 @@ class _Likelihood:
         self.lower = np.array([parameters[name].lower for name in names])
         self.upper = np.array([parameters[name].upper for name in names])
         simulator = Simulator(model)
-        self.substeps = [simulator.substeps(e, x, simulator.p()) for e, x in zip(experiments, initial, strict=True)]
+        self.substeps = simulator.substeps_each(experiments, initial, simulator.p())
         self.noise: Noise = first_noise(model, experiments)
 
     def at(self, theta: Array) -> PhysicalModel:

@@ -1,5 +1,7 @@
 """A load that nobody recorded, on a controlled axis that is judged in windows; the machine is integrated here, in fine steps."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,15 +10,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 
-AXIS = """
-name: axis
-inputs:      {force: N}
-states:      {q: {unit: m, rate: v}, v: {unit: m/s}}
-parameters:  {M: {value: 42, unit: kg, lower: 5, upper: 500}, d: {value: 60, unit: N*s/m, lower: 0}}
-balances:
-  slide:     {kind: force, storage: M * der(v), terms: {motor: force, guide: -d * v}, position: q, velocity: v}
-outputs:     {position: {value: q, unit: m}}
-"""
+AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE = 0.004, 20
 
 

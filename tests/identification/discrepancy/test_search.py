@@ -1,6 +1,7 @@
 """The search for missing effects where the model has gone astray; the machines are integrated here, in fine Euler steps."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -21,15 +22,7 @@ balances:
   chassis:   {kind: force, storage: m * der(v), terms: {wheels: traction}, position: s, velocity: v}
 outputs:     {speed: {value: v, unit: m/s}}
 """
-AXIS = """
-name: axis
-inputs:      {force: N}
-states:      {q: {unit: m, rate: v}, v: {unit: m/s}}
-parameters:  {M: {value: 42, unit: kg, lower: 5, upper: 500}, d: {value: 60, unit: N*s/m, lower: 0}}
-balances:
-  slide:     {kind: force, storage: M * der(v), terms: {motor: force, guide: -d * v}, position: q, velocity: v}
-outputs:     {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
-"""
+AXIS = Path(__file__).with_name("axis.yaml").read_text()
 COLUMN = """
 name: column of water
 inputs:      {pump: bar}
