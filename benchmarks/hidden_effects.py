@@ -7,9 +7,10 @@ $HIDDEN_FAMILIES (default all) a comma-separated choice of families, $HIDDEN_SIZ
 """
 
 import os
+import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,15 @@ import numpy as np
 import orjson
 
 from residuum.identification.discrepancy.explain import Explanation, explain
-from residuum.identification.discrepancy.improve import added
-from residuum.identification.physics import candidates, load_model
+from residuum.identification.discrepancy.improve import added, improve
+from residuum.identification.physics import candidates, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
 SEEDS = int(os.environ.get("HIDDEN_SEEDS", "1"))
 FIRST_SEED = int(os.environ.get("HIDDEN_FIRST_SEED", "0"))
 SIZES = os.environ.get("HIDDEN_SIZES", "small,medium,large").split(",")
-FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks").split(",")
+FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks,improve").split(",")
 RESULTS = Path(os.environ.get("HIDDEN_RESULTS", "var/hidden_effects.jsonl"))
 
 SINGLE = ("drive", "oven", "tanks")
@@ -56,11 +57,13 @@ class Case:
         parts = (self.family, self.machine, self.hidden, self.seed, self.duration, self.settings, self.channels)
         return orjson.dumps(parts).decode()
 
-    def record(self) -> Record:
+    def records(self) -> Iterator[Record]:
+        """What the machine shows, one record after the other."""
         machine = MACHINES[self.machine](seed=self.seed, effects=dict(self.hidden), **self.settings)
-        signals = machine.simulate(self.duration)
-        kept = self.channels or tuple(signals.channels)
-        return Record({c: signals.channels[c] for c in kept}, {c: signals.units[c] for c in kept}, signals.sample_time)
+        while True:
+            signals = machine.simulate(self.duration)
+            kept = self.channels or tuple(signals.channels)
+            yield Record({c: signals.channels[c] for c in kept}, {c: signals.units[c] for c in kept}, signals.sample_time)
 
 
 def cases() -> Iterator[Case]:
@@ -116,12 +119,47 @@ def _tanks(seed: int) -> Iterator[Case]:
     yield Case("none", "two-tanks", (), seed, MACHINES["two-tanks"].record_duration)
 
 
-_FAMILIES = {"none": _nothing, "drive": _drive, "outside": _outside, "two": _two, "oven": _oven, "tanks": _tanks}
+def _improve(seed: int) -> Iterator[Case]:
+    """Drive (speed and current), oven, tanks and pairs, each as above."""
+    for family in ("drive", "oven", "tanks", "two"):
+        yield from (replace(case, family="improve") for case in _FAMILIES[family](seed) if case.hidden and not case.channels)
+
+
+_FAMILIES = {
+    "none": _nothing,
+    "drive": _drive,
+    "outside": _outside,
+    "two": _two,
+    "oven": _oven,
+    "tanks": _tanks,
+    "improve": _improve,
+}
 
 
 def run(case: Case) -> dict[str, Any]:
-    """Explain one case; the outcome as a JSON object."""
-    explanation = explain(load_model(case.machine), [case.record()])
+    """Explain one case, or improve its model; the outcome as a JSON object."""
+    return _improved(case) if case.family == "improve" else _explained(case)
+
+
+def _improved(case: Case) -> dict[str, Any]:
+    """The next record's simulation error with the model that improve makes of one, and with the true structure refitted to it."""
+    nominal, records, began = load_model(case.machine), case.records(), time.perf_counter()
+    record, later = next(records), next(records)
+    improved = improve(nominal, [record])
+    seconds = time.perf_counter() - began
+    true = improve(nominal, [record], add=[id for id, _ in case.hidden])
+    errors = [estimate(*match(found.model, [later]), free=()).rmse for found in (improved, true)]
+    return {
+        "case": case.key,
+        "verdict": improved.verdict,
+        "accepted": [use.id for use in improved.model.effects],
+        "ratios": (errors[0] / errors[1]).tolist(),
+        "seconds": seconds,
+    }
+
+
+def _explained(case: Case) -> dict[str, Any]:
+    explanation = explain(load_model(case.machine), [next(case.records())])
     first = explanation.candidates[0] if explanation.candidates else None
     return {
         "case": case.key,
@@ -217,8 +255,22 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
     print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
+    _report_improved(outcomes)
     seconds = [out["seconds"] for _, out in outcomes]
     print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
+
+
+def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
+    ratios = {case.key: max(out["ratios"]) for case, out in outcomes if case.family == "improve"}
+    if not ratios:
+        return
+    print("\n### Improved, beside the true structure refitted\n\n| hidden | kept | error ÷ error, worst output |\n|---|---|---|")
+    for case, out in outcomes:
+        if case.key in ratios:
+            hidden = " + ".join(f"{id} ({size})" for id, size in case.hidden)
+            kept = " + ".join(out["accepted"]) or out["verdict"]
+            print(f"| {case.machine}, {case.settings.get('profile', '')}: {hidden} | {kept} | {ratios[case.key]:.3f} |")
+    print(f"\nMedian {np.median([*ratios.values()]):.3f}, largest {max(ratios.values()):.3f} of {len(ratios)}")
 
 
 def _hits(case: Case, out: dict[str, Any]) -> bool:
