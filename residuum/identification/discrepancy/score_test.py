@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.structures import COARSER, VISIBLE_SUBSTEPS, Structure, bounded
+from residuum.identification.discrepancy.structures import COARSER, VISIBLE_SUBSTEPS, Structure
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
 from residuum.identification.errors import BadInput
@@ -223,13 +223,12 @@ class Screen:
         except (BadInput, NotImplementedError):
             return np.inf
         power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
-        new = len(simulator.states) - len(self.base.initial[0])  # an effect's own states are set by its kernel
-        initial = [np.pad(x, (0, new)) for x in self.base.initial]
+        initial = _beside(self.base.initial, simulator)
         runs = simulator.run_each(self.experiments, initial, simulator.p(), substeps=self.base.substeps)
         for e, run in zip(self.experiments, runs, strict=True):
-            r = e.Y - run.Y
-            if not bounded(r[np.isfinite(e.Y)]):
+            if not run.bounded:
                 return np.inf
+            r = e.Y - run.Y
             power += np.nansum(r**2, axis=0)
             count += np.isfinite(e.Y).sum(axis=0)
         return float(np.sum(np.log(np.maximum(power[count > 0] / count[count > 0], 1e-300))))
@@ -250,7 +249,7 @@ class Screen:
         runs = simulator.run_each(self.experiments, base.initial, simulator.p(), slopes=own, substeps=base.substeps)
         for e, run, before, slopes in zip(self.experiments, runs, base.residuals, base.by_parameters, strict=True):
             moved = np.abs(e.means(e.Y - run.Y) - before)
-            if run.dY is None or not bounded(run.dY) or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
+            if run.dY is None or not run.bounded or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
                 return None
             by_parameters.append(np.concatenate([slopes, e.means(run.dY)], axis=2))
         return base.residuals, by_parameters, base.by_states
@@ -263,22 +262,26 @@ class Screen:
         states = [f"initial:{name}" for name in simulator.free_states]
         residuals, by_parameters, by_states = [], [], []
         base, p = self.base, simulator.p()
-        new, steps = len(simulator.states) - len(base.initial[0]), list(base.substeps)
-        initial = [np.pad(x, (0, new)) for x in base.initial]
-        if new:  # only new states can be faster than the base's
-            wanted = simulator.substeps_along_each(self.experiments, [np.pad(X, ((0, 0), (0, new))) for X in self.X], p)
+        initial, steps = _beside(base.initial, simulator), list(base.substeps)
+        if len(simulator.states) > len(base.initial[0]):  # only new states can be faster than the base's
+            wanted = simulator.substeps_along_each(self.experiments, _beside(self.X, simulator), p)
             steps = [max(s, -(-fast // COARSER)) for s, fast in zip(steps, wanted, strict=True)]
         if max(steps) > VISIBLE_SUBSTEPS:
             return None
         runs = simulator.run_each(self.experiments, initial, p, slopes=[*names, *states], substeps=steps)
         for e, run in zip(self.experiments, runs, strict=True):
-            if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
+            if run.dY is None or not run.bounded:
                 return None
             slopes_there = e.means(run.dY)
             residuals.append(e.means(e.Y - run.Y))
             by_parameters.append(slopes_there[:, :, : len(names)])
             by_states.append(slopes_there[:, :, len(names) :])
         return residuals, by_parameters, by_states
+
+
+def _beside(states: Sequence[FloatArray], simulator: Simulator) -> list[FloatArray]:
+    """The base's states with an effect's own beside them, which its kernel sets first."""
+    return [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(simulator.states) - x.shape[-1])]) for x in states]
 
 
 def _repeated(means: FloatArray, experiment: Experiment) -> FloatArray:
@@ -302,7 +305,8 @@ def first_order_fit(
 
     def solved(equations: NormalEquations) -> tuple[FloatArray, list[FloatArray]]:
         step, initial = equations.step()
-        return step, [r - J @ step - Z @ z for r, J, Z, z in zip(residuals, by_parameters, by_states, initial, strict=True)]
+        each = zip(residuals, by_parameters, by_states, initial, strict=True)
+        return step, [r - np.tensordot(J, step, 1) - np.tensordot(Z, z, 1) for r, J, Z, z in each]
 
     def under(noises: Noises) -> NormalEquations:
         return NormalEquations.of(residuals, by_parameters, by_states, noises)

@@ -22,7 +22,6 @@ from residuum.identification.physics.effects import EFFECTS
 FloatArray = npt.NDArray[np.float64]
 
 _HARDEST = 1e4
-_DIVERGED = 1e60
 _DONE = 0.02
 """Stop when a step gains less log-likelihood than this."""
 VISIBLE_SUBSTEPS = 16
@@ -104,11 +103,6 @@ class Structure:
         return sum(slopes.shape[2] for slopes in self.by_states)
 
 
-def bounded(values: FloatArray) -> bool:
-    """Finite, and so far from overflow that squares and sums of squares are finite too; a model that is not diverges."""
-    return bool(np.all(np.abs(values) < _DIVERGED))
-
-
 @dataclass(frozen=True, eq=False)
 class _Point:
     p: FloatArray
@@ -155,7 +149,7 @@ class _Ascent:
         power = np.zeros(self.count.size)
         runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
         for e, run in zip(self.experiments, runs, strict=True):
-            if run.dY is None or not bounded(run.Y) or not bounded(run.dY):
+            if run.dY is None or not run.bounded:
                 return None
             error, slopes = e.Y - run.Y, e.means(run.dY)
             power += np.nansum(error**2, axis=0)
@@ -172,7 +166,7 @@ class _Ascent:
         residuals = []
         runs = self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps)
         for e, run in zip(self.experiments, runs, strict=True):
-            if not bounded(run.Y):
+            if not run.bounded:
                 return -np.inf
             residuals.append(e.means(e.Y - run.Y))
         return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
@@ -180,27 +174,33 @@ class _Ascent:
     def _noises(self, residuals: list[FloatArray]) -> Noises:
         return fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
 
-    def choose_steps(self, initial: list[FloatArray], most: float) -> bool:
-        """Set the integration steps a sample of each experiment; False when its fastest mode asks for more than `most`."""
+    def choose_steps(self, initial: list[FloatArray], most: float, enough: Sequence[int] = ()) -> bool:
+        """Set the integration steps a sample of each experiment; False when its fastest mode asks for more than `most`.
+
+        Where so many were exact `enough` before an effect joined, only a faster mode asks for more.
+        """
         p = self.simulator.p()
         modal = self.simulator.modal_substeps(self.experiments, initial, p)
-        if max(modal) <= most:
-            self.substeps = tuple(self.simulator.substeps_each(self.experiments, initial, p, modal))
-        return bool(self.substeps)
+        if max(modal) > most:
+            return False
+        exact = map(max, modal, enough) if enough else self.simulator.substeps_each(self.experiments, initial, p, modal)
+        self.substeps = tuple(exact)
+        return True
 
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
-        damping = 1e-4
+        damping, refused = 1e-4, False
         for _ in range(iterations):
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
                 break
-            before, refused = here, False
+            before, first = here, damping
             while damping < _HARDEST:
                 trial = self._trial(here, equations, damping)
                 if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
                     there = self.point(*trial)
                     if there is not None and there.log_likelihood > here.log_likelihood:
+                        refused = damping > first
                         here, damping = there, max(damping / 10.0, 1e-9)
                         break
                 damping, refused = damping * 8.0, True
@@ -339,7 +339,7 @@ def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Str
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
-    if not ascent.choose_steps(start, _visible(before)):
+    if not ascent.choose_steps(start, _visible(before), before.substeps):
         return -np.inf
     ascent.substeps = tuple(-(-s // COARSER) for s in ascent.substeps)
     plain = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
@@ -368,7 +368,7 @@ def _least_simulation_error(
     ascent: _Ascent, model: PhysicalModel, start: list[FloatArray], weights: FloatArray | None, iterations: int = 8
 ) -> Estimate | None:
     """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges."""
-    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3)
+    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3, blocks=True)
     try:
         return estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings, substeps=ascent.substeps)
     except NotIdentifiable:

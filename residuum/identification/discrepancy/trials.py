@@ -220,7 +220,14 @@ def simulates_no_worse(structure: Structure, before: Structure, rise: float = WO
 def times_its_innovations(structure: Structure) -> float:
     """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
     innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return float(np.nanmax(structure.rmse / np.array(innovations)))
+    return float(np.nanmax(_rms(structure.residuals) / np.array(innovations)))
+
+
+def _rms(residuals: Sequence[FloatArray]) -> FloatArray:
+    """Root mean square of each output; NaN where it was never measured."""
+    stacked = np.concatenate(residuals)
+    known = np.isfinite(stacked).sum(axis=0)
+    return np.sqrt(np.nansum(stacked**2, axis=0) / np.where(known > 0, known, np.nan))
 
 
 def mean_ratio(after: FloatArray, before: FloatArray) -> float:

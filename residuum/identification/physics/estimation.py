@@ -33,9 +33,6 @@ REWEIGHTINGS = 2
 """How often the outputs' weights are taken from the residuals anew."""
 
 
-DIVERGED = 1e60
-
-
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The result of an estimation.
@@ -99,18 +96,15 @@ class Settings:
     """How to estimate.
 
     `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1, a₁, …) of each output's
-    noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop.
+    noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop; `blocks`: whether
+    the means of the experiments' blocks are to be met rather than every sample.
     """
 
     weights: Array | None = None
     filters: Sequence[Array] | None = None
     iterations: int = 40
     tolerance: float = 1e-8
-
-
-def _bounded(values: Array) -> bool:
-    """Finite, and so far from overflow that sums of squares are finite too; a model that is not has diverged."""
-    return bool(np.all(np.abs(values) < DIVERGED))
+    blocks: bool = False
 
 
 def windows(experiment: Experiment, samples: int) -> list[Experiment]:
@@ -262,15 +256,16 @@ class _Problem:
         return weights
 
     def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
-        damping = 1e-3
+        damping, refused = 1e-3, False
         for iteration in range(self.settings.iterations):
             for attempt in range(12):
                 there = self._step(point, damping)
-                if attempt == 0 or self._cost(*there) < point.cost:  # where one step was refused, the next may be
+                if not refused or self._cost(*there) < point.cost:  # where one step was refused, the next may be
                     trial = self._evaluate(*there)
                     if trial.cost < point.cost:
+                        refused = attempt > 0
                         break
-                damping *= 6.0
+                damping, refused = damping * 6.0, True
             else:
                 return point, iteration, True
             fall = (point.cost - trial.cost) / point.cost
@@ -310,7 +305,7 @@ class _Problem:
         point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
         runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
         for experiment, run in zip(self.experiments, runs, strict=True):
-            if not _bounded(run.Y) or (run.dY is not None and not _bounded(run.dY)):
+            if not run.bounded:
                 point.cost = np.inf
                 return point
             point.predicted.append(run.Y)
@@ -330,7 +325,7 @@ class _Problem:
         cost = 0.0
         runs = self.simulator.run_each(self.experiments, initial, self.p(theta), substeps=self.substeps)
         for experiment, run in zip(self.experiments, runs, strict=True):
-            if not _bounded(run.Y):
+            if not run.bounded:
                 return np.inf
             r, _ = self._weighted(experiment, run.Y, None)
             cost += float(r @ r)
@@ -339,8 +334,11 @@ class _Problem:
     def _weighted(self, experiment: Experiment, Y: Array, dY: Array | None) -> tuple[Array, Array | None]:
         """Weighted, filtered residuals stacked over the measured outputs, and their Jacobian."""
         residuals, rows = [], []
+        errors = experiment.Y - Y
+        if self.settings.blocks:
+            errors, dY = experiment.means(errors), None if dY is None else experiment.means(dY)
         for o in map(int, np.flatnonzero(self.measured)):
-            r = experiment.Y[:, o] - Y[:, o]
+            r = errors[:, o]
             there = np.isfinite(r)
             r = np.where(there, r, 0.0) * self.weights[o]
             residuals.append(self._filtered(r, o)[there])

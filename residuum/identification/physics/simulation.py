@@ -21,6 +21,7 @@ MOST_SUBSTEPS = 64
 _OSCILLATING, _DECAYING = 0.25, 0.8
 _EXACT, _LEAST = 0.02, 1e-4
 """Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
+_DIVERGED = 1e60
 _LOOKED_AT, _LOOKS = 20_000, 60
 """First samples of an experiment, and points along them, at which its eigenvalues are looked at."""
 _CHECKED, _DOUBLINGS, _SETTLING = 5000, 3, 0.7
@@ -51,6 +52,12 @@ class Simulation:
     def finite(self) -> bool:
         """False when the model diverged."""
         return bool(np.all(np.isfinite(self.Y)))
+
+    @property
+    def bounded(self) -> bool:
+        """Outputs and sensitivities are finite, and so far from overflow that sums of squares are finite too."""
+        kept = [values for values in (self.Y, self.dY) if values is not None and values.size]
+        return all(bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in kept)
 
 
 class Simulator:
