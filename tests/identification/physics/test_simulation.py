@@ -58,3 +58,13 @@ def test_experiments_together_are_simulated_as_each_alone():
     assert np.all(together[2].dY[:, :, 2] == 0.0) and not together[2].finite and together[1].finite
     alone = [simulator.substeps(e, x0, simulator.p()) for e, x0 in zip(each, initial, strict=True)]
     assert simulator.substeps_each(each, initial, simulator.p()) == alone
+
+
+def test_sensitivities_that_have_decayed_are_zero():
+    """Numbers that underflow take a processor forty times as long; those of a first state would stay there for a whole record."""
+    simulator, x0, _, _, experiment = stiff_drive(noise=1.0)
+    names = [f"initial:{name}" for name in simulator.free_states]
+    found = simulator.run_vectors(experiment, x0, simulator.p(), slopes=names, substeps=8).dY
+    seen = np.abs(found[found != 0.0])
+    assert seen.max() > 0.1
+    assert seen.min() > 1e-200 * seen.max()
