@@ -14,6 +14,7 @@ from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.structures import Structure, glimpse, refit
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects.base import Conditions, Effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -78,7 +79,8 @@ def _refitted(
         key = start.effects[-1].id, start.effects[-1].target
         if structure is None or (key in found and structure.log_likelihood <= found[key].log_likelihood):
             continue
-        if simulates_no_worse(structure, best) or within_a_sample(structure, key, experiments):
+        shorter = within_a_sample(structure, key, experiments)
+        if shorter or (simulates_no_worse(structure, best) and _shows(structure, key, experiments)):
             found[key] = structure
     return found
 
@@ -138,7 +140,7 @@ def _grown(
             ).with_effect(id, target, start)
             mark = special.log_likelihood
             structure = refit(best, model, experiments, initial=initial, rival=mark)
-            if structure is not None and simulates_no_worse(structure, best):
+            if structure is not None and simulates_no_worse(structure, best) and _shows(structure, (id, target), experiments):
                 yield (id, target), structure
 
 
@@ -162,18 +164,30 @@ def _simplified(
         known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
         again = refit(best, best.model.with_values(known).with_effect(*key, values), experiments, initial=general.initial)
         higher = again is not None and (special is None or again.log_likelihood > special.log_likelihood)
-        if again is not None and higher and simulates_no_worse(again, best):
+        if again is not None and higher and simulates_no_worse(again, best) and _shows(again, key, experiments):
             found[key] = again
     return found
 
 
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
+    return EFFECTS[id].grown(*_at_estimate(special, (EFFECTS[id].generalises, target), experiments, EFFECTS[id]))
+
+
+def _shows(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
+    """Whether the experiments are long enough for the effect, as it was estimated, to be told from an unknown load."""
+    return not _has_states(structure.model, key) or EFFECTS[key[0]].shows(*_at_estimate(structure, key, experiments))
+
+
+def _at_estimate(
+    structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment], beside: Effect | None = None
+) -> tuple[dict[str, float], Conditions]:
+    """An effect's values where it was estimated, and the conditions for it (or one `beside` it) in the longest experiment."""
     k = int(np.argmax([e.n for e in experiments]))
-    simulator = Simulator(special.model)
-    X = simulator.run_vectors(experiments[k], special.initial[k], simulator.p(), substeps=special.substeps[k]).X
-    label = f"{EFFECTS[id].generalises}@{target}."
-    values = {n.removeprefix(label): v for n, v in special.model.values.items() if n.startswith(label)}
-    return EFFECTS[id].grown(values, conditions_at(special.model, EFFECTS[id], target, experiments[k], X))
+    simulator = Simulator(structure.model)
+    X = simulator.run_vectors(experiments[k], structure.initial[k], simulator.p(), substeps=structure.substeps[k]).X
+    label = f"{structure.label_of(key)}."
+    values = {n.removeprefix(label): v for n, v in structure.model.values.items() if n.startswith(label)}
+    return values, conditions_at(structure.model, beside or EFFECTS[key[0]], key[1], experiments[k], X)
 
 
 def _overlooked(best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:

@@ -8,6 +8,8 @@ import pytest
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.structures import base_structure, fit_structure
 from residuum.identification.physics import Simulator, match, read_model
+from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
@@ -67,3 +69,12 @@ def test_steps_that_only_exactness_asks_for_make_no_contact_too_fast_to_be_seen(
     found = fit_structure(model, parts, base.initial, most_substeps=followed)
     assert found is not None
     assert found.model.values["backlash@slide.gap"] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_a_spring_so_soft_that_no_window_sees_it_swing_is_not_told_from_a_load():
+    """Its far body begins anywhere in every window: an unknown force and its slope, which explain whatever is missing."""
+    window = Conditions(SAMPLE_TIME, duration=0.5, magnitude=1.0, storage=20.0)
+    values = {"d": 0.0, "share": 0.5}
+    for effect in (EFFECTS["elastic-transmission"], EFFECTS["backlash"]):
+        assert effect.shows(values | {"k": 2.0e3}, window)  # .44 s
+        assert not effect.shows(values | {"k": 1.0e3}, window)  # .63 s

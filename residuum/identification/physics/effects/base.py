@@ -247,6 +247,10 @@ class Effect(ABC):
         """Values of the effect that it `generalises` at an estimate of its own; empty where they do not follow."""
         return {}
 
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether the effect can be told, where it has these values and within the conditions' duration, from an unknown load."""
+        return True
+
     def at_rest(self, start: Mapping[str, float]) -> dict[str, float]:
         """A start with its sizes shrunk to where screening takes derivatives."""
         return {name: value * self.rest if name in self.sizes else value for name, value in start.items()}

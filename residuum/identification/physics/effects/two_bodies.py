@@ -3,9 +3,10 @@
 from abc import abstractmethod
 from collections.abc import Mapping
 
+import numpy as np
 import sympy as sp
 
-from residuum.identification.physics.effects.base import Contribution, Effect, Example, Scene, Site, product
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Scene, Site, product
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
 
@@ -36,6 +37,13 @@ class TwoBodies(Effect):
             deviating=("twist", "far_velocity"),
             storage_factor=1 - p["share"],
         )
+
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether the bodies swing against each other once at least: a far body that begins anywhere on a softer spring is a load
+        and its slope.
+        """
+        near = conditions.storage  # what stays on this side of the spring
+        return bool(values["k"] * conditions.duration**2 > (2.0 * np.pi) ** 2 * values["share"] * near)
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
