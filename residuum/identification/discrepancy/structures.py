@@ -32,6 +32,8 @@ COARSER = 2
 """Factor by which an integration may be coarser where it serves a first look alone (a Runge–Kutta step errs by 3e-4)."""
 _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
+_SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
+"""Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
 _OPTIMISM, _CLOSE = 3.0, 20.0
 """A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
 
@@ -188,28 +190,38 @@ class _Ascent:
         return True
 
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
-        """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood."""
-        damping, refused = 1e-4, False
+        """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood.
+
+        A step takes the noise for known, and is too short where the noise changes with it: along a ridge, on which one step after
+        the other points the same way, it is stretched.
+        """
+        damping, refused, stretch, last = 1e-4, False, 1.0, np.zeros(len(self.names))
         for _ in range(iterations):
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
                 break
             before, first = here, damping
             while damping < _HARDEST:
-                trial = self._trial(here, equations, damping)
+                trial = self._trial(here, equations, damping, stretch)
                 if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
                     there = self.point(*trial)
                     if there is not None and there.log_likelihood > here.log_likelihood:
                         refused = damping > first
                         here, damping = there, max(damping / 10.0, 1e-9)
                         break
-                damping, refused = damping * 8.0, True
-            if here.log_likelihood - before.log_likelihood < _DONE:
+                damping, refused, stretch = damping if stretch > 1.0 else damping * 8.0, True, 1.0
+            done, plain = here.log_likelihood - before.log_likelihood < _DONE, stretch == 1.0
+            if done and plain:
                 break
+            step = (here.p - before.p)[self.index] / np.where(before.p[self.index] == 0.0, 1.0, before.p[self.index])
+            stretch = min(2.0 * stretch, _MOST_STRETCHED) if _same_way(step, last) and not done else 1.0
+            last = step
         return here
 
-    def _trial(self, here: _Point, equations: NormalEquations, damping: float) -> tuple[FloatArray, list[FloatArray]]:
-        """Parameters and first states after the damped step, within bounds."""
+    def _trial(
+        self, here: _Point, equations: NormalEquations, damping: float, stretch: float
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """Parameters and first states after the damped step, stretched, within bounds."""
         theta = here.p[self.index]
         held = np.zeros(len(theta), dtype=bool)
         for _ in range(len(theta) + 1):
@@ -219,13 +231,18 @@ class _Ascent:
                 break
             held |= out
         p = here.p.copy()
-        p[self.index] = np.clip(theta + step, self.lower, self.upper)
+        p[self.index] = np.clip(theta + stretch * step, self.lower, self.upper)
         initial = []
         for x0, z in zip(here.initial, own, strict=True):
             x = x0.copy()
-            x[self.states] += z
+            x[self.states] += stretch * z
             initial.append(x)
         return p, initial
+
+
+def _same_way(step: FloatArray, last: FloatArray) -> bool:
+    """Whether two steps of the parameters, relative to their values, point the same way."""
+    return bool(step @ last > _SAME_WAY * np.linalg.norm(step) * np.linalg.norm(last) > 0.0)
 
 
 def fit_structure(
