@@ -11,9 +11,11 @@ from typing import Annotated
 
 import typer
 import uvicorn
+from fastapi import FastAPI
 
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
+from residuum.service.http_connections import BoundedConnection
 from residuum.service.large_arrays import give_back_large_arrays
 from residuum.service.settings import Settings, is_loopback, load_settings
 
@@ -35,17 +37,32 @@ def serve(
     _check_certificate(settings)
     give_back_large_arrays()
     with _listening(settings.host, settings.port) as sockets:
+        service = create_app(settings)
         config = uvicorn.Config(
-            create_app(settings),
+            service,
             log_config=None,
             access_log=False,
             lifespan="on",
+            http=BoundedConnection,
             timeout_graceful_shutdown=_STOP_WITHIN,
             h11_max_incomplete_event_size=settings.header_limit,
             ssl_certfile=settings.tls_certificate,
             ssl_keyfile=settings.tls_key,
         )
-        asyncio.run(_serve(uvicorn.Server(config), sockets, settings))
+        asyncio.run(_serve(_Server(config, service), sockets, settings))
+
+
+class _Server(uvicorn.Server):
+    """Ends streams of events when it stops: they have no end of their own, and would be waited for as long as may be."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams, answer what is under way, stop."""
+        self._app.state.services.events.close()
+        await super().shutdown(sockets)
 
 
 async def _serve(server: uvicorn.Server, sockets: list[socket.socket], settings: Settings) -> None:

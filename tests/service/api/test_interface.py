@@ -82,6 +82,14 @@ def test_events_resume_where_the_connection_broke(service):
     assert [event["event"] for event in missed] == ["alarm", "finding", "finding", "finding"]
 
 
+def test_methods_that_a_stranger_makes_up_do_not_fill_the_metrics(service):
+    with httpx.Client(base_url=service.url, timeout=60) as client:
+        for number in range(20):
+            assert client.request(f"MADEUP{number}", "/").status_code == 405
+        text = client.get("/metrics").text
+    assert "MADEUP" not in text and 'method="other"' in text
+
+
 def test_health_and_metrics(service):
     store(service)
     with httpx.Client(base_url=service.url, timeout=60) as client:
