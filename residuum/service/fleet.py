@@ -24,7 +24,10 @@ from residuum.service.fleet_source import Unreachable
 from residuum.service.worker_pool import WorkerPool
 
 Work = Callable[[str], dict[str, Any]]
-"""What is done with a file; must be known to the workers by name. A refusal is a value, `{"refused": …}`."""
+"""What is done with a file; must be known to the workers by name. A refusal is a value, `{"refused": …}`.
+
+A work with a `mark` says it in every result, as `by`; results of another mark are not gone on with.
+"""
 
 _TOGETHER = 8
 """Files that a worker is given at once, so that handing over costs little beside the work."""
@@ -68,9 +71,10 @@ def run_fleet(
     """Do `work` for every file that the results file does not have yet; returns all results, in order of the files.
 
     A file whose worker is killed is done again; one that ends its worker again and again, even alone, is refused.
-    `tell(done, all)` is told of progress.
+    `tell(done, all)` is told of progress. BadInput when the results file holds results of other work.
     """
-    known = _read(results, set(files))
+    mark = getattr(work, "mark", None)
+    known = _read(results, set(files), mark)
     waiting = deque(_tasks([file for file in files if file not in known]))
     alone: deque[_Task] = deque()
     running: dict[Future[list[dict[str, Any]]], _Task] = {}
@@ -82,7 +86,7 @@ def run_fleet(
                 _submit(executor, work, alone.popleft(), running)
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
-                found = _found(future, task)
+                found = _found(future, task, mark)
                 if found is None:
                     (waiting if task.attempts < _ATTEMPTS else alone).extend(_again(task))
                     continue
@@ -108,7 +112,7 @@ def _work_all(work: Work, files: list[str]) -> list[dict[str, Any]]:
     return [{"file": file, **work(file)} for file in files]
 
 
-def _found(future: Future[list[dict[str, Any]]], task: _Task) -> list[dict[str, Any]] | None:
+def _found(future: Future[list[dict[str, Any]]], task: _Task, mark: str | None) -> list[dict[str, Any]] | None:
     """What a task gave, None when its worker was lost; a lone file that has lost too many is refused."""
     error = future.exception()
     if error is None:
@@ -119,7 +123,8 @@ def _found(future: Future[list[dict[str, Any]]], task: _Task) -> list[dict[str, 
         raise error
     task.attempts += 1
     if len(task.files) == 1 and task.attempts > 2 * _ATTEMPTS:
-        return [{"file": task.files[0], "refused": f"reading or judging it ended its worker {task.attempts} times"}]
+        refused = {"refused": f"reading or judging it ended its worker {task.attempts} times"}
+        return [{"file": task.files[0], **({} if mark is None else {"by": mark}), **refused}]
     return None
 
 
@@ -128,8 +133,8 @@ def _again(task: _Task) -> list[_Task]:
     return [task] if task.attempts < _ATTEMPTS else [_Task([file], max(task.attempts, _ATTEMPTS)) for file in task.files]
 
 
-def _read(results: Path, wanted: set[str]) -> dict[str, dict[str, Any]]:
-    """What an earlier run left; a line that it could not finish is cut off. BadInput for a file of another kind."""
+def _read(results: Path, wanted: set[str], mark: str | None) -> dict[str, dict[str, Any]]:
+    """What an earlier run left; a line that it could not finish is cut off. BadInput for a file of another kind or work."""
     if not results.exists():
         return {}
     content = results.read_bytes()
@@ -137,8 +142,11 @@ def _read(results: Path, wanted: set[str]) -> dict[str, dict[str, Any]]:
     try:
         lines = [orjson.loads(line) for line in whole.splitlines()]
         known = {line["file"]: line for line in lines if line["file"] in wanted}
-    except (orjson.JSONDecodeError, KeyError, TypeError):
+        marks = {line.get("by") for line in lines}
+    except (orjson.JSONDecodeError, AttributeError, KeyError, TypeError):
         raise BadInput(f"{results}: is there already and holds no results; give another name") from None
+    if marks - {mark}:
+        raise BadInput(f"{results}: holds results of another diagnoser, baseline or method; give another name")
     if whole != content:
         with results.open("r+b") as file:
             file.truncate(len(whole))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -46,8 +47,11 @@ class Folder:
         return self.folder
 
     def items(self) -> list[str]:
-        """Paths of the files, sorted."""
-        return sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in READERS)
+        """Paths of the files, sorted; BadInput for one that no line of results could name."""
+        found = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in READERS)
+        if nameless := next((file for file in found if _is_no_text(file)), None):
+            raise BadInput(f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file")
+        return found
 
     def read(self, item: str) -> Record:
         """The record of a file."""
@@ -166,6 +170,11 @@ def _file_system(url: str) -> tuple[Any, str]:
 @lru_cache(maxsize=4)
 def _store(url: str, data: str) -> tuple[Database, Blocks]:
     return Database(url), Blocks(Path(data) / "blocks")
+
+
+def _is_no_text(name: str) -> bool:
+    """Whether a name of the file system holds bytes that are no UTF-8."""
+    return any("\ud800" <= character <= "\udfff" for character in name)
 
 
 def _named(record: Record, source: str) -> Record:

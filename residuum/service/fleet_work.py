@@ -1,7 +1,11 @@
-"""What is done with each record of a fleet, in a worker: judge it, or identify a model from it."""
+"""What is done with each record of a fleet, in a worker: judge it, or identify a model from it.
+
+Every result says `by` what it was made: a mark of diagnoser, baseline and options. A run goes on only with results of its own.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -23,13 +27,18 @@ class Rescore:
     baseline: str | None
     source: FleetSource = field(default_factory=Folder)
 
+    @property
+    def mark(self) -> str:
+        """What the results are made by."""
+        return _mark(f"rescore {self.diagnoser}", self.baseline)
+
     def __call__(self, file: str) -> dict[str, Any]:
-        """`{"finding": …}` or `{"refused": …}`."""
+        """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
         try:
             finding = _judge(self.diagnoser, self.baseline).score(self.source.read(file))
         except BadInput as error:
-            return {"refused": str(error)}
-        return {"finding": to_plain(finding.to_json())}
+            return {"by": self.mark, "refused": str(error)}
+        return {"by": self.mark, "finding": to_plain(finding.to_json())}
 
 
 @dataclass(frozen=True)
@@ -40,12 +49,17 @@ class Reidentify:
     request: Request
     source: FleetSource = field(default_factory=Folder)
 
+    @property
+    def mark(self) -> str:
+        """What the results are made by."""
+        return _mark(f"reidentify {self.method} {self.request!r}", None)
+
     def __call__(self, file: str) -> dict[str, Any]:
-        """`{"model": …}` or `{"refused": …}`."""
+        """`{"by": …, "model": …}` or `{"by": …, "refused": …}`."""
         try:
             model = METHODS[self.method]([self.source.read(file)], self.request)
         except BadInput as error:
-            return {"refused": str(error)}
+            return {"by": self.mark, "refused": str(error)}
         told = {
             "method": model.method,
             "order": model.order,
@@ -58,7 +72,13 @@ class Reidentify:
             "denominator": model.denominator,
             "warnings": list(model.warnings),
         }
-        return {"model": to_plain(told)}
+        return {"by": self.mark, "model": to_plain(told)}
+
+
+@lru_cache(maxsize=4)
+def _mark(asked: str, baseline: str | None) -> str:
+    content = b"" if baseline is None else Path(baseline).read_bytes()
+    return hashlib.sha256(asked.encode() + b"\n" + content).hexdigest()[:16]
 
 
 @lru_cache(maxsize=4)

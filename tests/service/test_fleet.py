@@ -65,6 +65,21 @@ def test_a_file_that_is_no_results_file_is_left_alone(files, tmp_path):
     assert mine.read_text() == "time [s],y [V]\n0,1\n"
 
 
+def test_results_of_other_work_are_not_taken_for_ones_own(files, serial, tmp_path):
+    results, baseline = tmp_path / "results.jsonl", tmp_path / "baseline"
+    results.write_bytes(serial)
+    baseline.write_bytes(b"another")
+    other = (
+        Rescore("robust-residual", None),
+        Rescore("bearing", str(baseline)),
+        Reidentify("arx", Request("speed", "acceleration", 2, 1, "tc", "marginal", True)),
+    )
+    for work in other:
+        with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match="results of another diagnoser"):
+            run_fleet(files, work, executor, results, workers=1, tell=silent)
+    assert results.read_bytes() == serial
+
+
 def end_if_it_is_the_bad_one(file):
     if file == "bad":
         os._exit(9)
@@ -205,10 +220,11 @@ def test_a_bucket_that_goes_away_ends_the_run_and_refuses_no_file(tmp_path):
 
     fsspec.register_implementation("away", Away, clobber=True)
     work = Rescore("bearing", None, fleet_source.Bucket("away://bucket"))
-    (tmp_path / "r").write_text('{"file":"a.csv","refused":"-"}\n')
+    done = json.dumps({"file": "a.csv", "by": work.mark, "refused": "-"}) + "\n"
+    (tmp_path / "r").write_text(done)
     with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match=r"b\.csv: cannot be reached: KeyError .* to go on"):
         run_fleet(["a.csv", "b.csv"], work, executor, tmp_path / "r", workers=1, tell=silent)
-    assert (tmp_path / "r").read_text() == '{"file":"a.csv","refused":"-"}\n'
+    assert (tmp_path / "r").read_text() == done
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
@@ -241,6 +257,12 @@ def test_what_holds_no_fleet_is_refused(tmp_path, capsys):
         message = capsys.readouterr().err
         assert says in message and message.count("\n") == 1
     assert not (tmp_path / "none.db").exists()
+
+
+def test_a_file_name_that_is_no_text_is_refused_before_the_work_begins(tmp_path, capsys):
+    (Path(os.fsdecode(os.fsencode(tmp_path) + b"/press-\xff.csv"))).write_text("time [s],y [V]\n0,1\n")
+    assert run(["rescore", "bearing", str(tmp_path), "--out", str(tmp_path / "r")]) == 2
+    assert "not UTF-8" in capsys.readouterr().err and not (tmp_path / "r").exists()
 
 
 def test_a_reidentified_model_is_the_identified_one(tmp_path):
