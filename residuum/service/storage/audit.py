@@ -56,6 +56,18 @@ def touch(connection: Connection) -> None:
 
 def verify(connection: Connection) -> AuditHead:
     """The head of a trail that is whole; BrokenAudit where it is not."""
+    try:
+        number, digest = _followed(connection)
+    except (AttributeError, TypeError, ValueError) as error:  # SQLite keeps anything in any column
+        raise BrokenAudit(f"audit: an entry was changed into none: {error}") from None
+    heads = connection.execute(select(audit_head)).all()
+    if [(head.entries, head.digest) for head in heads] != [(number, digest)]:
+        raise BrokenAudit(f"audit: its head does not fit the last entry, {number}: entries at the end were removed or added")
+    return AuditHead(number, digest)
+
+
+def _followed(connection: Connection) -> tuple[int, str]:
+    """The number of the last entry, and the digest over all."""
     number, digest = 0, _BEGIN
     for row in connection.execute(select(audit).order_by(audit.c.number).execution_options(yield_per=_AT_ONCE)):
         number += 1
@@ -64,10 +76,7 @@ def verify(connection: Connection) -> AuditHead:
         digest = _digest(digest, row.number, row.at, row.by, row.action, row.subject, row.detail)
         if row.digest != digest:
             raise BrokenAudit(f"audit: entry {number} or the one before it was changed")
-    heads = connection.execute(select(audit_head)).all()
-    if [(head.entries, head.digest) for head in heads] != [(number, digest)]:
-        raise BrokenAudit(f"audit: its head does not fit the last entry, {number}: entries at the end were removed or added")
-    return AuditHead(number, digest)
+    return number, digest
 
 
 def page(connection: Connection, cursor: str | None, limit: int) -> Page[AuditEntry]:

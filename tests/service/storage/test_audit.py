@@ -80,6 +80,15 @@ def test_a_thousand_random_edits_and_deletions_are_all_noticed(database):
         assert audit.verify(connection) == whole
 
 
+@pytest.mark.parametrize("change", ["at = 'yesterday'", "at = 12", "\"by\" = x'00'", "detail = x'ff'", "number = 'seven'"])
+def test_an_entry_that_is_none_any_more_is_noticed(database, change):
+    with database.write() as connection:
+        connection.exec_driver_sql("PRAGMA ignore_check_constraints = ON")
+        connection.exec_driver_sql(f"UPDATE audit SET {change} WHERE number = 7")
+    with database.read() as connection, pytest.raises(BrokenAudit, match="audit: "):
+        audit.verify(connection)
+
+
 def test_what_is_done_to_alarms_and_models_is_written_down_and_doctor_looks_at_it(tmp_path, capsys):
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
     store.add_window("press", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty", reason="-"))
