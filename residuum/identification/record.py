@@ -40,7 +40,7 @@ class Record:
     Raises
     ------
     BadRecord
-        No channel, unequal lengths, infinite value, non-positive sample time, unit missing.
+        No channel, unequal lengths, infinite value, non-positive sample time, unit missing, NUL in a text.
     BadUnit
         A unit that is not known.
 
@@ -75,6 +75,8 @@ class Record:
         units = {name: self.units[name] for name in signals}
         for unit in units.values():
             parse_unit(unit)
+        if nul := [text for text in (*units, *units.values(), *self.notes) if "\x00" in text]:
+            raise BadRecord(f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps")
         object.__setattr__(self, "channels", MappingProxyType(signals))
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "notes", tuple(self.notes))

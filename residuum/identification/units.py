@@ -6,6 +6,7 @@ The registry is pint's, with three changes that suit recorded signals: `g` is st
 """
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,7 +40,7 @@ _LONGEST = 80
 def parse_unit(text: str) -> pint.Unit:
     """Return the unit that `text` names.
 
-    Raises BadUnit when the text names none; the message repeats the text.
+    Raises BadUnit when the text names none, or one whose size in base units is no number; the message repeats the text.
 
     >>> str(parse_unit("N·m/A").dimensionality) == str(parse_unit("V*s/rad").dimensionality)
     True
@@ -50,7 +51,11 @@ def parse_unit(text: str) -> pint.Unit:
     spelled = _SPELLINGS.get(spelled, spelled).replace("·", "*").replace("Ω", "ohm").replace("°C", "delta_degC")
     spelled = spelled.replace("²", "**2").replace("³", "**3").replace("^", "**")
     try:
-        return _REGISTRY.Unit(spelled)
+        unit = _REGISTRY.Unit(spelled)
+        factor: Any = _REGISTRY.get_base_units(unit)[0]
+        if not 0 < factor < np.inf:
+            raise OverflowError(spelled)
+        return unit
     except Exception as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
         raise BadUnit(f"unit {text!r}: not a known unit") from error
 

@@ -12,6 +12,9 @@ from pathlib import Path
 
 from residuum.service.settings import BadSettings
 
+LONGEST_NAME = 64
+"""Characters of a caller's name that journals and the audit trail keep."""
+
 
 class Role(IntEnum):
     """What a caller may do; each role includes those before it. A monitor reads metrics and health alone."""
@@ -87,6 +90,8 @@ def _read(path: Path) -> dict[str, Caller]:
         if len(words) not in (3, 4) or words[1].upper() not in Role.__members__ or len(words[2]) != 64:
             rule = "must be 'name monitor|viewer|operator|engineer|admin sha256', and may name sites: 'hall-1,hall-2'"
             raise BadSettings(f"setting api_keys: {path}, line {number}: {rule}")
+        if len(words[0]) > LONGEST_NAME:
+            raise BadSettings(f"setting api_keys: {path}, line {number}: a name has at most {LONGEST_NAME} characters")
         callers[words[2].lower()] = Caller(words[0], Role[words[1].upper()], _sites(words, f"{path}, line {number}"))
     if not callers:
         raise BadSettings(f"setting api_keys: {path}: holds no key")

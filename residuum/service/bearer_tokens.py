@@ -17,7 +17,7 @@ from typing import Any
 import orjson
 import structlog
 
-from residuum.service.access import Caller, Role, site_names
+from residuum.service.access import LONGEST_NAME, Caller, Role, site_names
 from residuum.service.settings import BadSettings, Settings
 
 log = structlog.get_logger()
@@ -98,7 +98,7 @@ class BearerTokens:
         except BadSettings as error:
             log.warning("a bearer token names a site that cannot be", reason=str(error))
             return None
-        name = str(claims.get("preferred_username") or claims.get("sub") or "unnamed")[:100]
+        name = str(claims.get("preferred_username") or claims.get("sub") or "unnamed")[:LONGEST_NAME].replace("\x00", "")
         return Caller(name, max(roles), of_sites) if roles else None
 
     def _key(self, number: str) -> Any:

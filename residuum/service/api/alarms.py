@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from residuum.service.alarm_states import AlarmEvent
 from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmRatesAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
-from residuum.service.api.parameters import NAME, AlarmId, Cursor, Limit
+from residuum.service.api.parameters import NAME, TEXT, AlarmId, Cursor, Limit
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Alarm, NotFound
 
@@ -21,7 +21,7 @@ router = APIRouter(prefix="/alarms", tags=["alarms"], route_class=StrictRoute, r
 class Remark(BaseModel, extra="forbid"):
     """What an operator may say with it."""
 
-    comment: str | None = Field(None, max_length=2000, description="Kept in the alarm's journal.")
+    comment: str | None = Field(None, max_length=2000, pattern=TEXT, description="Kept in the alarm's journal.")
 
 
 class Shelving(Remark):

@@ -15,7 +15,7 @@ from residuum.service.api.analyses import Names
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
-from residuum.service.api.parameters import NAME, AssetName
+from residuum.service.api.parameters import NAME, TEXT, AssetName
 from residuum.service.command_job import parts_of
 from residuum.service.healthy_windows import healthy_windows, parted
 from residuum.service.model_view import model_of
@@ -46,7 +46,7 @@ class Acceptance(Candidate):
     proposal: int | None = Field(
         None, ge=1, le=10**9, description="Number of the proposal whose thresholds are used; null: keep."
     )
-    note: str = Field("", max_length=1000, description="Why.")
+    note: str = Field("", max_length=1000, pattern=TEXT, description="Why.")
 
 
 class ActiveModel(BaseModel):

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
-from residuum.service.api.parameters import AssetName, Cursor, Limit
+from residuum.service.api.parameters import TEXT, AssetName, Cursor, Limit
 from residuum.service.judges import diagnoser_class
 from residuum.service.services import Running, caller_of
 
@@ -19,7 +19,7 @@ router = APIRouter(prefix="/assets", tags=["assets"], route_class=StrictRoute, r
 class AssetSettings(BaseModel, extra="forbid"):
     """What can be set of an asset."""
 
-    title: str | None = Field(None, min_length=1, max_length=200, description="Name for people.")
+    title: str | None = Field(None, min_length=1, max_length=200, pattern=TEXT, description="Name for people.")
     diagnoser: str | None = Field(None, max_length=64, description="Diagnoser of its windows.")
 
 

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from residuum.service.access import ANYBODY
 from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
 from residuum.service.api.json_response import Json, page_json
-from residuum.service.api.parameters import NAME, Cursor, Limit, ModelName
+from residuum.service.api.parameters import NAME, TEXT, Cursor, Limit, ModelName
 from residuum.service.model_files import MODEL_KINDS, check_model_file
 from residuum.service.services import Running
 
@@ -34,7 +34,7 @@ async def add_model(
     name: Annotated[str, Query(description="Name of the model; a known one gets a new version.", pattern=NAME)],
     kind: Annotated[Kind, Query(description="What the file is.")] = "physical",
     diagnoser: Annotated[str | None, Query(description="baseline: of which diagnoser.", max_length=64)] = None,
-    note: Annotated[str, Query(description="What is new in this version.", max_length=2000)] = "",
+    note: Annotated[str, Query(description="What is new in this version.", max_length=2000, pattern=TEXT)] = "",
 ) -> Response:
     """Store a model, or a new version of one. The file is read and checked first; nothing else is stored."""
     content = await request.body()

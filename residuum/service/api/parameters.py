@@ -9,6 +9,9 @@ from fastapi import Path, Query
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names of assets, models and baselines: they stand in addresses and rows, never in a file's path."""
 
+TEXT = r"^[^\x00]*$"
+"""Free text: any but the character NUL, which PostgreSQL keeps in no text."""
+
 _LARGEST_ID = 2**53 - 1
 
 AssetName = Annotated[str, Path(description="Name of the asset.", pattern=NAME)]

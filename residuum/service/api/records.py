@@ -13,7 +13,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import READERS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
-from residuum.service.api.parameters import Cursor, Limit, RecordId
+from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
 from residuum.service.api.signal_body import check_npz
 from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.problems import UnsupportedBody
@@ -39,7 +39,9 @@ _FILE_BODY = {
 async def add_record(
     request: Request,
     running: Running,
-    filename: Annotated[str, Query(description="Name with its ending, which says the format.", min_length=1, max_length=200)],
+    filename: Annotated[
+        str, Query(description="Name with its ending, which says the format.", min_length=1, max_length=200, pattern=TEXT)
+    ],
 ) -> Response:
     """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid."""
     record = await run_in_threadpool(_read, filename, await request.body(), running.settings)

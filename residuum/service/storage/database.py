@@ -14,8 +14,9 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DatabaseError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import ArgumentError, DatabaseError, DataError, DBAPIError, NoSuchModuleError, OperationalError
 
+from residuum.identification.errors import BadInput
 from residuum.service.settings import BadSettings
 from residuum.service.store import StorageUnavailable
 
@@ -126,12 +127,14 @@ def _engine(url: URL) -> Engine:
 
 @contextmanager
 def _storage_errors() -> Iterator[None]:
-    """Failures of the disk or the server, as StorageUnavailable; mistakes of ours stay what they are."""
+    """Failures of disk or server, as StorageUnavailable; values that no column takes, as BadInput; ours stay what they are."""
     try:
         yield
     except OperationalError as error:
         says = str(error.orig).splitlines()[0]
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
+    except DataError as error:  # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
+        raise BadInput(f"database: cannot keep what it was given: {str(error.orig).splitlines()[0]}") from error
     except DBAPIError as error:
         if type(error) is DatabaseError:  # the bare class: SQLite's word for a file that is damaged or no database
             raise StorageUnavailable(f"database: {error.orig}") from error

@@ -36,6 +36,10 @@ BAD_JSON = {
     ),
     "no samples": (text(channels={"acceleration": []}), 422, "not empty"),
     "no unit": (text(units={}), 422, "has no unit"),
+    "NUL in a name": (text(channels={"a\0": [1.0]}, units={"a\0": "V"}), 422, "NUL"),
+    "NUL in a unit": (text(units={"acceleration": "m/s²\0"}), 422, "NUL"),
+    "NUL in a note": (text(notes=["\0"]), 422, "NUL"),
+    "a unit beyond all numbers": (text(units={"acceleration": "km**99999999"}), 422, "not a known unit"),
     "wrong unit": (text(units={"acceleration": "blorbs"}), 422, "not a known unit"),
     "incompatible unit": (text(units={"acceleration": "V"}), 422, "unit of acceleration"),
     "unknown channel": (text(channels={"sound": [1.0, 2.0]}, units={"sound": "Pa"}), 422, "acceleration"),
@@ -206,3 +210,17 @@ def test_bodies_of_other_types_and_strict_json_everywhere(refused):
         assert status == 400
     status, detail = refused("POST", "/api/v1/alarms/1/shelve", json={"minutes": -1, "extra": 1})
     assert status == 422 and "minutes" in detail
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/api/v1/records?filename=a%00.csv", b""),
+        ("POST", "/api/v1/models?name=a&note=%00", b""),
+        ("PUT", "/api/v1/assets/a", b'{"title": "a\\u0000"}'),
+        ("POST", "/api/v1/alarms/1/acknowledge", b'{"comment": "\\u0000"}'),
+    ],
+)
+def test_texts_that_no_database_keeps(refused, method, path, body):
+    status, says = refused(method, path, content=body, headers={"Content-Type": "application/json"})
+    assert status == 422 and "match pattern" in says

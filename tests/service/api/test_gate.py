@@ -92,6 +92,9 @@ def test_settings_are_refused_in_one_line(tmp_path, monkeypatch):
     (tmp_path / "keys").write_text("eva admin tooshort")
     with pytest.raises(BadSettings, match="line 1"):
         create_app(load_settings(data=tmp_path, api_keys=tmp_path / "keys"), Pipeline)
+    (tmp_path / "keys").write_text(f"{'e' * 65} admin {'0' * 64}")
+    with pytest.raises(BadSettings, match="line 1: a name has at most 64"):
+        create_app(load_settings(data=tmp_path, api_keys=tmp_path / "keys"), Pipeline)
     (tmp_path / "settings.yaml").write_text("port: 9001\nlog_level: error\n")
     monkeypatch.setenv("RESIDUUM_SETTINGS", str(tmp_path / "settings.yaml"))
     monkeypatch.setenv("RESIDUUM_LOG_LEVEL", "debug")

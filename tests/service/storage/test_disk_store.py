@@ -13,6 +13,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.alarm_states import ACTIVE, AlarmEvent, AlarmState, IllegalTransition
 from residuum.service.settings import BadSettings
@@ -287,3 +288,11 @@ def test_a_killed_service_loses_nothing_that_it_acknowledged(tmp_path, url, afte
     assert len(acknowledged) <= stored <= len(acknowledged) + 1
     assert len(list(tmp_path.glob("blocks/*/*.block"))) == stored
     store.close()
+
+
+def test_a_value_that_the_database_cannot_keep_is_bad_input(store, url):
+    if url.startswith("sqlite"):
+        pytest.skip("SQLite keeps any text")
+    for name in ("a\0b", "n" * 201):
+        with pytest.raises(BadInput, match="cannot keep"):
+            store.add_record(name, window())
