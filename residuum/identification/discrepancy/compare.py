@@ -185,7 +185,9 @@ def structured_errors(
     how: dict[str, Any] = {"level": level, "seed": seed, "drifting": drifting, "least_share": least_share}
     total = sum(e.n for e in experiments)
     block = max(1, total // TEST_SAMPLES)
-    designs = [block_means(features(record_axes), block) for record_axes in axes]
+    every = [features(record_axes) for record_axes in axes]
+    alive = np.any([np.any(design, axis=0) for design in every], axis=0)
+    designs = [block_means(design[:, alive], block) for design in every]
     found = {}
     for k, name in enumerate(model.outputs):
         errors = [block_means(residual[:, k], block) for residual in residuals]

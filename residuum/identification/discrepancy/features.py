@@ -42,9 +42,8 @@ def features(axes: Sequence[Axis]) -> FloatArray:
     columns = [np.ones(n)]
     for axis in axes:
         largest = float(np.nanmax(np.abs(axis.values), initial=0.0))
-        if largest > 0:
-            scaled = np.nan_to_num(axis.values) / largest
-            columns += [_lagged(shape(scaled), pole) for shape in _SHAPES.get(axis.kind, ()) for pole in _MEMORY]
+        scaled = np.nan_to_num(axis.values) / (largest or 1.0)  # what rests has columns too: it may move in another record
+        columns += [_lagged(shape(scaled), pole) for shape in _SHAPES.get(axis.kind, ()) for pole in _MEMORY]
     return np.stack(columns, axis=1)
 
 

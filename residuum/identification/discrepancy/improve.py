@@ -15,6 +15,7 @@ from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
+from residuum.identification.discrepancy.judgement import leaves_much
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Search, Tell, untold
@@ -141,7 +142,7 @@ def _improved(
         history.append(Step(f"-{use.id}", history[-1].error))
     improved = _with_provenance(final, records, history, judge)
     fell = history[-1].error < history[0].error
-    verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused)
+    verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused, history, kept)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
 
 
@@ -208,9 +209,12 @@ def _joined(
     return kept, refused
 
 
-def _verdict(explanation: Explanation, refused: bool) -> str:
-    """`adequate` once everything that explain accepted is in; otherwise what is left has no name."""
-    return "unknown-effect" if refused or explanation.verdict == "unknown-effect" else "adequate"
+def _verdict(explanation: Explanation, refused: bool, history: Sequence[Step], kept: Structure) -> str:
+    """`adequate` once everything that explain accepted is in and no more is left than the right effects leave; otherwise what
+    is left has no name.
+    """
+    astray = len(history) > 1 and leaves_much(kept)
+    return "unknown-effect" if refused or astray or explanation.verdict == "unknown-effect" else "adequate"
 
 
 def _resolved(model: PhysicalModel, id: str) -> tuple[str, str]:

@@ -90,7 +90,7 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     unknown = float(np.clip((share - _NEGLIGIBLE) / (_MOST - _NEGLIGIBLE), 0.0, 1.0))
     if incomplete or ((found.refuted or found.drifting) and not found.accepted):
         unknown = max(unknown, _REFUTED)
-    left = max(map(times_the_noise, zip(*(r.T for r in found.best.residuals), strict=True)))
+    left = _times_left(found.best)
     if found.accepted and left > _MUCH:
         unknown = max(unknown, _DOUBTED if left < _NEARLY_ALL else _REFUTED)
     listed: list[Candidate] = []
@@ -114,6 +114,15 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
 
     leading = sorted(listed, key=place)
     return Judgement(verdict, tuple(leading), none * (1.0 - unknown) / total, unknown / total, share)
+
+
+def leaves_much(structure: Structure) -> bool:
+    """Whether an error stands so far above the noise of its fast part as none does with the right effects in the model."""
+    return _times_left(structure) > _MUCH
+
+
+def _times_left(structure: Structure) -> float:
+    return max(map(times_the_noise, zip(*(r.T for r in structure.residuals), strict=True)))
 
 
 def _plain(best: Structure, experiments: Sequence[Experiment]) -> Estimate | None:

@@ -223,6 +223,8 @@ def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], 
     """
     others = {key: s for key, s in first.items() if key not in found.accepted}
     key = preferred(others, found.base)
+    if key is None and not found.accepted:  # a part of what is missing need not be worth its price alone
+        key = max(others, key=lambda k: others[k].log_likelihood, default=None)
     if key is None:
         return None
     best = polished(others[key], task.experiments)

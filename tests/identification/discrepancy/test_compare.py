@@ -119,3 +119,12 @@ def test_noise_floor_reads_coloured_noise_under_a_slow_error(rho):
         v[k] = rho * v[k - 1] + np.sqrt(1 - rho**2) * e[k]
     slow = 10 * np.sin(2 * np.pi * np.arange(v.size) / 4000)
     assert noise_floor([v + slow]) == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_signal_may_rest_in_one_record_of_several():
+    """A drive that is moved, and one that coasts unpowered: no signal's columns are missing where it is zero throughout."""
+    powered = record(profile="rich")
+    speed = 50.0 * np.exp(-np.arange(3000) * 0.002 / 0.05) + 0.3 * np.random.default_rng(5).standard_normal(3000)
+    coasting = Record({"voltage": np.zeros(3000), "speed": speed}, {"voltage": "V", "speed": "rad/s"}, 0.002)
+    both = [Record({n: powered.channels[n] for n in ("voltage", "speed")}, coasting.units, powered.sample_time), coasting]
+    assert compare(MODEL, both).structured
