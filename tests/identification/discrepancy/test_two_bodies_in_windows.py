@@ -78,3 +78,4 @@ def test_a_spring_so_soft_that_no_window_sees_it_swing_is_not_told_from_a_load()
     for effect in (EFFECTS["elastic-transmission"], EFFECTS["backlash"]):
         assert effect.shows(values | {"k": 2.0e3}, window)  # .44 s
         assert not effect.shows(values | {"k": 1.0e3}, window)  # .63 s
+        assert not effect.shows(values | {"k": 2.0e3, "d": 1.0e3}, window)  # creeps back in .5 s

@@ -39,11 +39,13 @@ class TwoBodies(Effect):
         )
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the bodies swing against each other once at least: a far body that begins anywhere on a softer spring is a load
-        and its slope.
+        """Whether the bodies swing against each other once at least, or come to rest as fast: a far body that begins anywhere on
+        a softer spring, or creeps back, is a load and its slope.
         """
-        near = conditions.storage  # what stays on this side of the spring
-        return bool(values["k"] * conditions.duration**2 > (2.0 * np.pi) ** 2 * values["share"] * near)
+        reduced = values["share"] * conditions.storage  # the storage is what stays on this side of the spring
+        frequency = np.sqrt(values["k"] / reduced)
+        ratio = max(1.0, values["d"] / (2.0 * np.sqrt(values["k"] * reduced)))
+        return bool(frequency / (ratio + np.sqrt(ratio**2 - 1.0)) * conditions.duration > 2.0 * np.pi)
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
