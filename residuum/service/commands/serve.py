@@ -18,6 +18,8 @@ from residuum.service.app import create_app
 from residuum.service.http_connections import BoundedConnection
 from residuum.service.large_arrays import give_back_large_arrays
 from residuum.service.settings import Settings, is_loopback, load_settings
+from residuum.service.storage.database import Database
+from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -35,6 +37,7 @@ def serve(
     """Run the service until it is interrupted."""
     settings = load_settings(demo=demo or None, host=host, port=port, database=database, data=data)
     _check_certificate(settings)
+    _check_database(settings)
     give_back_large_arrays()
     with _listening(settings.host, settings.port) as sockets:
         service = create_app(settings)
@@ -97,6 +100,17 @@ def _check_certificate(settings: Settings) -> None:
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_certificate, settings.tls_key)
     except (OSError, ssl.SSLError) as error:
         raise BadInput(f"settings tls_certificate, tls_key: {settings.tls_certificate}: {error}") from None
+
+
+def _check_database(settings: Settings) -> None:
+    """BadInput in one line for a database that does not answer, or a file that is none."""
+    database = Database(settings.database_url)
+    try:
+        database.revision()
+    except StorageUnavailable as error:
+        raise BadInput(f"setting database: {error}") from None
+    finally:
+        database.close()
 
 
 @contextmanager

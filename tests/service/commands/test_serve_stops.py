@@ -1,10 +1,12 @@
-"""The service stops at once, whoever listens."""
+"""The service stops at once, whoever listens, and does not begin without its database."""
 
 import signal
 import subprocess
 import sys
 import time
 import urllib.request
+
+from residuum.service.cli import run
 
 
 def test_an_open_stream_of_events_does_not_hold_the_service_up(tmp_path):
@@ -20,3 +22,12 @@ def test_an_open_stream_of_events_does_not_hold_the_service_up(tmp_path):
             stream.read()
             assert time.monotonic() - begun < 4
         assert "Traceback" not in service.communicate(timeout=60)[1]
+
+
+def test_a_database_that_does_not_answer_is_told_in_one_line(tmp_path, capsys):
+    nobody = "postgresql+psycopg://plant:secret@127.0.0.1:1/plant"
+    (tmp_path / "text.db").write_text("no database, but so long that SQLite looks at its first hundred bytes: " + "-" * 200)
+    for url in (nobody, f"sqlite:///{tmp_path}/text.db"):
+        assert run(["serve", "--port", "0", "--data", str(tmp_path), "--database", url]) == 2
+        says = capsys.readouterr().err
+        assert says.startswith("residuum: setting database: ") and says.count("\n") == 1 and "secret" not in says
