@@ -23,7 +23,7 @@ run: .venv/run
 
 test: .venv/dev
 	@sh tests/system_packages.sh
-	@$(BIN)/python -m pytest
+	@sh tests/at_once.sh $(BIN)/python
 
 check: .venv/dev
 	@$(BIN)/ruff check .
