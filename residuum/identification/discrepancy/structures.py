@@ -192,10 +192,10 @@ class _Ascent:
     def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood.
 
-        A step takes the noise for known, and is too short where the noise changes with it: along a ridge, on which one step after
-        the other points the same way, it is stretched.
+        A step takes the noise for known, and is too short where the noise changes with it: along a ridge, on which three steps on
+        end point the same way, it is stretched.
         """
-        damping, refused, stretch, last = 1e-4, False, 1.0, np.zeros(len(self.names))
+        damping, refused, stretch, last, on = 1e-4, False, 1.0, np.zeros(len(self.names)), 0
         for _ in range(iterations):
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
@@ -214,8 +214,8 @@ class _Ascent:
             if done and plain:
                 break
             step = (here.p - before.p)[self.index] / np.where(before.p[self.index] == 0.0, 1.0, before.p[self.index])
-            stretch = min(2.0 * stretch, _MOST_STRETCHED) if _same_way(step, last) and not done else 1.0
-            last = step
+            on = on + 1 if _same_way(step, last) and not done else 0
+            stretch, last = (min(2.0 * stretch, _MOST_STRETCHED) if on > 1 else 1.0), step
         return here
 
     def _trial(

@@ -61,4 +61,4 @@ def test_estimates_do_not_depend_on_the_blocks():
     five = Experiment(force, Y[:, : len(model.outputs)], np.zeros(1), 0.01, block=5)
     fits = [fit_structure(model, [e], [np.zeros(2)]) for e in (one, five)]
     assert all(fit.model.values["M"] == pytest.approx(80.0, rel=1e-3) for fit in fits)
-    assert fits[0].rmse == pytest.approx(fits[1].rmse, rel=2e-3)
+    assert fits[0].rmse == pytest.approx(fits[1].rmse, rel=1e-3)
