@@ -13,6 +13,7 @@ from residuum.identification.discrepancy.judgement import Candidate, is_incomple
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Search, Tell, search, untold
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
+from residuum.identification.freed_memory import keep_freed_memory
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
 
@@ -88,6 +89,7 @@ def explain(
     then named as a group).
     """
     began = time.perf_counter()
+    keep_freed_memory()
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
     found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.55 * share, doing))
