@@ -11,6 +11,7 @@ _FAST = {"reassoc", "contract", "arcp"}  # sums in any order; missing samples st
 FREEDOM = 5.0
 """Degrees of freedom of the innovations: loses 7 % of a normal noise's information."""
 _SCALINGS = 12
+_STRETCH = 1024
 _LOW = 0.53
 """Median of e²/s² for t-distributed e of scale s."""
 
@@ -21,13 +22,22 @@ def whitened(rows, a):
     order, count, n = a.shape[0], rows.shape[0], rows.shape[1]
     found = np.empty((count, max(n - order, 0)))
     for row in range(count):
-        x, e = rows[row], found[row]
-        for t in range(order, n):
-            sum_ = x[t]
-            for lag in range(order):
-                sum_ += a[lag] * x[t - lag - 1]
-            e[t - order] = sum_
+        whiten(rows[row], a, found[row])
     return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+def whiten(x, a, e):
+    """e(t) = x(t) + Σ aᵢ x(t − i) from the sample p on, lag by lag in stretches that stay in the cache."""
+    order = a.shape[0]
+    for begin in range(0, e.shape[0], _STRETCH):
+        end = min(begin + _STRETCH, e.shape[0])
+        there = e[begin:end]
+        there[:] = x[begin + order : end + order]
+        for lag in range(order):
+            past, factor = x[begin + order - lag - 1 :], a[lag]
+            for t in range(there.shape[0]):
+                there[t] += factor * past[t]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
@@ -40,13 +50,12 @@ def add_lag_products(v, a, variance, G, g):
     order, rows, count = a.shape[0], 0, v.shape[0] - a.shape[0]
     if count <= 0:
         return 0
-    w, known = np.empty(count), np.empty(v.shape[0])
+    w, known, innovations = np.empty(count), np.empty(v.shape[0]), np.empty(count)
+    whiten(v, a, innovations)
     for t in range(v.shape[0]):
         known[t] = v[t] if np.isfinite(v[t]) else 0.0
     for t in range(count):
-        e = v[t + order]
-        for lag in range(order):
-            e += a[lag] * v[t + order - lag - 1]
+        e = innovations[t]
         complete = np.isfinite(e)
         rows += complete
         w[t] = 0.0 if not complete else (1.0 if variance == 0.0 else (FREEDOM + 1.0) / (FREEDOM + e * e / variance))
