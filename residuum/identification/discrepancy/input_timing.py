@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.averaged import averaged
 from residuum.identification.discrepancy.innovations import ORDER
 from residuum.identification.discrepancy.prediction_windows import in_windows
+from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import Structure, base_structure, plain_estimate
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, match
@@ -71,18 +72,21 @@ def experiments_and_base(
     model, experiments = match(model, records, mapping)
     if not any(map(_changes, experiments)):
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
-    tried = []
-    for linear in (False, True):
-        turned = turned_timing(experiments) if linear else experiments
+
+    def fitted(turned: list[Experiment]) -> tuple[list[Experiment], Structure] | NotIdentifiable:
         reduced = in_windows(model, averaged(turned, most))
         try:
             plain = plain_estimate(model, reduced)
             settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]
-            tried.append((settled, base_structure(model, settled, plain)))
-        except NotIdentifiable:
-            if linear and not tried:
-                raise
-    return max(tried, key=lambda pair: pair[1].log_likelihood)
+            return settled, base_structure(model, settled, plain)
+        except NotIdentifiable as diverges:
+            return diverges
+
+    tried = side_by_side(fitted, [experiments, turned_timing(experiments)])
+    found = [pair for pair in tried if not isinstance(pair, NotIdentifiable)]
+    if not found:
+        raise next(diverges for diverges in tried if isinstance(diverges, NotIdentifiable))
+    return max(found, key=lambda pair: pair[1].log_likelihood)
 
 
 def _changes(experiment: Experiment) -> bool:

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
+from residuum.identification.discrepancy.in_blocks import Sampled, at_every_sample, in_blocks
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.structures import COARSER, VISIBLE_SUBSTEPS, Structure
+from residuum.identification.discrepancy.structures import COARSER, Structure
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
 from residuum.identification.errors import BadInput
@@ -90,13 +91,15 @@ class Screen:
     def __init__(self, base: Structure, experiments: Sequence[Experiment], origin: PhysicalModel | None = None) -> None:
         self.base, self.experiments = base, list(experiments)
         self.origin = base.model if origin is None else origin
-        simulator = Simulator(base.model)
-        runs = simulator.run_each(self.experiments, base.initial, simulator.p(), substeps=base.substeps)
-        self.X = [run.X for run in runs]
-
-        self.track = track(self.origin, base, self.experiments, self.X)
+        self.every = at_every_sample(base, self.experiments)
+        self.coarse = in_blocks(self.every)
+        self.track = track(self.origin, base, self.experiments, self.every.X)
         self._conditions: dict[tuple[str, str], Conditions] = {}
         self._tested: dict[tuple[str, str], list[Screened]] = {}
+
+    def where(self, model: PhysicalModel) -> Sampled:
+        """Where a model's last effect is looked at first: once a block, if that shows it."""
+        return self.every if EFFECTS[model.effects[-1].id].every_sample else self.coarse
 
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
         """First values of an effect's parameters in the conditions of the experiments."""
@@ -223,9 +226,11 @@ class Screen:
         except (BadInput, NotImplementedError):
             return np.inf
         power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
-        initial = _beside(self.base.initial, simulator)
-        runs = simulator.run_each(self.experiments, initial, simulator.p(), substeps=self.base.substeps)
-        for e, run in zip(self.experiments, runs, strict=True):
+        there = self.where(model)
+        base, experiments = there.base, there.experiments
+        initial = _beside(base.initial, simulator)
+        runs = simulator.run_each(experiments, initial, simulator.p(), substeps=base.substeps)
+        for e, run in zip(experiments, runs, strict=True):
             if not run.bounded:
                 return np.inf
             r = e.Y - run.Y
@@ -238,7 +243,8 @@ class Screen:
 
         None where it does not.
         """
-        base = self.base
+        there = self.where(model)
+        base, experiments = there.base, there.experiments
         try:
             simulator = Simulator(model)
         except (BadInput, NotImplementedError):
@@ -246,8 +252,8 @@ class Screen:
         if len(simulator.states) > len(base.initial[0]):
             return None
         by_parameters = []
-        runs = simulator.run_each(self.experiments, base.initial, simulator.p(), slopes=own, substeps=base.substeps)
-        for e, run, before, slopes in zip(self.experiments, runs, base.residuals, base.by_parameters, strict=True):
+        runs = simulator.run_each(experiments, base.initial, simulator.p(), slopes=own, substeps=base.substeps)
+        for e, run, before, slopes in zip(experiments, runs, base.residuals, base.by_parameters, strict=True):
             moved = np.abs(e.means(e.Y - run.Y) - before)
             if run.dY is None or not run.bounded or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
                 return None
@@ -261,15 +267,16 @@ class Screen:
             return None
         states = [f"initial:{name}" for name in simulator.free_states]
         residuals, by_parameters, by_states = [], [], []
-        base, p = self.base, simulator.p()
+        there, p = self.where(model), simulator.p()
+        base, experiments = there.base, there.experiments
         initial, steps = _beside(base.initial, simulator), list(base.substeps)
         if len(simulator.states) > len(base.initial[0]):  # only new states can be faster than the base's
-            wanted = simulator.substeps_along_each(self.experiments, _beside(self.X, simulator), p)
+            wanted = simulator.substeps_along_each(experiments, _beside(there.X, simulator), p)
             steps = [max(s, -(-fast // COARSER)) for s, fast in zip(steps, wanted, strict=True)]
-        if max(steps) > VISIBLE_SUBSTEPS:
+        if max(steps) > there.most_substeps:
             return None
-        runs = simulator.run_each(self.experiments, initial, p, slopes=[*names, *states], substeps=steps)
-        for e, run in zip(self.experiments, runs, strict=True):
+        runs = simulator.run_each(experiments, initial, p, slopes=[*names, *states], substeps=steps)
+        for e, run in zip(experiments, runs, strict=True):
             if run.dY is None or not run.bounded:
                 return None
             slopes_there = e.means(run.dY)

@@ -15,6 +15,7 @@ from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.looks import NEAR, Task, strayed
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
+from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import (
     Structure,
     base_structure,
@@ -417,7 +418,7 @@ def _held_out_errors(
     before: Structure, after: Structure, experiments: Sequence[Experiment], *, end: bool = True
 ) -> tuple[FloatArray, FloatArray] | None:
     """`cross_checked` errors of two structures; None where one has none."""
-    errors = [cross_checked(structure, experiments, end=end) for structure in (before, after)]
+    errors = side_by_side(lambda structure: cross_checked(structure, experiments, end=end), (before, after))
     return None if errors[0] is None or errors[1] is None else (errors[0], errors[1])
 
 

@@ -324,11 +324,11 @@ def refit(
         before.initial if initial is None else initial,
         rival=rival,
         drifting=before.drifting,
-        most_substeps=_visible(before),
+        most_substeps=visible(before),
     )
 
 
-def _visible(before: Structure) -> int:
+def visible(before: Structure) -> int:
     """Most integration steps a sample that an effect on top of a structure may ask for."""
     return max(VISIBLE_SUBSTEPS, *before.substeps)
 
@@ -348,18 +348,23 @@ def in_likelier_order(structure: Structure, key: tuple[str, str], experiments: S
     return structure if other is None or other.log_likelihood < structure.log_likelihood + _EARLIER else other
 
 
-def glimpse(model: PhysicalModel, experiments: Sequence[Experiment], before: Structure) -> float:
+def glimpse(
+    model: PhysicalModel, experiments: Sequence[Experiment], before: Structure, most_substeps: int, rival: float = np.inf
+) -> float:
     """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges or is too fast.
 
     A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
-    trajectory that the base model gets wrong.
+    trajectory that the base model gets wrong. Left early where its mean square error is not promised to come near `rival`
+    times the structure's.
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
-    if not ascent.choose_steps(start, _visible(before), before.substeps):
+    if not ascent.choose_steps(start, most_substeps, before.substeps):
         return -np.inf
     ascent.substeps = tuple(-(-s // COARSER) for s in ascent.substeps)
-    plain = _least_simulation_error(ascent, model, start, _weights(before.residuals), 4)
+    weights = _weights(before.residuals)
+    cost = rival * sum(int(np.isfinite(r).sum()) for r in before.residuals)
+    plain = _least_simulation_error(ascent, model, start, weights, iterations=4, rival=cost)
     return -np.inf if plain is None else ascent.log_likelihood(ascent.simulator.p(plain.model.values), plain.initial)
 
 
@@ -382,10 +387,15 @@ def _weights(residuals: Sequence[FloatArray]) -> FloatArray:
 
 
 def _least_simulation_error(
-    ascent: _Ascent, model: PhysicalModel, start: list[FloatArray], weights: FloatArray | None, iterations: int = 8
+    ascent: _Ascent,
+    model: PhysicalModel,
+    start: list[FloatArray],
+    weights: FloatArray | None,
+    iterations: int = 8,
+    rival: float = np.inf,
 ) -> Estimate | None:
     """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges."""
-    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3, blocks=True)
+    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3, blocks=True, rival=rival)
     try:
         return estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings, substeps=ascent.substeps)
     except NotIdentifiable:

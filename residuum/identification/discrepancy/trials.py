@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.score_test import Screen, Screened
+from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import Structure, glimpse, refit
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
@@ -26,8 +25,9 @@ SLOW = 10.0
 """Times its innovations from which on an error is slow."""
 ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins a structure: odds of 20 to 1."""
+NOTHING_LEFT, MUCH_WORSE = 1.5, 4.0
+"""Times its innovations up to which an error is all noise; factor of its mean square beyond which another is hopeless."""
 _SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
-_THREADS = min(4, os.cpu_count() or 1)
 
 
 def trials(
@@ -35,20 +35,18 @@ def trials(
 ) -> tuple[dict[tuple[str, str], Structure], list[Screened]]:
     """Candidates that promise something on top of what was screened, re-estimated in full; and all as they were screened."""
     best, experiments = screen.base, screen.experiments
-    with ThreadPoolExecutor(_THREADS) as pool:  # simulations and sums run without the interpreter's lock
-        tested = [screened for screened in pool.map(lambda pair: screen.best(*pair), pairs) if screened is not None]
+    tested = [screened for screened in side_by_side(lambda pair: screen.best(*pair), pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
-    promising = [s.start for s in tested if s.gain > 2.0][:refits]
+    refitted = _refitted(best, experiments, [s.start for s in tested if s.gain > 2.0][:refits])
     negative = [s for s in tested if s.gain < 0.0]
     without_zero = [s for s in negative[MOST_GLIMPSES:] if not EFFECTS[s.effect].vanishes or _has_states(best.model, s.key)]
-    promising += _overlooked(best, experiments, [s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)])
+    doubted = [[s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)]]
     if times_its_innovations(best) > SLOW:
-        promising += _overlooked(best, experiments, _from_the_track(screen, pairs)[:MOST_GLIMPSES])
-        promising += _overlooked(best, experiments, _with_states(screen, pairs))
-    refitted = _refitted(best, experiments, promising)
+        doubted += [_from_the_track(screen, pairs)[:MOST_GLIMPSES], _with_states(screen, pairs)]
+    overlooked = _overlooked(screen, doubted, refitted)
+    refitted = _likelier(refitted, _refitted(best, experiments, overlooked, _highest(refitted)))
     for key, structure in _grown(best, experiments, pairs, refitted):
-        if key not in refitted or structure.log_likelihood > refitted[key].log_likelihood:
-            refitted[key] = structure
+        refitted |= _likelier(refitted, {key: structure})
     refitted |= _simplified(best, experiments, refitted)
     return _settled(refitted, best, experiments), tested
 
@@ -60,29 +58,47 @@ def _settled(
     score = {key: schwarz(s, best) for key, s in refitted.items()}
     highest = max(score.values(), default=0.0)
     close = [key for key in score if score[key] > max(highest - CLOSE, best.log_likelihood)]
-    return refitted | {key: polished(refitted[key], experiments) for key in close if len(close) > 1}
+    tops = side_by_side(lambda key: polished(refitted[key], experiments), close) if len(close) > 1 else []
+    return refitted | dict(zip(close, tops, strict=False))
 
 
 def _refitted(
-    best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]
+    best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel], mark: float = -np.inf
 ) -> dict[tuple[str, str], Structure]:
-    """Every start re-estimated in full, the likeliest of each candidate; the first sets the mark for the others to come near."""
+    """Every start re-estimated in full, the likeliest of each candidate.
 
-    if not starts:
-        return {}
-    first = refit(best, starts[0], experiments)
-    mark = -np.inf if first is None else first.log_likelihood
-    with ThreadPoolExecutor(_THREADS) as pool:
-        structures = [first, *pool.map(lambda start: refit(best, start, experiments, rival=mark), starts[1:])]
+    Without a `mark` for them to come near the first sets it for the others.
+    """
+    structures = [refit(best, start, experiments) for start in starts[:1] if mark == -np.inf]
+    marks = [mark, *(s.log_likelihood for s in structures if s is not None)]
+    structures += side_by_side(lambda start: refit(best, start, experiments, rival=max(marks)), starts[len(structures) :])
     found: dict[tuple[str, str], Structure] = {}
     for start, structure in zip(starts, structures, strict=True):
-        key = start.effects[-1].id, start.effects[-1].target
-        if structure is None or (key in found and structure.log_likelihood <= found[key].log_likelihood):
+        if structure is None:
             continue
+        key = _key(start)
         shorter = within_a_sample(structure, key, experiments)
         if shorter or (simulates_no_worse(structure, best) and _shows(structure, key, experiments)):
-            found[key] = structure
+            found = _likelier(found, {key: structure})
     return found
+
+
+def _key(start: PhysicalModel) -> tuple[str, str]:
+    """The candidate that a start is one of."""
+    return start.effects[-1].id, start.effects[-1].target
+
+
+def _likelier(
+    found: Mapping[tuple[str, str], Structure], others: Mapping[tuple[str, str], Structure]
+) -> dict[tuple[str, str], Structure]:
+    """The likelier structure of each candidate."""
+    more = {key: s for key, s in others.items() if key not in found or s.log_likelihood > found[key].log_likelihood}
+    return {**found, **more}
+
+
+def _highest(refitted: Mapping[tuple[str, str], Structure]) -> float:
+    """The highest log-likelihood."""
+    return max((s.log_likelihood for s in refitted.values()), default=-np.inf)
 
 
 def followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Structure:
@@ -138,8 +154,7 @@ def _grown(
             model = best.model.with_values(
                 {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
             ).with_effect(id, target, start)
-            mark = special.log_likelihood
-            structure = refit(best, model, experiments, initial=initial, rival=mark)
+            structure = refit(best, model, experiments, initial=initial, rival=_highest(refitted))
             if structure is not None and simulates_no_worse(structure, best) and _shows(structure, (id, target), experiments):
                 yield (id, target), structure
 
@@ -190,16 +205,33 @@ def _at_estimate(
     return values, conditions_at(structure.model, beside or EFFECTS[key[0]], key[1], experiments[k], X)
 
 
-def _overlooked(best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
-    """The starts that a few full steps speak for, the most promising first.
+def _overlooked(
+    screen: Screen, doubted: Sequence[Sequence[PhysicalModel]], refitted: Mapping[tuple[str, str], Structure]
+) -> list[PhysicalModel]:
+    """Of several lists of starts those that a few full steps speak for, the most promising of each.
 
     The first-order test misjudges effects where its linearisation fails: it finds a negative gain, which a least-squares step can
     only cause there, or none at all.
+
+    Where what was `refitted` leaves nothing but noise, what is as likely as the likeliest is at its top, and others have to come
+    near it.
     """
-    with ThreadPoolExecutor(_THREADS) as pool:
-        gains = [gain - best.log_likelihood for gain in pool.map(lambda start: glimpse(start, experiments, best), starts)]
-    ranked = sorted(zip(gains, range(len(starts)), strict=True), reverse=True)
-    return [starts[k] for gain, k in ranked[:SECOND_LOOKS] if gain > 2.0]
+    highest, rival = _highest(refitted), MUCH_WORSE
+    done = [key for key, s in refitted.items() if s.log_likelihood > highest - CLOSE and times_its_innovations(s) < NOTHING_LEFT]
+    if done:
+        rival *= min(float(np.nanmean((_rms(refitted[key].residuals) / _rms(screen.base.residuals)) ** 2)) for key in done)
+
+    def gain(start: PhysicalModel) -> float:
+        there = screen.where(start)
+        return glimpse(start, there.experiments, there.base, there.most_substeps, rival) - there.base.log_likelihood
+
+    starts = [start for one in doubted for start in one if _key(start) not in done]
+    gains = dict(zip(map(id, starts), side_by_side(gain, starts), strict=True))
+    found: list[PhysicalModel] = []
+    for one in doubted:
+        ranked = sorted((start for start in one if gains.get(id(start), 0.0) > 2.0), key=lambda start: -gains[id(start)])
+        found += ranked[:SECOND_LOOKS]
+    return found
 
 
 def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:

@@ -30,6 +30,8 @@ from residuum.identification.physics.simulation import Simulator
 Array = npt.NDArray[np.float64]
 
 REWEIGHTINGS = 2
+_OPTIMISM = 3.0
+"""Times what a step promises by which the cost may fall in all."""
 """How often the outputs' weights are taken from the residuals anew."""
 
 
@@ -97,7 +99,8 @@ class Settings:
 
     `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1, a₁, …) of each output's
     noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop; `blocks`: whether
-    the means of the experiments' blocks are to be met rather than every sample.
+    the means of the experiments' blocks are to be met rather than every sample; `rival`: a cost, of which a point that is not
+    promised to come near it is left.
     """
 
     weights: Array | None = None
@@ -105,6 +108,7 @@ class Settings:
     iterations: int = 40
     tolerance: float = 1e-8
     blocks: bool = False
+    rival: float = np.inf
 
 
 def windows(experiment: Experiment, samples: int) -> list[Experiment]:
@@ -258,6 +262,9 @@ class _Problem:
     def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
         damping, refused = 1e-3, False
         for iteration in range(self.settings.iterations):
+            rival = self.settings.rival
+            if rival < np.inf and point.cost - _OPTIMISM * self._promised(point) > rival:
+                return point, iteration, False
             for attempt in range(12):
                 there = self._step(point, damping)
                 if not refused or self._cost(*there) < point.cost:  # where one step was refused, the next may be
@@ -275,13 +282,23 @@ class _Problem:
                 return point, iteration + 1, True
         return point, self.settings.iterations, False
 
-    def _step(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
-        """The damped Gauss–Newton step, initial states eliminated, parameters kept within bounds."""
+    def _eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
+        """Curvature and gradient of the parameters with the initial states eliminated, damped; and what those follow from."""
         cross = np.array(point.cross)
         wanted = np.concatenate([cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2)
         eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
         absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
-        H, g = damped(point.hessian, damping) - absorbed[:, :-1], point.gradient - absorbed[:, -1]
+        return damped(point.hessian, damping) - absorbed[:, :-1], point.gradient - absorbed[:, -1], eliminated
+
+    def _promised(self, point: _Point) -> float:
+        """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
+        H, g, eliminated = self._eliminated(point, 0.0)
+        own = sum(float(b @ z[:, -1]) for b, z in zip(point.own_gradient, eliminated, strict=True))
+        return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
+
+    def _step(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
+        """The damped Gauss–Newton step, initial states eliminated, parameters kept within bounds."""
+        H, g, eliminated = self._eliminated(point, damping)
         held = np.zeros(len(g), dtype=bool)
         step = np.zeros(len(g))
         for _ in range(len(g) + 1):

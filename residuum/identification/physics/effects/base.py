@@ -195,6 +195,8 @@ class Effect(ABC):
     generalises : str
         Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
         (`grown`).
+    every_sample : bool
+        Whether it does to each sample what means over several do not show.
     """
 
     id: ClassVar[str]
@@ -208,6 +210,7 @@ class Effect(ABC):
     follows: ClassVar[tuple[str, ...]] = ()
     natural_bounds: ClassVar[tuple[str, ...]] = ()
     generalises: ClassVar[str] = ""
+    every_sample: ClassVar[bool] = False
 
     @property
     def vanishes(self) -> bool:
