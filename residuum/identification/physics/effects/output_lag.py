@@ -31,5 +31,11 @@ class OutputLag(Effect):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
 
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether the sensor comes near what it measures within the record: one that begins anywhere and hardly moves makes of
+        what it measures a load, and of a speed its friction.
+        """
+        return 2.0 * values["tau"] < conditions.duration
+
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example(), oven_example(), tank_example()]
