@@ -6,12 +6,15 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Search, Tell, search, untold
+from residuum.identification.discrepancy.trials import times_each_its_innovations
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.freed_memory import keep_freed_memory
 from residuum.identification.physics import Experiment, PhysicalModel
@@ -51,6 +54,15 @@ class Explanation:
     search: Search
     experiments: list[Experiment]
     seconds: float
+
+    @property
+    def left(self) -> dict[str, tuple[float, str, float]]:
+        """What the model with the accepted effects leaves of each measured output: RMS error, its unit, and how often that is
+        what its own past cannot predict (`SLOW` and more: something slow is missing, or drifts).
+        """
+        best = self.search.best
+        each = zip(best.model.outputs.values(), best.rmse, times_each_its_innovations(best), strict=True)
+        return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}
 
 
 @one_thread()

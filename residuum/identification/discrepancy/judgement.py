@@ -15,7 +15,7 @@ from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
 from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
 from residuum.identification.discrepancy.search import Search
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.discrepancy.trials import ACCEPT
+from residuum.identification.discrepancy.trials import ACCEPT, SLOW, times_its_innovations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Settings, Simulator, estimate
 
@@ -139,12 +139,17 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     The search may find nothing to add and yet a slow error remain: noise that is nearly integrated swallows it. Or what it
     found takes away little of the error, as the nearest shape to something that the catalogue does not hold. Where an output's
     error fell to less than `_MOSTLY` what was found stands, complete or not.
+
+    Few steps of an input, and as many slow answers that the model lacks, look like a walk at random; but a model whose error
+    stands `SLOW` times above what its noise cannot predict is not complete either way.
     """
     with np.errstate(invalid="ignore"):
         fell = float(np.nanmin(found.best.rmse / found.base.rmse))
     plain = None if fell < _MOSTLY else _plain(found.best, experiments)
     if plain is None:
         return False
+    if times_its_innovations(found.best) > SLOW:
+        return True
     columns = list(zip(*(r.T for r in plain.residuals), strict=True))
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True

@@ -136,8 +136,9 @@ def search(
     re-estimated in full with the noise colour of their own, and the winner is accepted when its evidence exceeds
     log(number of candidates) + `ACCEPT`.
 
-    Where noise that drifts explains more, with no effect at all, than everything that was found, the search is done again
-    with noise that may drift: a load that walks at random resembles every effect that has a mean. So it is where a load of every
+    Where noise that drifts explains more, with no effect at all, than everything that was found, or where what was found leaves a
+    slow error and is not wanted beside noise that drifts, the search is done again with noise that may drift: a load that walks
+    at random resembles every effect that has a mean. So it is where a load of every
     window's own explains more.
 
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
@@ -155,10 +156,20 @@ def search(
     found = _forward(base, task)
     if found.accepted or found.refuted:
         drift = fit_structure(base.model, experiments, base.initial, drifting=True)
-        if drift is not None and drift.log_likelihood > found.best.log_likelihood + ACCEPT:
+        if drift is not None and _does_as_well(drift, found, experiments):
             return _forward(drift, task)
     load = likeliest_drifting_load(base, experiments)
     return _forward(load, task) if load is not None and _outdoes(load, found) else found
+
+
+def _does_as_well(drift: Structure, found: Search, experiments: Sequence[Experiment]) -> bool:
+    """Whether noise that drifts explains what was found."""
+    if drift.log_likelihood > found.best.log_likelihood + ACCEPT:
+        return True
+    if times_its_innovations(found.best) <= SLOW:
+        return False
+    beside = fit_structure(found.best.model, experiments, found.best.initial, drifting=True)
+    return beside is None or tempered_gain(beside, drift) - beside.penalty(drift) < _asked(found, ACCEPT)
 
 
 def _outdoes(load: Structure, found: Search) -> bool:

@@ -265,8 +265,13 @@ def simulates_no_worse(structure: Structure, before: Structure, rise: float = WO
 
 def times_its_innovations(structure: Structure) -> float:
     """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
+    return float(np.nanmax(times_each_its_innovations(structure)))
+
+
+def times_each_its_innovations(structure: Structure) -> FloatArray:
+    """The same of each output; NaN where it was never measured."""
     innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return float(np.nanmax(_rms(structure.residuals) / np.array(innovations)))
+    return _rms(structure.residuals) / np.array(innovations)
 
 
 def _rms(residuals: Sequence[FloatArray]) -> FloatArray:

@@ -10,6 +10,7 @@ from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.judgement import Candidate
 from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.discrepancy.trials import SLOW
 from residuum.identification.physics import load_model
 from residuum.service.commands.compare import comparison_json, comparison_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
@@ -53,6 +54,10 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
             for u in explanation.undetectable
         ],
         "unexplained_share": explanation.unexplained_share,
+        "left": {
+            output: {"rmse": rms, "unit": unit, "times_its_innovations": times}
+            for output, (rms, unit, times) in explanation.left.items()
+        },
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
@@ -102,11 +107,12 @@ def explanation_text(explanation: Explanation) -> str:
         lines.append(
             f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
             f"probability {candidate.probability:.2f}, {values}; "
-            f"{candidate.output} error {candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
+            f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
+            f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
             + ("" if candidate.within_bounds else "; at a physical bound")
             + (f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else "")
         )
-    if explanation.probability_unknown > 0.1 and explanation.free is not None:
+    if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
         free = explanation.free
         lines.append(
             f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
@@ -114,6 +120,13 @@ def explanation_text(explanation: Explanation) -> str:
         )
         if (formula := suggestion(free)) is not None:
             lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
+    if explanation.verdict == "unknown-effect":
+        lines += [
+            f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: "
+            "something slow that no candidate explains, or that drifts"
+            for output, (rms, unit, times) in explanation.left.items()
+            if times > SLOW
+        ]
     if explanation.search.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
     lines += [

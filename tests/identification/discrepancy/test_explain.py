@@ -157,6 +157,24 @@ def test_a_plate_with_two_stores_of_heat_is_not_called_complete():
     assert explanation.verdict == "unknown-effect"
 
 
+def test_a_plate_in_a_draught_that_walks_at_random_is_not_called_complete():
+    """Four steps of power in 800 samples: its slow error may be physics or a disturbance, but noise of a sensor it is not."""
+    n, h = 800, 2.0
+    rng = np.random.default_rng(4)
+    power, draught = np.repeat([2.0, 8.0, 4.0, 6.0], n // 4), np.cumsum(0.05 * rng.standard_normal(n))
+    T, seen = 30.0, np.zeros(n)
+    for k in range(n):
+        seen[k] = T
+        T += h * (8.0 * power[k] - 1.5 * (T - 20.0 - 5.0 * draught[k])) / 90.0
+    record = Record({"u": power, "T": seen + 0.02 * rng.standard_normal(n)}, {"u": "V", "T": "degC"}, h)
+    explanation = explain(read_model(PLATE), [record])
+    assert explanation.verdict == "unknown-effect"
+    rms, unit, times = explanation.left["T"]
+    assert unit == "degC"
+    assert rms > 0.5
+    assert times > 10.0
+
+
 def test_a_model_of_ones_own_with_other_names():
     """A leaking barrel, integrated here with an explicit scheme a hundred times finer than the record."""
     n, h = 1500, 2.0
