@@ -114,6 +114,16 @@ def test_a_friction_with_three_parameters_is_followed_to_its_optimum():
     assert explanation.candidates[0].held_out
 
 
+def test_a_supply_with_a_resistance_is_not_taken_for_friction_under_load():
+    """It gives way by the same voltage for each ampere, at whatever voltage; a load friction of speed alone did nearly that."""
+    explanation = explain(load_model("gate-drive"), [drive({"supply-sag": "medium"}, duration=30.0, rate=500.0, seed=31)])
+    sag = explanation.candidates[0]
+    assert (explanation.verdict, sag.effect) == ("missing-effect", "supply-sag")
+    values = {name: quantity.value for name, quantity in sag.parameters.items()}
+    assert (values["p"], values["fed"]) == (0.0, 1.0)
+    assert values["k"] * values["u_ref"] == pytest.approx(0.1, rel=0.1)  # ohm
+
+
 def test_a_contact_that_nothing_leads_to_is_reached_from_its_special_case():
     """Play is found from the spring that fits best, a stop where the measured speed says that the gate was."""
     play = explain(load_model("gate-drive"), [drive({"backlash": "medium"}, duration=30.0, rate=500.0, profile="rich", seed=0)])
