@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise, product
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,8 @@ FloatArray = npt.NDArray[np.float64]
 
 _PLAIN_SHIFT = 4.0
 """Standard deviations from zero at which a shift in time must lie to stay in a model."""
+_MOST_TOGETHER = 8
+"""Choices among effects that cannot be told apart that are tried together at most."""
 _RISE, _TIMING, _STRANGE = 1.002, 0.9, 2.0
 """Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not; and times
 the error of the rest above which something happens there that the rest does not know.
@@ -36,10 +38,14 @@ the error of the rest above which something happens there that the rest does not
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the history: what was added (None: the model as it was, `-id`: dropped) and the held-out error after it."""
+    """One line of the history: what was added (None: the model as it was, `-id`: dropped) and the held-out error after it.
+
+    Effects that lower it only `together` share the error that they have together.
+    """
 
     added: str | None
     error: float
+    together: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +130,10 @@ def _improved(
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
         tried = len(waiting)
         kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
+    if explanation is not None and waiting and len(chosen) > 1:
+        together, steps = _joined_together(base, chosen, experiments, judge, history[-1].error, explanation)
+        if together is not None:
+            kept, waiting, history = together, [], [history[0], *steps]
     shifts = [] if explanation is None else explanation.search.timing
     refused = any(key not in shifts for key in waiting)
     strange = refused or bool(history[-1].error > _STRANGE * kept.rmse[judge.o])
@@ -135,7 +145,7 @@ def _improved(
     error = np.inf if plain is None else judge.error(plain)
     simulates_better = error < history[-1].error
     if simulates_better:
-        history[-1] = replace(history[-1], error=error)
+        history = [replace(s, error=error) if s.together or s is history[-1] else s for s in history]
     final = _on_everything(kept, records, mapping, least_error=simulates_better)
     for use in _vanished(final, history, shifts):
         final = replace(final, model=final.model.without_effect(use.label))
@@ -191,22 +201,55 @@ def _joined(
     explanation: Explanation | None,
     tell: Tell,
 ) -> tuple[Structure, list[tuple[str, str]]]:
-    """The structure with those effects that do not raise the held-out error, each told in the history; and those that did."""
+    """The structure with those effects that do not raise the held-out error, each told in the history; and those that did.
+
+    In the place of one that does, those are tried that the training data cannot tell from it: data kept aside may.
+    """
     refused = []
     for index, key in enumerate(chosen):
         tell(0.6 + 0.2 * index / len(chosen), f"adding {key[0]} to {key[1]}")
-        seen = {} if explanation is None else explanation.search.values_of(key)
-        better = added(kept, experiments, key, seen)
-        error = judge.error(better) if better is not None else np.inf
-        is_timing = explanation is not None and key in explanation.search.timing
-        if explanation is not None and (better is None or error > history[-1].error * (_TIMING if is_timing else _RISE)):
-            refused.append(key)
+        if explanation is None:
+            better = added(kept, experiments, key)
+            if better is None:
+                raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
+            kept = better
+            history.append(Step(key[0], judge.error(better)))
             continue
-        if better is None:
-            raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
-        kept = better
-        history.append(Step(key[0], error))
+        found, highest = explanation.search, history[-1].error * (_TIMING if key in explanation.search.timing else _RISE)
+        for each in found.alike(key):
+            better = added(kept, experiments, each, found.values_of(each))
+            error = judge.error(better) if better is not None else np.inf
+            if better is not None and error <= highest:
+                kept = better
+                history.append(Step(each[0], error))
+                break
+        else:
+            refused.append(key)
     return kept, refused
+
+
+def _joined_together(
+    base: Structure,
+    chosen: Sequence[tuple[str, str]],
+    experiments: Sequence[Experiment],
+    judge: _HeldOut,
+    error: float,
+    explanation: Explanation,
+) -> tuple[Structure | None, list[Step]]:
+    """The base with all the effects at once, of which some raise the held-out `error` alone, if they do not together; and how.
+
+    A drag without the rolling friction beside it is a better model of a van under way, and a worse one of a van that coasts.
+    Where the training data cannot tell an effect from others, those kept aside may.
+    """
+    found = explanation.search
+    for keys in islice(product(*(found.alike(key) for key in chosen)), _MOST_TOGETHER):
+        all_: Structure | None = base
+        for key in keys:
+            all_ = None if all_ is None else added(all_, experiments, key, found.values_of(key))
+        left = np.inf if all_ is None else judge.error(all_)
+        if all_ is not None and left <= error * _RISE:
+            return all_, [Step(id, left, together=True) for id, _ in keys]
+    return None, []
 
 
 def _verdict(explanation: Explanation, refused: bool, history: Sequence[Step], kept: Structure) -> str:

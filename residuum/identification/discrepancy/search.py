@@ -54,6 +54,8 @@ MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
 """Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
 PLAIN_FALL = 0.95
 """Factor to which the error has to fall at least with an effect of the reading alone."""
+HALF = 0.5
+"""Share of its error that the base is left with at most, where a search begins with what lowers it most."""
 NEARLY_ALL = 0.1
 """Share of the way to white noise, in logarithms of the error, up to which two effects may leave it and need no second search."""
 PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
@@ -115,9 +117,19 @@ class Search:
         return self.base.drifting or bears_a_drifting_load(self.base)
 
     def values_of(self, key: tuple[str, str]) -> dict[str, float]:
-        """Every parameter, by full name, where an accepted effect was estimated."""
-        structure = self.best if key in self.timing else self.alternatives[self.accepted.index(key)][key]
-        return structure.model.values
+        """Every parameter, by full name, where an accepted effect, or one that was tried instead, was estimated last."""
+        tried = [alternatives[key] for alternatives in self.alternatives[: len(self.accepted)] if key in alternatives]
+        return (tried[-1] if tried and key not in self.timing else self.best).model.values
+
+    def alike(self, key: tuple[str, str]) -> list[tuple[str, str]]:
+        """An accepted effect, and those that the experiments cannot tell from it, the likeliest first."""
+        if key not in self.accepted:
+            return [key]
+        step = self.accepted.index(key)
+        structures = self.alternatives[step]
+        scores, _ = relative_evidence(structures, self.before[step])
+        others = [k for k in structures if k != key and scores[key] - scores[k] < ALIKE and k not in self.accepted]
+        return [key, *sorted(others, key=lambda k: -scores[k])]
 
 
 def search(
@@ -202,13 +214,20 @@ def _forward(base: Structure, task: Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
-    far, left = times_its_innovations(found.base), times_its_innovations(found.best)
-    done = len(found.accepted) == 2 and np.log(left) < NEARLY_ALL * np.log(far)
-    if len(found.accepted) != 1 and not done and not found.refuted and far > SLOW:
-        other = _from_the_runner_up(found, first, task)
-        if other is not None and _does_more(other, found):
-            return other
+    if len(found.accepted) == 1 or times_its_innovations(found.base) <= SLOW:
+        return found
+    for key in _other_beginnings(found, first):
+        if len(found.accepted) == 2 and _nearly_all(found):
+            break
+        other = _begun_with(key, found, first, task)
+        found = other if _does_more(other, found) else found
     return found
+
+
+def _nearly_all(found: Search) -> bool:
+    """Whether little more than noise is left."""
+    far, left = times_its_innovations(found.base), times_its_innovations(found.best)
+    return bool(np.log(left) < NEARLY_ALL * np.log(far))
 
 
 def _does_more(other: Search, found: Search) -> bool:
@@ -229,17 +248,27 @@ def _settle(found: Search, task: Task) -> None:
         settled = found.accepted[-1:]
 
 
-def _from_the_runner_up(found: Search, first: dict[tuple[str, str], Structure], task: Task) -> Search | None:
-    """The search from the best of its first candidates that it does not have: where a base is far off, the first best may lead
-    astray, and where two effects are missing neither may be enough alone.
+def _other_beginnings(found: Search, first: dict[tuple[str, str], Structure]) -> list[tuple[str, str]]:
+    """Of its first candidates those that a search may also begin with: the likeliest that it does not have and did not refuse,
+    and the one that leaves least of the error.
+
+    Where a base is far off, the first best may lead astray, and where two effects are missing neither may be enough alone, nor
+    hold up without the other. What is slow the noise swallows, so that the likelihood hardly sees it go.
     """
-    others = {key: s for key, s in first.items() if key not in found.accepted}
+    others = {key: s for key, s in first.items() if key not in (*found.accepted, *found.refuted)}
+    if not others:
+        return []
     key = preferred(others, found.base)
     if key is None and not found.accepted:  # a part of what is missing need not be worth its price alone
-        key = max(others, key=lambda k: others[k].log_likelihood, default=None)
-    if key is None:
-        return None
-    best = polished(others[key], task.experiments)
+        key = max(others, key=lambda k: others[k].log_likelihood)
+    least = min(others, key=lambda k: mean_ratio(others[k].rmse, found.base.rmse))
+    falls = mean_ratio(others[least].rmse, found.base.rmse) < HALF
+    return list(dict.fromkeys([*([] if key is None else [key]), *([least] if falls else [])]))
+
+
+def _begun_with(key: tuple[str, str], found: Search, first: dict[tuple[str, str], Structure], task: Task) -> Search:
+    """The search that begins with this effect."""
+    best = polished(first[key], task.experiments)
     present = {(use.id, use.target) for use in found.base.model.effects}
     other = replace(
         found,

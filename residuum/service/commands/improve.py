@@ -50,7 +50,10 @@ def improve_command(
     )
     out.write_text(write_model(improvement.model), encoding="utf-8")
     result = {
-        "history": [{"added": step.added, "error": step.error} for step in improvement.history],
+        "history": [
+            {"added": step.added, "error": step.error} | ({"together": True} if step.together else {})
+            for step in improvement.history
+        ],
         "verdict": improvement.verdict,
         "output": improvement.output,
         "error_unit": improvement.error_unit,
@@ -65,6 +68,8 @@ def improvement_text(improvement: Improvement, out: Path) -> str:
     """The short human report."""
     lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
     lines += [
-        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
+        + (" (together, each alone raises it)" if step.together else "")
+        for step in improvement.history
     ]
     return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file (estimated on everything): {out}"])

@@ -21,6 +21,43 @@ outputs: {height: {value: level, unit: m}}
 """
 
 
+VAN = """name: van
+inputs: {throttle: '%'}
+states: {v: {unit: m/s}}
+parameters: {M: {value: 2600, unit: kg, fixed: true}, G: {value: 56, unit: N, lower: 0},
+  B: {value: 9.5, unit: N*s/m, lower: 0}}
+balances: {body: {kind: force, storage: M * der(v), terms: {engine: G * throttle, losses: -B * v}, velocity: v}}
+outputs: {speed: {value: v, unit: m/s}}
+"""
+
+
+def van(throttle, v, rng):
+    """A van with drag up a slope, in Euler steps of 10 ms, read every .2 s."""
+    speed = np.empty(throttle.size)
+    for k in range(throttle.size):
+        speed[k] = v
+        for _ in range(20):
+            v += 0.01 * (60.0 * throttle[k] - 0.75 * v * abs(v) - 420.0 - 9.0 * v) / 2600.0
+    noisy = speed + 0.1 * rng.standard_normal(throttle.size)
+    return Record({"throttle": throttle, "speed": noisy}, {"throttle": "%", "speed": "m/s"}, 0.2)
+
+
+def test_two_effects_that_only_together_lower_the_error_of_a_van_that_coasts():
+    """Under way either makes up for the other, with the losses; where the engine drives nothing each alone is wrong. A dead zone
+    of the throttle, which the drive cannot tell from a load, does not slow a van that coasts.
+    """
+    rng = np.random.default_rng(7)
+    throttle = np.concatenate([np.full(n, rng.uniform(8.0, 60.0)) for n in rng.integers(40, 220, 60)])[:4500]
+    driving, coasting = van(throttle, 12.0, rng), van(np.zeros(450), 25.0, rng)
+    found = improve(read_model(VAN), [driving, coasting])
+    first, second = found.history[1:]
+    assert (first.together, second.together, first.error) == (True, True, second.error)
+    assert second.error < 0.12
+    assert found.history[0].error > 0.5
+    assert found.model.values["quadratic-drag@body.c"] == pytest.approx(0.75, rel=0.05)
+    assert found.verdict == "adequate"
+
+
 @njit
 def levels(u, c_weir, rim):
     """Explicit Euler, twenty steps a second, of a vessel of .2 m² with a weir."""
