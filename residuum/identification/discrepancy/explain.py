@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
-from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Search, Tell, search, untold
-from residuum.identification.discrepancy.trials import times_each_its_innovations
+from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.discrepancy.trials import SHIFTS, times_each_its_innovations
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.freed_memory import keep_freed_memory
 from residuum.identification.physics import Experiment, PhysicalModel
@@ -65,6 +67,26 @@ class Explanation:
         return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}
 
 
+def at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list[Experiment], Structure] | None:
+    """Experiments with the other input timing, and the base on them, where a model with a shift in time is likelier there.
+
+    The timing was chosen with a model that lacked the shift, which then makes up for half a sample; and so may effects that were
+    found beside it.
+    """
+    best, turned = found.best, turned_timing(experiments)
+    if not any(id in SHIFTS for id, _ in found.accepted):
+        return None
+    alone = best.model
+    for key in found.accepted:
+        alone = alone if key[0] in SHIFTS else alone.without_effect(best.label_of(key))
+    for model in (alone, best.model):
+        complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
+        if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + ALIKE:
+            base = fit_structure(found.base.model, turned, found.base.initial)
+            return None if base is None else (turned, base)
+    return None
+
+
 @one_thread()
 def explain(
     model: PhysicalModel,
@@ -104,7 +126,12 @@ def explain(
     keep_freed_memory()
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
-    found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.55 * share, doing))
+    found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.35 * share, doing))
+    if turned := at_turned_timing(found, experiments):
+        experiments, base = turned
+        found = search(
+            base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.55 + 0.2 * share, doing)
+        )
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     judgement = judge(found, free, incomplete=is_incomplete(found, experiments))

@@ -120,6 +120,9 @@ def _improved(
         explanation = explain(
             model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
         )
+        if any(np.any(e.hold != t.hold) for e, t in zip(experiments, explanation.experiments, strict=True)):
+            experiments = explanation.experiments
+            base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
         if turned := _turned(explanation.search, experiments, base):
             experiments, base = turned

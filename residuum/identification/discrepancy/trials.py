@@ -27,7 +27,8 @@ ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins a structure: odds of 20 to 1."""
 NOTHING_LEFT, MUCH_WORSE = 1.5, 4.0
 """Times its innovations up to which an error is all noise; factor of its mean square beyond which another is hopeless."""
-_SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
+SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
+"""Effects that shift signals in time, and their parameters that say by how much."""
 
 
 def trials(
@@ -254,7 +255,7 @@ def _has_states(model: PhysicalModel, key: tuple[str, str]) -> bool:
 
 def within_a_sample(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
     """Whether an effect is a shift in time by less than a sample."""
-    shift = structure.model.values.get(f"{structure.label_of(key)}.{_SHIFTS.get(key[0], '')}", np.inf)
+    shift = structure.model.values.get(f"{structure.label_of(key)}.{SHIFTS.get(key[0], '')}", np.inf)
     return bool(shift < max(e.sample_time for e in experiments))
 
 

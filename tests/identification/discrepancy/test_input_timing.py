@@ -1,7 +1,10 @@
 """A controller's force is held for a sample though it moves at every one: its look does not tell, the error does."""
 
 import numpy as np
+import pytest
 
+from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
@@ -32,3 +35,24 @@ def test_a_held_input_is_recognised_by_the_error_that_it_leaves():
     assert turned[0].hold[0] == 0.0
     assert np.all(np.abs(found.theta - [2.0, 3.0]) < 4.0 * found.std)
     assert np.any(np.abs(estimate(model, experiments).theta - [2.0, 3.0]) > 4.0 * found.std)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_delay_is_not_half_a_sample_off_because_the_timing_was_chosen_without_it(held):
+    rng = np.random.default_rng(8)
+    n, h, delay = 2000, 0.01, 0.022
+    force = np.convolve(rng.normal(size=n + 20), np.hanning(4), "same")[:n]
+    late = (np.arange(100 * n) + 0.5) * h / 100 - delay
+    drives = force[np.clip(late // h, 0, n - 1).astype(int)] if held else np.interp(late, np.arange(n) * h, force)
+    v, speed = 0.0, np.empty(n)
+    for k in range(100 * n):
+        if k % 100 == 0:
+            speed[k // 100] = v
+        v += h / 100 * (drives[k] - 3.0 * v) / 2.0
+    record = Record({"force": force, "speed": speed + 3e-4 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
+    found = explain(read_model(MASS), [record])
+    assert found.search.accepted == [("input-delay", "force")]
+    assert found.experiments[0].hold[0] == (0.0 if held else 1.0)
+    assert abs(found.candidates[0].parameters["delay"].value - delay) < 2e-4
+    improved = improve(read_model(MASS), [record])
+    assert abs(improved.model.values["input-delay@force.delay"] - delay) < 2e-4
