@@ -120,7 +120,7 @@ def _improved(
         explanation = explain(
             model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
         )
-        if any(np.any(e.hold != t.hold) for e, t in zip(experiments, explanation.experiments, strict=True)):
+        if np.any(explanation.experiments[0].hold != experiments[0].hold):
             experiments = explanation.experiments
             base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
@@ -133,12 +133,12 @@ def _improved(
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
         tried = len(waiting)
         kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
-    if explanation is not None and waiting and len(chosen) > 1:
-        together, steps = _joined_together(base, chosen, experiments, judge, history[-1].error, explanation)
-        if together is not None:
-            kept, waiting, history = together, [], [history[0], *steps]
     shifts = [] if explanation is None else explanation.search.timing
     refused = any(key not in shifts for key in waiting)
+    if explanation is not None and refused and len(chosen) > 1:
+        together, steps = _joined_together(base, chosen, experiments, judge, history[-1].error, explanation)
+        if together is not None:
+            kept, refused, history = together, False, [history[0], *steps]
     strange = refused or bool(history[-1].error > _STRANGE * kept.rmse[judge.o])
     tell(0.8, "estimating on everything")
     if add is None:

@@ -226,13 +226,10 @@ def _overlooked(
         there = screen.where(start)
         return glimpse(start, there.experiments, there.base, there.most_substeps, rival) - there.base.log_likelihood
 
-    starts = [start for one in doubted for start in one if _key(start) not in done]
-    gains = dict(zip(map(id, starts), side_by_side(gain, starts), strict=True))
-    found: list[PhysicalModel] = []
-    for one in doubted:
-        ranked = sorted((start for start in one if gains.get(id(start), 0.0) > 2.0), key=lambda start: -gains[id(start)])
-        found += ranked[:SECOND_LOOKS]
-    return found
+    starts = [(which, start) for which, one in enumerate(doubted) for start in one if _key(start) not in done]
+    gains = side_by_side(lambda each: gain(each[1]), starts)
+    ranked = sorted((k for k in range(len(starts)) if gains[k] > 2.0), key=lambda k: -gains[k])
+    return [starts[k][1] for n in range(len(doubted)) for k in [k for k in ranked if starts[k][0] == n][:SECOND_LOOKS]]
 
 
 def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
