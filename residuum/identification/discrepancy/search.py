@@ -369,9 +369,17 @@ def _leave_to_the_noise(refitted: dict[tuple[str, str], Structure], best: Struct
 def _winner(
     refitted: Mapping[tuple[str, str], Structure], before: Structure, asked: float
 ) -> tuple[tuple[str, str] | None, bool]:
-    """The preferred candidate, and whether its evidence against adding nothing is enough."""
+    """The preferred candidate, and whether its evidence against adding nothing is enough.
+
+    Where it is not, of those whose own is: of two that few moments tell apart the one with fewer parameters is preferred, and
+    may be wanted by those few alone.
+    """
     nothing = relative_evidence(refitted, before)[1]
-    return preferred(refitted, before), bool(-nothing >= asked)
+    if -nothing >= asked:
+        return preferred(refitted, before), True
+    wanted = {key: s for key, s in refitted.items() if tempered_gain(s, before) - s.penalty(before) >= asked}
+    key = preferred(wanted, before)
+    return (preferred(refitted, before), False) if key is None else (key, True)
 
 
 def _exchange(found: Search, task: Task, settled: list[tuple[str, str]]) -> bool:

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise
+from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise, _winner
 from residuum.identification.discrepancy.structures import base_structure, refit
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
@@ -159,6 +160,26 @@ def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
         refitted = {key: replace(stepped, rmse=factor * base.rmse)}
         _leave_to_the_noise(refitted, base)
         assert (key in refitted) == kept
+
+
+def test_an_effect_that_few_moments_prefer_does_not_keep_out_one_that_all_of_them_want():
+    """Two candidates that few moments tell apart: the one with fewer parameters is preferred, but only a lump wants it."""
+
+    def structure(pointwise, parameters):
+        free = tuple(f"p{k}" for k in range(parameters))
+        none = SimpleNamespace(
+            pointwise=pointwise, parameters=free, at_bound=(), by_parameters=[], log_likelihood=pointwise.sum()
+        )
+        none.penalty = lambda base: 3.5 * (parameters - len(base.parameters))
+        return none
+
+    n = 1000
+    before = structure(np.zeros(n), 2)
+    steady, lump = structure(np.full(n, 0.088), 5), structure(np.where(np.arange(n) // 10 == 7, 5.7, 0.0), 4)
+    found = {("position-load", "shaft"): steady, ("resistance-heating", "winding"): lump}
+    assert preferred(found, before) == ("resistance-heating", "winding")
+    assert _winner(found, before, 6.4) == (("position-load", "shaft"), True)
+    assert _winner(found, before, 90.0) == (("resistance-heating", "winding"), False)
 
 
 def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
