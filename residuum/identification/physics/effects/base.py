@@ -196,7 +196,7 @@ class Effect(ABC):
         Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
         (`grown`).
     every_sample : bool
-        Whether it does to each sample what means over several do not show.
+        Whether it does to each sample what means over several do not show: a shift in time by a sample, or steps of a reading.
     """
 
     id: ClassVar[str]

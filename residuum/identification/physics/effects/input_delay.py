@@ -15,6 +15,7 @@ class InputDelay(Effect):
     equation = "u(t − T_d)"
     reference = "O. J. M. Smith, Chem. Eng. Progress 53 (1957) 217"
     acts_on = ("input",)
+    every_sample = True
     sizes = ("delay",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

@@ -17,6 +17,7 @@ class OutputLag(Effect):
     equation = "τ·y_f' = y − y_f"
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3"
     acts_on = ("output",)
+    every_sample = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("tau", 1e-3, "s", lower=1e-9, meaning="time constant of the sensor"),)
