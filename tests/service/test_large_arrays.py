@@ -1,4 +1,4 @@
-"""What large arrays took is given back to the system, whatever was freed before."""
+"""What large arrays took is given back to the system, whatever was freed before, or kept, where that was asked for."""
 
 import os
 import subprocess
@@ -38,3 +38,29 @@ print(pages() - before)
 def test_large_arrays_leave_no_mark():
     run = subprocess.run([sys.executable, "-c", _MEASURE.format(given_back=True)], capture_output=True, text=True, check=True)
     assert int(run.stdout) * os.sysconf("SC_PAGE_SIZE") < 8_000_000
+
+
+_FAULTS = """
+import resource
+import numpy as np
+from residuum.service.large_arrays import keep_large_arrays
+if {kept}:
+    assert keep_large_arrays()
+for _ in range(20):
+    a, b = np.ones(400_000), np.ones(400_000)
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(50):
+    a, b = np.ones(400_000), np.ones(400_000)
+    del a, b
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="settings of glibc")
+def test_arrays_that_come_and_go_fetch_no_new_pages():
+    def faults(kept):
+        command = [sys.executable, "-c", _FAULTS.format(kept=kept)]
+        return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    assert faults(kept=True) < 1000
+    assert faults(kept=False) > 5 * faults(kept=True)

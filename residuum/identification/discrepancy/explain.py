@@ -18,7 +18,6 @@ from residuum.identification.discrepancy.search import Search, Tell, search, unt
 from residuum.identification.discrepancy.structures import Structure, fit_structure
 from residuum.identification.discrepancy.trials import SHIFTS, times_each_its_innovations
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
-from residuum.identification.freed_memory import keep_freed_memory
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
 
@@ -73,9 +72,9 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list
     The timing was chosen with a model that lacked the shift, which then makes up for half a sample; and so may effects that were
     found beside it.
     """
-    best, turned = found.best, turned_timing(experiments)
     if not any(id in SHIFTS for id, _ in found.accepted):
         return None
+    best, turned = found.best, turned_timing(experiments)
     alone = best.model
     for key in found.accepted:
         alone = alone if key[0] in SHIFTS else alone.without_effect(best.label_of(key))
@@ -123,7 +122,6 @@ def explain(
     then named as a group).
     """
     began = time.perf_counter()
-    keep_freed_memory()
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
     found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.35 * share, doing))

@@ -150,8 +150,7 @@ def search(
 
     Where noise that drifts explains more, with no effect at all, than everything that was found, or where what was found leaves a
     slow error and is not wanted beside noise that drifts, the search is done again with noise that may drift: a load that walks
-    at random resembles every effect that has a mean. So it is where a load of every
-    window's own explains more.
+    at random resembles every effect that has a mean. So it is where a load of every window's own explains more.
 
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.

@@ -30,9 +30,9 @@ from residuum.identification.physics.simulation import Simulator
 Array = npt.NDArray[np.float64]
 
 REWEIGHTINGS = 2
+"""How often the outputs' weights are taken from the residuals anew."""
 _OPTIMISM = 3.0
 """Times what a step promises by which the cost may fall in all."""
-"""How often the outputs' weights are taken from the residuals anew."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from residuum.identification.physics import load_model
 from residuum.service.commands.compare import comparison_json, comparison_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
@@ -34,6 +35,7 @@ def explain_command(
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
     mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = load_model(model)
+    keep_large_arrays()
     explanation = explain(given, loaded, mapping, effects=wanted, tell=lambda share, doing: progress(doing, 0.9 * share))
     progress("comparing", 0.9)
     comparison = compare(given, loaded, mapping)

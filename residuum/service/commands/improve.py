@@ -11,6 +11,7 @@ from residuum.identification.physics import load_model, write_model
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
@@ -40,6 +41,7 @@ def improve_command(
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
     wanted = None if auto else [id.strip() for text in add or [] for id in text.split(",")]
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
+    keep_large_arrays()
     improvement = improve(
         load_model(model),
         loaded,
