@@ -138,12 +138,34 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def inputs_move(delays, hold):
-    """Whether some input changes within a sample."""
+def some_delayed(delays):
+    """Whether some input is delayed."""
     found = False
-    for j in range(hold.shape[0]):
-        found = found or hold[j] != 0.0 or delays[j] >= 0
+    for j in range(delays.shape[0]):
+        found = found or delays[j] >= 0
     return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def set_stages(inputs, U, k, c, ch, sample_time, hold):
+    """Inputs of a step of `ch` samples from (k + c) samples on, none of them delayed."""
+    following = min(k + 1, U.shape[0] - 1)
+    for i in range(3):
+        at = c + 0.5 * i * ch
+        for j in range(U.shape[1]):
+            inputs[i, j] = U[k, j] + at * hold[j] * (U[following, j] - U[k, j])
+        inputs[i, U.shape[1]] = (k + at) * sample_time
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p):
+    """Inputs of a step where some are delayed, with their slopes."""
+    width = w.u.shape[0]
+    for i in range(3):
+        set_inputs(q.delays, w.u, w.ur, U, k, c + 0.5 * i * ch, sample_time, hold, p)
+        for j in range(width):
+            w.inputs[i, j] = w.u[j]
+            w.inputs[i, width + j] = w.ur[j]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -171,7 +193,7 @@ def resolve_standstill(q, w, p, j):
     return forward, backward
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def set_directions(x, surfaces, s, m):
     """Direction of every surface: the sign of its state. True when one of them stands still."""
     standing = False
@@ -183,7 +205,7 @@ def set_directions(x, surfaces, s, m):
     return standing
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def crossed(x, surfaces, s, m):
     """Whether a step has left the side of a surface that it was computed for."""
     found = False
@@ -249,22 +271,25 @@ def integrate(  # noqa: PLR0912
     """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the columns, w.S are overwritten.
 
     States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY (of no rows:
-    nothing is kept). Stops where a state ceases to be finite. Arrays are bound once: called for each step, binding them would
-    cost more than the step.
+    nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is inlined, and inputs
+    are looked up the long way only where one is delayed: each of these would cost more than the step.
     """
-    x, u, ur, s, m, S, inputs, width = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, w.u.shape[0]
-    delays, surfaces, count = q.delays, q.surfaces, columns.shape[0]
+    x, u, ur, s, m, S, inputs, surfaces, count = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, columns.shape[0]
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
     at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
     at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
-    kept, ch = X.shape[0] > 0, 1.0 / substeps
+    kept, ch, delayed = X.shape[0] > 0, 1.0 / substeps, some_delayed(q.delays)
     w.step[0] = sample_time / substeps
-    moving = inputs_move(delays, hold)
+    inputs[:] = 0.0
     for k in range(first, last + 1):
         if kept:
             if not keep(x, X[k]):
                 return
-            set_inputs(delays, u, ur, U, k, 0.0, sample_time, hold, p)
+            if delayed:
+                set_inputs(q.delays, u, ur, U, k, 0.0, sample_time, hold, p)
+            else:
+                u[: U.shape[1]] = U[k]
+                u[U.shape[1]] = k * sample_time
             at_y, at_dy = Y[k].ctypes, dY[k].ctypes
             q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count)
         if k == last:
@@ -273,19 +298,16 @@ def integrate(  # noqa: PLR0912
             c = step * ch
             if set_directions(x, surfaces, s, m):
                 stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
-            for i in range(3):
-                if moving or (step == 0 and i == 0):
-                    set_inputs(delays, u, ur, U, k, c + 0.5 * i * ch, sample_time, hold, p)
-                if moving or step == 0:
-                    for j in range(width):
-                        inputs[i, j] = u[j]
-                        inputs[i, width + j] = ur[j]
-                inputs[i, width - 1] = (k + c + 0.5 * i * ch) * sample_time
+            if delayed:
+                set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p)
+            else:
+                set_stages(inputs, U, k, c, ch, sample_time, hold)
             if count > 0:
                 q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, count)
             else:
                 q.advance(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step)
             if crossed(x, surfaces, s, m):
+                set_inputs(q.delays, u, ur, U, k, c + ch, sample_time, hold, p)
                 land(q, w, p, columns)
         if count > 0:
             forget(S)
@@ -300,7 +322,7 @@ def forget(S):
                 S[i, c] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def keep(x, row):
     """Copy the state into its row; whether it is finite."""
     finite = True

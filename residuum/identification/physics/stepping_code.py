@@ -7,7 +7,8 @@
 `u₀ u₁ u₂` are the inputs at the beginning, middle and end of the step, each followed by its slopes; `step` holds its length h.
 With k₁ … k₄ the rates of the four stages, x ← x + h/6·(k₁ + 2k₂ + 2k₃ + k₄); a column of S obeys d = A·S + B, A and B taken
 at the same four stages, so S stays the exact derivative of the computed x. `work`, of 5·NX + 4·NX·(NP + 2·NX) doubles (NY·(NP
-+ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never written.
++ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never written. No two arrays
+overlap, so that what depends on p alone is computed once a step.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ class _Lines:
 def _advance(nx: int, nu: int, n_p: int, *, slopes: bool) -> str:
     t, width = _Lines(), n_p + nx
     name = "advance_slopes" if slopes else "advance"
-    beyond = ", ptr %S, ptr %columns, i64 %count" if slopes else ""
-    t.say(f"define void @{name}(ptr %x, ptr %u0, ptr %u1, ptr %u2, ptr %p, ptr %s, ptr %m, ptr %work, ptr %step{beyond}) {{")
+    given = ("x", "u0", "u1", "u2", "p", "s", "m", "work", "step", *(("S", "columns") if slopes else ()))
+    t.say(f"define void @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{")
     t.say("entry:")
     h = t.load("%step", 0)
     half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
@@ -131,7 +132,7 @@ def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -
 def _observe(nx: int, nu: int, n_p: int, ny: int) -> str:
     t, width = _Lines(), n_p + nx
     arrays = ("x", "u", "ur", "p", "s", "m", "work", "y", "dy", "S", "columns")
-    t.say(f"define void @observe({', '.join(f'ptr %{a}' for a in arrays)}, i64 %count) {{")
+    t.say(f"define void @observe({', '.join(f'ptr noalias %{a}' for a in arrays)}, i64 %count) {{")
     t.say("entry:")
     given = ", ".join(f"ptr %{a}" for a in arrays[:6])
     t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
