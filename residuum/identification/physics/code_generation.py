@@ -57,11 +57,17 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
 
 def generate(equations: Equations) -> str:
     """The assembly of one function for each of `FUNCTIONS` and of `STEPPING`."""
-    loads = _loads(equations)
-    bodies = [_Function(name, loads).text(a) for name, a in zip(FUNCTIONS, _assignments(equations), strict=True)]
+    loads, assignments, nx = _loads(equations), _assignments(equations), len(equations.x)
+    bodies = [_Function(name, loads).text(a) for name, a in zip(FUNCTIONS, assignments, strict=True)]
+    A, B = _places(assignments[1], "r1", nx), _places(assignments[1], "r2", len(equations.p) + nx)
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
-    return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations)]) + "\n"
+    return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations, A, B)]) + "\n"
+
+
+def _places(slopes: Assignments, matrix: str, width: int) -> list[tuple[int, int]]:
+    """Row and column of what a matrix of slopes holds beside zeros."""
+    return [divmod(k, width) for array, k in slopes if array == matrix]
 
 
 def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:

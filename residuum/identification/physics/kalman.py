@@ -92,7 +92,7 @@ class Filter:
         p = self.simulator.p()
         steps = substeps or self.simulator.substeps(experiment, x0, p)
         z0 = np.concatenate([x0, np.zeros(len(self.balances))])
-        P0, Q = self._covariances(experiment, x0)
+        P0, Q = self._covariances(experiment, x0, steps)
         arguments: tuple[Any, ...] = (
             z0,
             P0,
@@ -118,21 +118,21 @@ class Filter:
         arguments = (self.columns, steps, experiment.sample_time, substeps, experiment.hold)
         return np.asarray(predict_ahead(system, experiment.U, smoothed.filtered, self.simulator.p(), *arguments))
 
-    def _covariances(self, experiment: Experiment, x0: Array) -> tuple[Array, Array]:
+    def _covariances(self, experiment: Experiment, x0: Array, substeps: int) -> tuple[Array, Array]:
         """Initial covariance wide enough for any start, and process noise: the walks, and a trace on every state.
 
         The trace keeps a state that stands still (its sensitivities are then zero) open to correction.
         """
-        scale = self._state_scales(experiment, x0)
+        scale = self._state_scales(experiment, x0, substeps)
         walk = np.array([self.noise.walk[b] for b in self.balances])
         P0 = np.diag(np.concatenate([scale**2, walk * 10.0 * experiment.sample_time * experiment.n]))
         Q = np.diag(np.concatenate([(1e-5 * scale) ** 2, walk * experiment.sample_time]))
         return P0, Q
 
-    def _state_scales(self, experiment: Experiment, x0: Array) -> Array:
+    def _state_scales(self, experiment: Experiment, x0: Array, substeps: int) -> Array:
         """Size of each state: its peak in a simulation, or the largest output where that diverges or rests at zero."""
         largest = float(np.nanmax(np.abs(experiment.Y)))
-        run = self.simulator.run_vectors(experiment, x0, self.simulator.p())
+        run = self.simulator.run_vectors(experiment, x0, self.simulator.p(), substeps=substeps)
         peak = np.nanmax(np.abs(run.X), axis=0)
         return np.where(np.isfinite(peak) & (peak > 0), peak, largest if largest > 0 else 1.0)
 

@@ -13,7 +13,8 @@ overlap, so that what depends on p alone is computed once a step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import reduce
 
 from residuum.identification.physics.composition import Equations
 
@@ -23,10 +24,17 @@ _STAGES = ("0", "1", "1", "2")
 """Which of the three inputs each stage takes."""
 
 
-def stepping(equations: Equations) -> str:
-    """The assembly of the three functions; it calls the structure's `rates`, `slopes`, `outputs` and `output_slopes`."""
+Places = Collection[tuple[int, int]]
+"""Row and column of what need not be zero in a matrix."""
+
+
+def stepping(equations: Equations, A: Places, B: Places) -> str:
+    """The assembly of the three functions; it calls the structure's `rates`, `slopes`, `outputs` and `output_slopes`.
+
+    `A` and `B` say where the slopes of the rates need not be zero.
+    """
     sizes = len(equations.x), len(equations.u), len(equations.p), len(equations.outputs)
-    return "\n\n".join([_advance(*sizes[:3], slopes=False), _advance(*sizes[:3], slopes=True), _observe(*sizes)])
+    return "\n\n".join([_advance(*sizes[:3]), _advance(*sizes[:3], (A, B)), _observe(*sizes)])
 
 
 class _Lines:
@@ -59,7 +67,7 @@ class _Lines:
         self.lines.append(line)
 
 
-def _advance(nx: int, nu: int, n_p: int, *, slopes: bool) -> str:
+def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = None) -> str:
     t, width = _Lines(), n_p + nx
     name = "advance_slopes" if slopes else "advance"
     given = ("x", "u0", "u1", "u2", "p", "s", "m", "work", "step", *(("S", "columns") if slopes else ()))
@@ -88,26 +96,33 @@ def _advance(nx: int, nu: int, n_p: int, *, slopes: bool) -> str:
     for i in range(nx):
         t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
     if slopes:
-        _columns_loop(t, lambda column, c: _column_step(t, nx, width, A, B, column, c, (h, half, sixth, third)))
+        _columns_loop(t, lambda column, c: _column_step(t, nx, width, (A, B), slopes, column, c, (h, half, sixth, third)))
     t.say("  ret void")
     t.say("}")
     return "\n".join(t.lines)
 
 
 def _column_step(
-    t: _Lines, nx: int, width: int, A: Sequence[str], B: Sequence[str], column: str, c: str, lengths: tuple[str, str, str, str]
+    t: _Lines,
+    nx: int,
+    width: int,
+    matrices: tuple[Sequence[str], Sequence[str]],
+    places: tuple[Places, Places],
+    column: str,
+    c: str,
+    lengths: tuple[str, str, str, str],
 ) -> None:
     h, half, sixth, third = lengths
     rows = [t.new(f"add i64 {t.new(f'mul i64 {i}, %count')}, {c}") for i in range(nx)]
     S0 = [t.load("%S", row) for row in rows]
+    own = {i for i, _ in places[1]}
     S, found = S0, []
-    for r in range(4):
+    for r, (A, B) in enumerate(zip(*matrices, strict=True)):
         d = []
         for i in range(nx):
-            total = t.load(B[r], t.new(f"add i64 {i * width}, {column}"))
-            for j in range(nx):
-                total = t.add(total, t.times(t.load(A[r], i * nx + j), S[j]))
-            d.append(total)
+            terms = [t.load(B, t.new(f"add i64 {i * width}, {column}"))] if i in own else []
+            terms += [t.times(t.load(A, i * nx + j), S[j]) for j in range(nx) if (i, j) in places[0]]
+            d.append(reduce(t.add, terms) if terms else "0.0")
         found.append(d)
         S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
     for i in range(nx):
