@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened
+from residuum.identification.discrepancy.innovation_sums import first_predictors, stable, whitened
 from residuum.identification.errors import BadInput
 
 FloatArray = npt.NDArray[np.float64]
@@ -149,9 +149,9 @@ def forgetting(a: FloatArray, memory: float) -> FloatArray:
     """The autoregression with its poles kept within the radius that forgets over `memory` samples."""
     if a.size == 0:
         return a
-    roots = np.roots(np.r_[1.0, a])
     radius = float(np.exp(-1.0 / max(memory, 2.0)))
-    size = np.abs(roots)
-    if size.max(initial=0.0) <= radius:
+    if stable(a / radius ** np.arange(1, a.size + 1)):
         return a
+    roots = np.roots(np.r_[1.0, a])
+    size = np.abs(roots)
     return np.asarray(np.real(np.poly(np.where(size > radius, roots * radius / np.maximum(size, 1e-300), roots)))[1:])

@@ -18,6 +18,7 @@ from residuum.identification.discrepancy.evidence import tempered
 from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
 from residuum.identification.discrepancy.score_test import first_order_fit
+from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 
@@ -72,32 +73,23 @@ def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTe
     ]
     if not all(np.all(np.isfinite(r.F)) for r in responses):
         return None
-    q = len(structure.parameters)
-    found, tried = [], 0
-    for balance, axis, knots, terms in _terms(structure, experiments, responses):
-        tried += 1
+
+    def fitted(term: tuple[str, str, FloatArray, list[FloatArray]]) -> FreeTerm:
+        balance, axis, knots, terms = term
         columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
         by_parameters = [np.concatenate([J, c], axis=2) for J, c in zip(structure.by_parameters, columns, strict=True)]
         step, pointwise, rest = first_order_fit(structure, structure.residuals, by_parameters, structure.by_states)
         price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
         d = pointwise - structure.pointwise
         unit = model.balances[balance].unit if axis in KNOTS else ""  # a factor has none
-        found.append(
-            FreeTerm(
-                balance,
-                axis,
-                unit,
-                knots,
-                step[q:],
-                scaled_power(rest, structure.noises),
-                float(d.sum()) - price,
-                tempered(d) - price,
-            )
-        )
+        value, power = step[len(structure.parameters) :], scaled_power(rest, structure.noises)
+        return FreeTerm(balance, axis, unit, knots, value, power, float(d.sum()) - price, tempered(d) - price)
+
+    found = side_by_side(fitted, list(_terms(structure, experiments, responses)))
     if not found:
         return None
     best = max(found, key=lambda term: term.gain)
-    return replace(best, evidence=best.evidence - float(np.log(tried)))
+    return replace(best, evidence=best.evidence - float(np.log(len(found))))
 
 
 def scaled_power(residuals: Sequence[FloatArray], noises: Noises) -> float:

@@ -114,3 +114,15 @@ def first_predictors(a, stable):
         rows[k - 1, k - 1] = np.exp(-spread)
         spreads[k - 1] = spread
     return rows, spreads
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def stable(a):
+    """Whether all poles of 1/A(z) lie within the unit circle (Levinson's recursion downwards: reflections below one)."""
+    a = a.copy()
+    for k in range(a.shape[0], 0, -1):
+        reflection = a[k - 1]
+        if not abs(reflection) < 1.0:
+            return False
+        a = (a[: k - 1] - reflection * a[: k - 1][::-1]) / (1.0 - reflection**2)
+    return True

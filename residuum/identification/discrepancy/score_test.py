@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.in_blocks import Sampled, at_every_sample, in_blocks
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import COARSER, Structure
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
@@ -85,7 +86,7 @@ class Screen:
     what remains, beginning from white noise and from the base's (the likelihood has a basin near each).
 
     The machine is tracked, and effects are regressed on that, with the model `origin`: the base's unless its values are not
-    to be trusted.
+    to be trusted. `refitted` are the starts that were re-estimated in full.
     """
 
     def __init__(self, base: Structure, experiments: Sequence[Experiment], origin: PhysicalModel | None = None) -> None:
@@ -94,6 +95,8 @@ class Screen:
         self.every = at_every_sample(base, self.experiments)
         self.coarse = in_blocks(self.every)
         self.track = track(self.origin, base, self.experiments, self.every.X)
+        self.refitted: list[PhysicalModel] = []
+        self._may_fall = _may_fall(base)
         self._conditions: dict[tuple[str, str], Conditions] = {}
         self._tested: dict[tuple[str, str], list[Screened]] = {}
 
@@ -143,10 +146,18 @@ class Screen:
 
     def tests(self, id: str, target: str) -> list[Screened]:
         """The candidate at every start where it does not diverge; each is tested once."""
-        if (id, target) not in self._tested:
-            tried = [self.test(id, target, start) for start in self.starts(id, target)]
-            self._tested[id, target] = [screened for screened in tried if screened is not None]
+        self.test_all([(id, target)])
         return self._tested[id, target]
+
+    def test_all(self, pairs: Sequence[tuple[str, str]]) -> None:
+        """Test several candidates side by side at every start of theirs."""
+        new = [pair for pair in pairs if pair not in self._tested]
+        starts = [(pair, start) for pair in new for start in self.starts(*pair)]
+        tried = side_by_side(lambda one: self.test(*one[0], one[1]), starts)
+        self._tested |= {pair: [] for pair in new}
+        for (pair, _), screened in zip(starts, tried, strict=True):
+            if screened is not None:
+                self._tested[pair].append(screened)
 
     def promising(self, id: str, target: str, most: int = 3) -> list[Screened]:
         """The candidate at its few starts that explain most, to first order or by what its simulation there leaves."""
@@ -200,7 +211,9 @@ class Screen:
         while True:
             known_equations = equations if len(free) == len(names) else None
             slopes = [J[:, :, free] for J in by_parameters]
-            part, pointwise, _ = first_order_fit(self.base, residuals, slopes, by_states, known_equations)
+            part, pointwise, _ = first_order_fit(
+                self.base, residuals, slopes, by_states, known_equations, may_fall=self._may_fall
+            )
             moved = {k: known[k].value + s for k, s in zip(free, part, strict=True) if k >= first}
             out = {k for k, value in moved.items() if not known[k].lower <= value <= known[k].upper}
             if not out:
@@ -302,12 +315,14 @@ def first_order_fit(
     by_parameters: list[FloatArray],
     by_states: list[FloatArray],
     equations: NormalEquations | None = None,
+    *,
+    may_fall: bool = True,
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
 
     The better of two beginnings: the base's noise (its normal `equations`, where they are known), and white noise where that
-    takes the errors below the base's. Where neither comes near the base, and where neither gains anything, the noise is left as
-    it was: no colour makes up for that, and the base's was the best.
+    takes the errors below the base's (not tried where they cannot fall). Where neither comes near the base, and where neither
+    gains anything, the noise is left as it was: no colour makes up for that, and the base's was the best.
     """
 
     def solved(equations: NormalEquations) -> tuple[FloatArray, list[FloatArray]]:
@@ -324,8 +339,8 @@ def first_order_fit(
 
     step, rest = solved(under(base.noises) if equations is None else equations)
     white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
-    step_in_white, rest_in_white = solved(under(white))
-    fallen = _error_ratio(rest_in_white, base.residuals) < _FALLEN
+    step_in_white, rest_in_white = solved(under(white)) if may_fall else (step, rest)
+    fallen = may_fall and _error_ratio(rest_in_white, base.residuals) < _FALLEN
     if not fallen:
         pointwise = pointwise_log_likelihood(rest, base.noises)
         gained = pointwise.sum() - base.log_likelihood
@@ -337,6 +352,15 @@ def first_order_fit(
     if abs(best[1].sum() - base.log_likelihood) > _WORTH_A_PASS:
         best = max(best, judged(*solved(under(best[3])), best[3]), key=lambda found: found[1].sum())
     return best[:3]
+
+
+def _may_fall(base: Structure) -> bool:
+    """Whether the error of an output stands above its innovations, which nothing mends."""
+    known = [o for o, noise in enumerate(base.noises) if noise is not None]
+    errors = [r[:, known] for r in base.residuals]
+    noises = [noise for noise in base.noises if noise is not None]
+    innovations = [np.stack([n.innovations(v) for n, v in zip(noises, r.T, strict=True)], axis=1) for r in errors]
+    return _error_ratio(innovations, errors) < _FALLEN
 
 
 def _error_ratio(after: list[FloatArray], before: list[FloatArray]) -> float:

@@ -34,8 +34,10 @@ _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
 _SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
 """Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
-_OPTIMISM, _CLOSE = 3.0, 20.0
-"""A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
+_OPTIMISM, _CLOSE, _MUCH_WORSE = 3.0, 20.0, 4.0
+"""A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further; nor is a
+simulation error of which the mean square is not promised to come within this factor of its rival's.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,8 @@ class Structure:
     at_bound : tuple of str
     drifting : bool
         Whether the noise may be integrated.
+    at_top : bool
+        Whether it was climbed until that gained nothing more.
     """
 
     model: PhysicalModel
@@ -78,6 +82,7 @@ class Structure:
     rmse: FloatArray
     at_bound: tuple[str, ...] = ()
     drifting: bool = False
+    at_top: bool = False
 
     @property
     def log_likelihood(self) -> float:
@@ -103,6 +108,27 @@ class Structure:
     def _first_states(self) -> int:
         """How many first states were estimated, in all experiments."""
         return sum(slopes.shape[2] for slopes in self.by_states)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What a structure has to come near, or is not followed further.
+
+    `log_likelihood`; `errors`: root mean squares of the outputs' residuals, where those leave nothing but noise.
+    """
+
+    log_likelihood: float = -np.inf
+    errors: FloatArray | None = None
+
+    def cost(self, weights: FloatArray, residuals: Sequence[FloatArray]) -> float:
+        """Weighted sum of squared residuals beyond which a simulation error is hopeless."""
+        if self.errors is None:
+            return np.inf
+        count = np.sum([np.isfinite(r).sum(axis=0) for r in residuals], axis=0)
+        return _MUCH_WORSE * float(np.nansum(count * (weights * self.errors) ** 2))
+
+
+NO_RIVAL = Rival()
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +279,7 @@ def fit_structure(
     free: Sequence[str] | None = None,
     iterations: int = 30,
     noises: Noises | None = None,
-    rival: float = -np.inf,
+    rival: Rival = NO_RIVAL,
     second_start: bool = True,
     drifting: bool = False,
     most_substeps: float = np.inf,
@@ -261,8 +287,8 @@ def fit_structure(
     """Re-estimate a model and the colour of its noise together; None when the model diverges.
 
     `free` are the parameters to estimate (default: all that the model does not fix), `noises` holds the noise where it is known,
-    `rival` is a log-likelihood: a structure that will clearly not come near it is left where that is seen. None too where the
-    model begins with more than `most_substeps` integration steps a sample.
+    a structure that will clearly not come near its `rival` is left where that is seen. None too where the model begins with more
+    than `most_substeps` integration steps a sample.
 
     The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
     noise as it is with the error mended. The climb therefore begins twice (unless there is to be no `second_start`), at the given
@@ -274,13 +300,12 @@ def fit_structure(
     if not ascent.choose_steps(start, most_substeps):
         return None
     first = ascent.point(ascent.simulator.p(), start)
-    found = None if first is None else ascent.climb(first, iterations, rival)
+    found = None if first is None else ascent.climb(first, iterations, rival.log_likelihood)
     if second_start and noises is None:
-        weights = None if found is None else _weights(found.residuals)
-        plain = _least_simulation_error(ascent, model, start, weights)
+        plain = _least_simulation_error(ascent, model, start, None if found is None else found.residuals, rival)
         other = None if plain is None else ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
         if other is not None and found is not None:
-            other = ascent.climb(other, iterations, max(rival, found.log_likelihood))
+            other = ascent.climb(other, iterations, max(rival.log_likelihood, found.log_likelihood))
         if found is None or (other is not None and other.log_likelihood > found.log_likelihood):
             found = other
     if found is None:
@@ -312,7 +337,7 @@ def refit(
     experiments: Sequence[Experiment],
     *,
     initial: Sequence[FloatArray] | None = None,
-    rival: float = -np.inf,
+    rival: Rival = NO_RIVAL,
 ) -> Structure | None:
     """A model with one effect more or less re-estimated from where the structure `before` was, its noise drifting as there.
 
@@ -349,22 +374,19 @@ def in_likelier_order(structure: Structure, key: tuple[str, str], experiments: S
 
 
 def glimpse(
-    model: PhysicalModel, experiments: Sequence[Experiment], before: Structure, most_substeps: int, rival: float = np.inf
+    model: PhysicalModel, experiments: Sequence[Experiment], before: Structure, most_substeps: int, rival: Rival = NO_RIVAL
 ) -> float:
     """Log-likelihood after a few steps down the simulation error from the structure `before`; −∞ when it diverges or is too fast.
 
     A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
-    trajectory that the base model gets wrong. Left early where its mean square error is not promised to come near `rival`
-    times the structure's.
+    trajectory that the base model gets wrong. Left early where its error is not promised to come near its `rival`'s.
     """
     ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
     if not ascent.choose_steps(start, most_substeps, before.substeps):
         return -np.inf
     ascent.substeps = tuple(-(-s // COARSER) for s in ascent.substeps)
-    weights = _weights(before.residuals)
-    cost = rival * sum(int(np.isfinite(r).sum()) for r in before.residuals)
-    plain = _least_simulation_error(ascent, model, start, weights, iterations=4, rival=cost)
+    plain = _least_simulation_error(ascent, model, start, before.residuals, rival, iterations=4)
     return -np.inf if plain is None else ascent.log_likelihood(ascent.simulator.p(plain.model.values), plain.initial)
 
 
@@ -379,23 +401,34 @@ def _states(initial: Sequence[FloatArray], simulator: Simulator) -> list[FloatAr
     return [np.where(kept, np.concatenate([x, np.zeros(len(states) - len(x))]), 0.0) for x in long]
 
 
+def root_mean_squares(residuals: Sequence[FloatArray]) -> FloatArray:
+    """Of each output's residuals, those of all experiments together; NaN where it was never measured."""
+    stacked = np.concatenate(residuals)
+    known = np.isfinite(stacked).sum(axis=0)
+    return np.asarray(np.sqrt(np.nansum(stacked**2, axis=0) / np.where(known > 0, known, np.nan)))
+
+
 def _weights(residuals: Sequence[FloatArray]) -> FloatArray:
     """1/RMS of each output's residual; 0 where it was never measured."""
-    stacked = np.concatenate(residuals)
-    square, count = np.nansum(stacked**2, axis=0), np.sum(np.isfinite(stacked), axis=0)
-    return np.where(count > 0, 1.0 / np.sqrt(np.maximum(square, 1e-300) / np.maximum(count, 1)), 0.0)
+    return np.nan_to_num(1.0 / np.maximum(root_mean_squares(residuals), 1e-150))
 
 
 def _least_simulation_error(
     ascent: _Ascent,
     model: PhysicalModel,
     start: list[FloatArray],
-    weights: FloatArray | None,
+    residuals: Sequence[FloatArray] | None,
+    rival: Rival,
     iterations: int = 8,
-    rival: float = np.inf,
 ) -> Estimate | None:
-    """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges."""
-    settings = Settings(weights=weights, iterations=iterations, tolerance=1e-3, blocks=True, rival=rival)
+    """Where the plain simulation error is smallest, found in a few steps from the start; None when the model diverges.
+
+    The outputs count in units of the `residuals` that are known.
+    """
+    settings = Settings(iterations=iterations, tolerance=1e-3, blocks=True)
+    if residuals is not None:
+        weights = _weights(residuals)
+        settings = replace(settings, weights=weights, rival=rival.cost(weights, residuals))
     try:
         return estimate(model, ascent.experiments, free=ascent.names, initial=start, settings=settings, substeps=ascent.substeps)
     except NotIdentifiable:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import Structure, glimpse, refit
+from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, glimpse, refit, root_mean_squares
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
@@ -25,8 +26,8 @@ SLOW = 10.0
 """Times its innovations from which on an error is slow."""
 ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins a structure: odds of 20 to 1."""
-NOTHING_LEFT, MUCH_WORSE = 1.5, 4.0
-"""Times its innovations up to which an error is all noise; factor of its mean square beyond which another is hopeless."""
+NOTHING_LEFT = 1.5
+"""Times its innovations up to which an error is all noise."""
 SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
 """Effects that shift signals in time, and their parameters that say by how much."""
 
@@ -36,18 +37,17 @@ def trials(
 ) -> tuple[dict[tuple[str, str], Structure], list[Screened]]:
     """Candidates that promise something on top of what was screened, re-estimated in full; and all as they were screened."""
     best, experiments = screen.base, screen.experiments
-    tested = [screened for screened in side_by_side(lambda pair: screen.best(*pair), pairs) if screened is not None]
+    screen.test_all(pairs)
+    tested = [screened for screened in (screen.best(*pair) for pair in pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
-    refitted = _refitted(best, experiments, [s.start for s in tested if s.gain > 2.0][:refits])
+    refitted = _refitted(screen, [s.start for s in tested if s.gain > 2.0][:refits])
     negative = [s for s in tested if s.gain < 0.0]
     without_zero = [s for s in negative[MOST_GLIMPSES:] if not EFFECTS[s.effect].vanishes or _has_states(best.model, s.key)]
     doubted = [[s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)]]
     if times_its_innovations(best) > SLOW:
         doubted += [_from_the_track(screen, pairs)[:MOST_GLIMPSES], _with_states(screen, pairs)]
-    overlooked = _overlooked(screen, doubted, refitted)
-    refitted = _likelier(refitted, _refitted(best, experiments, overlooked, _highest(refitted)))
-    for key, structure in _grown(best, experiments, pairs, refitted):
-        refitted |= _likelier(refitted, {key: structure})
+    refitted = _likelier(refitted, _refitted(screen, _overlooked(screen, doubted, refitted), _rival(refitted.values())))
+    refitted = _likelier(refitted, _grown(screen, pairs, refitted))
     refitted |= _simplified(best, experiments, refitted)
     return _settled(refitted, best, experiments), tested
 
@@ -63,18 +63,19 @@ def _settled(
     return refitted | dict(zip(close, tops, strict=False))
 
 
-def _refitted(
-    best: Structure, experiments: Sequence[Experiment], starts: Sequence[PhysicalModel], mark: float = -np.inf
-) -> dict[tuple[str, str], Structure]:
-    """Every start re-estimated in full, the likeliest of each candidate.
+def _refitted(screen: Screen, starts: Sequence[PhysicalModel], rival: Rival = NO_RIVAL) -> dict[tuple[str, str], Structure]:
+    """Every start that was not before re-estimated in full, the likeliest of each candidate.
 
-    Without a `mark` for them to come near the first sets it for the others.
+    Without a `rival` for them to come near the first is one for the others.
     """
-    structures = [refit(best, start, experiments) for start in starts[:1] if mark == -np.inf]
-    marks = [mark, *(s.log_likelihood for s in structures if s is not None)]
-    structures += side_by_side(lambda start: refit(best, start, experiments, rival=max(marks)), starts[len(structures) :])
+    best, experiments = screen.base, screen.experiments
+    new = [start for start in starts if not any(start is one for one in screen.refitted)]
+    screen.refitted += new
+    structures = [refit(best, start, experiments) for start in new[:1] if rival.log_likelihood == -np.inf]
+    nearest = _rival([s for s in structures if s is not None]) if structures else rival
+    structures += side_by_side(lambda start: refit(best, start, experiments, rival=nearest), new[len(structures) :])
     found: dict[tuple[str, str], Structure] = {}
-    for start, structure in zip(starts, structures, strict=True):
+    for start, structure in zip(new, structures, strict=True):
         if structure is None:
             continue
         key = _key(start)
@@ -82,6 +83,20 @@ def _refitted(
         if shorter or (simulates_no_worse(structure, best) and _shows(structure, key, experiments)):
             found = _likelier(found, {key: structure})
     return found
+
+
+def _rival(structures: Collection[Structure]) -> Rival:
+    """The likeliest of several; and the errors of those as likely that leave nothing but noise: they are at their tops, and
+    others have to come near them.
+    """
+    highest = max((s.log_likelihood for s in structures), default=-np.inf)
+    done = [s for s in structures if _is_done(s, highest)]
+    return Rival(highest, np.min([root_mean_squares(s.residuals) for s in done], axis=0) if done else None)
+
+
+def _is_done(structure: Structure, highest: float) -> bool:
+    """Whether a structure is about as likely as the likeliest, and leaves nothing but noise."""
+    return structure.log_likelihood > highest - CLOSE and times_its_innovations(structure) < NOTHING_LEFT
 
 
 def _key(start: PhysicalModel) -> tuple[str, str]:
@@ -97,19 +112,14 @@ def _likelier(
     return {**found, **more}
 
 
-def _highest(refitted: Mapping[tuple[str, str], Structure]) -> float:
-    """The highest log-likelihood."""
-    return max((s.log_likelihood for s in refitted.values()), default=-np.inf)
-
-
 def followed(screen: Screen, key: tuple[str, str], structure: Structure) -> Structure:
     """The structure climbed to its top, or a likelier top from another start of its effect: a contact's likelihood has many."""
-    before, experiments = screen.base, screen.experiments
+    experiments = screen.experiments
     tops = [polished(structure, experiments)]
     if len(screen.starts(*key)) > 1:
         starts = [screened.start for screened in screen.promising(*key)]
-        tops += _refitted(before, experiments, starts).values()
-        tops += [grown for _, grown in _grown(before, experiments, [key], {key: tops[0]})]
+        tops += _refitted(screen, starts, _rival(tops)).values()
+        tops += _grown(screen, [key], {key: tops[0]}).values()
     best = max(tops, key=lambda s: s.log_likelihood)
     return _placed(best if best is tops[0] else polished(best, experiments), key, screen)
 
@@ -131,33 +141,35 @@ def _placed(structure: Structure, key: tuple[str, str], screen: Screen) -> Struc
 
 def polished(structure: Structure, experiments: Sequence[Experiment]) -> Structure:
     """The structure climbed to its top: what it does not follow exactly would invite a next effect that is not there."""
-    for _ in range(POLISHES):
+    for _ in range(0 if structure.at_top else POLISHES):
         better = refit(structure, structure.model, experiments)
         if better is None or better.log_likelihood < structure.log_likelihood + 1.0:
             break
         structure = better
-    return structure
+    return replace(structure, at_top=True)
 
 
 def _grown(
-    best: Structure,
-    experiments: Sequence[Experiment],
-    pairs: Sequence[tuple[str, str]],
-    refitted: Mapping[tuple[str, str], Structure],
-) -> Iterator[tuple[tuple[str, str], Structure]]:
+    screen: Screen, pairs: Sequence[tuple[str, str]], refitted: Mapping[tuple[str, str], Structure]
+) -> dict[tuple[str, str], Structure]:
     """Effects that generalise one that fits well, refitted from its estimate: from nothing they may not be reached."""
+    best, experiments, rival = screen.base, screen.experiments, _rival(refitted.values())
+    starts: list[tuple[PhysicalModel, Sequence[FloatArray]]] = []
     for id, target in pairs:
         special = refitted.get((EFFECTS[id].generalises, target))
         if special is None or special.log_likelihood - best.log_likelihood < ACCEPT:
             continue
+        known = best.model.with_values({n: v for n, v in special.model.values.items() if n in best.model.all_parameters})
         initial = special.initial if EFFECTS[id].generalises == id else best.initial
-        for start in _grown_starts(id, target, special, experiments):
-            model = best.model.with_values(
-                {n: v for n, v in special.model.values.items() if n in best.model.all_parameters}
-            ).with_effect(id, target, start)
-            structure = refit(best, model, experiments, initial=initial, rival=_highest(refitted))
-            if structure is not None and simulates_no_worse(structure, best) and _shows(structure, (id, target), experiments):
-                yield (id, target), structure
+        each = _grown_starts(id, target, special, experiments)
+        starts += [(known.with_effect(id, target, values), initial) for values in each]
+    structures = side_by_side(lambda one: refit(best, one[0], experiments, initial=one[1], rival=rival), starts)
+    found: dict[tuple[str, str], Structure] = {}
+    for (model, _), structure in zip(starts, structures, strict=True):
+        key = _key(model)
+        if structure is not None and simulates_no_worse(structure, best) and _shows(structure, key, experiments):
+            found = _likelier(found, {key: structure})
+    return found
 
 
 def _simplified(
@@ -214,19 +226,19 @@ def _overlooked(
     The first-order test misjudges effects where its linearisation fails: it finds a negative gain, which a least-squares step can
     only cause there, or none at all.
 
-    Where what was `refitted` leaves nothing but noise, what is as likely as the likeliest is at its top, and others have to come
-    near it.
+    Where what was `refitted` leaves nothing but noise others have to come near its error, else near what there was before.
     """
-    highest, rival = _highest(refitted), MUCH_WORSE
-    done = [key for key, s in refitted.items() if s.log_likelihood > highest - CLOSE and times_its_innovations(s) < NOTHING_LEFT]
-    if done:
-        rival *= min(float(np.nanmean((_rms(refitted[key].residuals) / _rms(screen.base.residuals)) ** 2)) for key in done)
+    rival = _rival(refitted.values())
+    done = [key for key, s in refitted.items() if _is_done(s, rival.log_likelihood)]
+    if rival.errors is None:
+        rival = replace(rival, errors=root_mean_squares(screen.base.residuals))
 
     def gain(start: PhysicalModel) -> float:
         there = screen.where(start)
         return glimpse(start, there.experiments, there.base, there.most_substeps, rival) - there.base.log_likelihood
 
     starts = [(which, start) for which, one in enumerate(doubted) for start in one if _key(start) not in done]
+    starts = [(which, start) for which, start in starts if not any(start is one for one in screen.refitted)]
     gains = side_by_side(lambda each: gain(each[1]), starts)
     ranked = sorted((k for k in range(len(starts)) if gains[k] > 2.0), key=lambda k: -gains[k])
     return [starts[k][1] for n in range(len(doubted)) for k in [k for k in ranked if starts[k][0] == n][:SECOND_LOOKS]]
@@ -234,7 +246,7 @@ def _overlooked(
 
 def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:
     """Starts of the effects that resemble what their balances lacked where the machine was, the most alike first."""
-    found = [regressed for pair in pairs if (regressed := screen.regressed(*pair)) is not None]
+    found = [regressed for regressed in side_by_side(lambda pair: screen.regressed(*pair), pairs) if regressed is not None]
     return [model for _, model in sorted(found, key=lambda one: -one[0])]
 
 
@@ -269,14 +281,7 @@ def times_its_innovations(structure: Structure) -> float:
 def times_each_its_innovations(structure: Structure) -> FloatArray:
     """The same of each output; NaN where it was never measured."""
     innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return _rms(structure.residuals) / np.array(innovations)
-
-
-def _rms(residuals: Sequence[FloatArray]) -> FloatArray:
-    """Root mean square of each output; NaN where it was never measured."""
-    stacked = np.concatenate(residuals)
-    known = np.isfinite(stacked).sum(axis=0)
-    return np.sqrt(np.nansum(stacked**2, axis=0) / np.where(known > 0, known, np.nan))
+    return root_mean_squares(structure.residuals) / np.array(innovations)
 
 
 def mean_ratio(after: FloatArray, before: FloatArray) -> float:

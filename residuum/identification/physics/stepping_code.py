@@ -20,6 +20,8 @@ from residuum.identification.physics.composition import Equations
 
 FREE = "nsz arcp contract"
 """What the compiler may do beyond IEEE 754: share a reciprocal, fuse a product with a sum."""
+_VECTORS = (4, 2, 1)
+"""Columns side by side in a vector, the widest first."""
 _STAGES = ("0", "1", "1", "2")
 """Which of the three inputs each stage takes."""
 
@@ -38,10 +40,11 @@ def stepping(equations: Equations, A: Places, B: Places) -> str:
 
 
 class _Lines:
-    """Assembly text while it is written; every value has a name of its own."""
+    """Assembly text while it is written; every value has a name of its own. Sums and products are of `kind`."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
+        self.kind = "double"
 
     def new(self, operation: str) -> str:
         name = f"%t{len(self.lines)}"
@@ -58,10 +61,10 @@ class _Lines:
         self.lines.append(f"  store double {value}, ptr {self.place(array, index)}")
 
     def add(self, a: str, b: str) -> str:
-        return self.new(f"fadd {FREE} double {a}, {b}")
+        return self.new(f"fadd {FREE} {self.kind} {a}, {b}")
 
     def times(self, a: str, b: str) -> str:
-        return self.new(f"fmul {FREE} double {a}, {b}")
+        return self.new(f"fmul {FREE} {self.kind} {a}, {b}")
 
     def say(self, line: str) -> None:
         self.lines.append(line)
@@ -96,10 +99,50 @@ def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = 
     for i in range(nx):
         t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
     if slopes:
-        _columns_loop(t, lambda column, c: _column_step(t, nx, width, (A, B), slopes, column, c, (h, half, sixth, third)))
+        _columns_loop(t, lambda column: _column_step(t, nx, width, (A, B), slopes, column, (h, half, sixth, third)))
     t.say("  ret void")
     t.say("}")
     return "\n".join(t.lines)
+
+
+class _Column:
+    """One sensitivity column, or as many as a vector holds side by side: how their values are read, written and repeated."""
+
+    def __init__(self, t: _Lines, c: str, together: int) -> None:
+        self.t, self.c, self.together = t, c, together
+        t.kind = "double" if together == 1 else f"<{together} x double>"
+        numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
+        self.columns = [t.new(f"load i64, ptr {t.new(f'getelementptr i64, ptr %columns, i64 {number}')}") for number in numbers]
+
+    def load(self, array: str, row: int) -> str:
+        """Of an array with a place for each column in every row."""
+        return self.t.new(f"load {self.t.kind}, ptr {self._place(array, row)}, align 8")
+
+    def store(self, value: str, array: str, row: int) -> None:
+        """Into such an array."""
+        self.t.say(f"  store {self.t.kind} {value}, ptr {self._place(array, row)}, align 8")
+
+    def pick(self, array: str, row: int) -> str:
+        """Of a row of a matrix the values in the places that the columns name."""
+        t = self.t
+        values = [t.load(array, t.new(f"add i64 {row}, {column}")) for column in self.columns]
+        return values[0] if self.together == 1 else self._joined(values)
+
+    def all(self, value: str) -> str:
+        """The same value for every column."""
+        if self.together == 1:
+            return value
+        first = self.t.new(f"insertelement {self.t.kind} poison, double {value}, i32 0")
+        return self.t.new(f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32> zeroinitializer")
+
+    def _joined(self, values: Sequence[str]) -> str:
+        joined = "poison"
+        for lane, value in enumerate(values):
+            joined = self.t.new(f"insertelement {self.t.kind} {joined}, double {value}, i32 {lane}")
+        return joined
+
+    def _place(self, array: str, row: int) -> str:
+        return self.t.place(array, self.t.new(f"add i64 {self.t.new(f'mul i64 {row}, %count')}, {self.c}"))
 
 
 def _column_step(
@@ -108,35 +151,37 @@ def _column_step(
     width: int,
     matrices: tuple[Sequence[str], Sequence[str]],
     places: tuple[Places, Places],
-    column: str,
-    c: str,
+    column: _Column,
     lengths: tuple[str, str, str, str],
 ) -> None:
-    h, half, sixth, third = lengths
-    rows = [t.new(f"add i64 {t.new(f'mul i64 {i}, %count')}, {c}") for i in range(nx)]
-    S0 = [t.load("%S", row) for row in rows]
+    h, half, sixth, third = map(column.all, lengths)
+    S0 = [column.load("%S", i) for i in range(nx)]
     own = {i for i, _ in places[1]}
     S, found = S0, []
     for r, (A, B) in enumerate(zip(*matrices, strict=True)):
         d = []
         for i in range(nx):
-            terms = [t.load(B, t.new(f"add i64 {i * width}, {column}"))] if i in own else []
-            terms += [t.times(t.load(A, i * nx + j), S[j]) for j in range(nx) if (i, j) in places[0]]
-            d.append(reduce(t.add, terms) if terms else "0.0")
+            terms = [column.pick(B, i * width)] if i in own else []
+            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places[0]]
+            d.append(reduce(t.add, terms) if terms else column.all("0.0"))
         found.append(d)
         S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
     for i in range(nx):
-        t.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", rows[i])
+        column.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", i)
 
 
-def _columns_loop(t: _Lines, body: Callable[[str, str], None], begun: str = "entry") -> None:
-    """Do `body(column, c)` for every sensitivity column c."""
-    t.say("  br label %head\nhead:")
-    t.say(f"  %c = phi i64 [ 0, %{begun} ], [ %next, %body ]")
-    t.say("  %more = icmp slt i64 %c, %count\n  br i1 %more, label %body, label %done\nbody:")
-    column = t.new(f"load i64, ptr {t.new('getelementptr i64, ptr %columns, i64 %c')}")
-    body(column, "%c")
-    t.say("  %next = add i64 %c, 1\n  br label %head\ndone:")
+def _columns_loop(t: _Lines, body: Callable[[_Column], None], begun: str = "entry") -> None:
+    """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those left one by one."""
+    first = "0"
+    for together in _VECTORS:
+        n = str(together)
+        t.say(f"  br label %head{n}\nhead{n}:\n  %c{n} = phi i64 [ {first}, %{begun} ], [ %next{n}, %body{n} ]")
+        t.say(f"  %next{n} = add i64 %c{n}, {n}\n  %more{n} = icmp sle i64 %next{n}, %count")
+        t.say(f"  br i1 %more{n}, label %body{n}, label %done{n}\nbody{n}:")
+        body(_Column(t, f"%c{n}", together))
+        t.say(f"  br label %head{n}\ndone{n}:")
+        first, begun = f"%c{n}", f"done{n}"
+    t.kind = "double"
 
 
 def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -> str:
@@ -156,13 +201,13 @@ def _observe(nx: int, nu: int, n_p: int, ny: int) -> str:
     t.say(f"  call void @output_slopes({given}, ptr %work, ptr {D}, ptr %work)")
     C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
 
-    def column_of(column: str, c: str) -> None:
-        S = [t.load("%S", t.new(f"add i64 {t.new(f'mul i64 {i}, %count')}, {c}")) for i in range(nx)]
+    def column_of(column: _Column) -> None:
+        S = [column.load("%S", i) for i in range(nx)]
         for o in range(ny):
-            total = t.load(D, t.new(f"add i64 {o * width}, {column}"))
+            total = column.pick(D, o * width)
             for i in range(nx):
-                total = t.add(total, t.times(C[o][i], S[i]))
-            t.store(total, "%dy", t.new(f"add i64 {t.new(f'mul i64 {o}, %count')}, {c}"))
+                total = t.add(total, t.times(column.all(C[o][i]), S[i]))
+            column.store(total, "%dy", o)
 
     _columns_loop(t, column_of, "observed")
     t.say("  ret void")
