@@ -98,6 +98,45 @@ def squared_scale(e, near):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def scale_of(x, starts, a, near):
+    """`squared_scale` of the innovations A(z) x of several signals, signal j being x[starts[j]] … x[starts[j + 1] − 1]."""
+    e, count = np.empty(x.shape[0]), 0
+    for j in range(starts.shape[0] - 1):
+        v = x[starts[j] : starts[j + 1]]
+        innovations = np.empty(max(v.shape[0] - a.shape[0], 0))
+        whiten(v, a, innovations)
+        for one in innovations:
+            if np.isfinite(one):
+                e[count] = one
+                count += 1
+    return squared_scale(e[:count], near)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def reweighted(x, starts, a, variance, turns):
+    """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
+
+    No coefficients where missing samples leave too few complete rows for them.
+    """
+    order = a.shape[0]
+    for _ in range(turns):
+        G, g, rows = np.zeros((order, order)), np.zeros(order), 0
+        for j in range(starts.shape[0] - 1):
+            rows += add_lag_products(x[starts[j] : starts[j + 1]], a, variance, G, g)
+        if rows < 3 * (order + 1):
+            return np.zeros(0), scale_of(x, starts, np.zeros(0), 0.0)
+        if order:
+            ridge = 1e-10 * (np.trace(G) + 1e-300)
+            for i in range(order):
+                for j in range(i):
+                    G[j, i] = G[i, j]
+                G[i, i] += ridge
+            a = -np.linalg.solve(G, g)
+        variance = scale_of(x, starts, a, variance)
+    return a, variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def first_predictors(a, stable):
     """Levinson's recursion downwards: rows of the scaled predictors of the first p samples, and the logarithms of their spreads.
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.special import gammaln
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise, forgetting, longest_memory
-from residuum.identification.discrepancy.innovation_sums import FREEDOM, add_lag_products, squared_scale, whitened
+from residuum.identification.discrepancy.innovation_sums import FREEDOM, reweighted, scale_of, squared_scale
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def fit_noises(
     Autoregression by iteratively reweighted least squares, the maximum likelihood of t-distributed innovations; a noise it
     is `near` saves one turn.
     """
-    signals = [[np.ascontiguousarray(r[:, o]) for r in residuals] for o in range(residuals[0].shape[1])]
+    signals = [[r[:, o] for r in residuals] for o in range(residuals[0].shape[1])]
     known = [None] * len(signals) if near is None else near
     return tuple(_fit(each, order, drifting, noise) for each, noise in zip(signals, known, strict=True))
 
@@ -48,32 +48,18 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     if known == 0:
         return None
     longest = max(len(v) for v in signals)
-    a, variance = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0
-    first = 0
+    a, variance, turns = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0, _REWEIGHTINGS
     if near is not None and near.order == a.size:
-        a, variance, first = near.a, near.innovation_variance, 1
-    for turn in range(first, _REWEIGHTINGS):
-        G, g, rows = np.zeros((a.size, a.size)), np.zeros(a.size), 0
-        for v in signals:
-            rows += add_lag_products(v, a, variance, G, g)
-        if turn == 0 and rows < 3 * (a.size + 1):  # too many gaps for a colour
-            a, variance = np.zeros(0), _squared_scale(signals, np.zeros(0))
-            break
-        G = np.tril(G) + np.tril(G, -1).T
-        a = -np.linalg.solve(G + 1e-10 * (np.trace(G) + 1e-300) * np.eye(a.size), g) if a.size else a
-        variance = _squared_scale(signals, a, variance)
+        a, variance, turns = near.a, near.innovation_variance, _REWEIGHTINGS - 1
+    x, starts = np.concatenate(signals), np.cumsum([0, *map(len, signals)])
+    a, variance = reweighted(x, starts, a, variance, turns)
     limited = forgetting(a, _DRIFT if drifting else longest_memory(known, longest))
-    return ColouredNoise(limited, variance if limited is a else _squared_scale(signals, limited, variance))
+    return ColouredNoise(limited, variance if limited is a else scale_of(x, starts, limited, variance))
 
 
-def _squared_scale(signals: list[FloatArray], a: FloatArray, near: float = 0.0) -> float:
-    e = np.concatenate([whitened(v[None], a)[0] for v in signals])
-    return float(squared_scale(e[np.isfinite(e)], near))
-
-
-def scale(e: FloatArray) -> float:
-    """Maximum-likelihood scale of t-distributed innovations."""
-    return float(np.sqrt(squared_scale(e, 0.0)))
+def scale(e: FloatArray, near: float = 0.0) -> float:
+    """Maximum-likelihood scale of t-distributed innovations, sought from the squared scale `near` on (0: anywhere)."""
+    return float(np.sqrt(squared_scale(e, near)))
 
 
 def likelihood_weights(e: FloatArray, variance: float) -> FloatArray:
@@ -105,7 +91,7 @@ def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) ->
         each = [noise.innovations(r[:, o]) for r in residuals]
         known = np.concatenate([e[np.isfinite(e)] for e in each])
         if known.size:
-            s = scale(known)
+            s = scale(known, noise.innovation_variance)
             found += [_log_likelihoods(e, s) - np.isfinite(e) * noise.log_spreads(len(e)) for e in each]
     return np.concatenate(found)
 

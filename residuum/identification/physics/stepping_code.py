@@ -20,7 +20,7 @@ from residuum.identification.physics.composition import Equations
 
 FREE = "nsz arcp contract"
 """What the compiler may do beyond IEEE 754: share a reciprocal, fuse a product with a sum."""
-_VECTORS = (4, 2, 1)
+_VECTORS = (4, 1)
 """Columns side by side in a vector, the widest first."""
 _STAGES = ("0", "1", "1", "2")
 """Which of the three inputs each stage takes."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -267,6 +268,7 @@ class Effect(ABC):
         """Cases for the conformance test."""
 
 
+@lru_cache(maxsize=1024)
 def quotient(numerator: str, denominator: str, power: float = 1.0) -> str:
     """Unit `numerator / denominator**power` in short symbols; temperatures count as differences (K).
 
@@ -277,6 +279,7 @@ def quotient(numerator: str, denominator: str, power: float = 1.0) -> str:
     return _short(parse_unit(_DIFFERENCE.get(numerator, numerator)) / below**power)
 
 
+@lru_cache(maxsize=1024)
 def product(first: str, second: str) -> str:
     """Unit `first * second` in short symbols.
 
