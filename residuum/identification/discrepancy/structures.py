@@ -32,6 +32,8 @@ COARSER = 2
 """Factor by which an integration may be coarser where it serves a first look alone (a Runge–Kutta step errs by 3e-4)."""
 _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
+_NOISE_ALONE = 1.2
+"""Root mean square of a residual over its innovations' scale (1.12 where both are white and normal) up to which it is noise."""
 _SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
 """Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
 _OPTIMISM, _CLOSE, _MUCH_WORSE = 3.0, 20.0, 4.0
@@ -291,8 +293,9 @@ def fit_structure(
     than `most_substeps` integration steps a sample.
 
     The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
-    noise as it is with the error mended. The climb therefore begins twice (unless there is to be no `second_start`), at the given
-    point and at the least simulation error from there, and the likelier end is kept.
+    noise as it is with the error mended. The climb therefore begins twice, at the given point and at the least simulation error
+    from there, and the likelier end is kept; but once where there is to be no `second_start`, or where the first end leaves noise
+    alone that nothing swallowed.
     """
     names = tuple(model.free if free is None else free)
     ascent = _Ascent(model, experiments, names, noises, drifting)
@@ -301,7 +304,7 @@ def fit_structure(
         return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival.log_likelihood)
-    if second_start and noises is None:
+    if second_start and noises is None and not (found is not None and _is_noise_alone(found)):
         plain = _least_simulation_error(ascent, model, start, None if found is None else found.residuals, rival)
         other = None if plain is None else ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
         if other is not None and found is not None:
@@ -329,6 +332,12 @@ def fit_structure(
         at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
         drifting=drifting,
     )
+
+
+def _is_noise_alone(point: _Point) -> bool:
+    """Whether the residual of every output is hardly more than its innovations."""
+    scales = np.array([np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in point.noises])
+    return bool(np.nanmax(root_mean_squares(point.residuals) / scales) < _NOISE_ALONE)
 
 
 def refit(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -35,6 +36,7 @@ class Function(types.WrapperAddressProtocol):
         return self._signature
 
 
+@lru_cache(maxsize=1)
 def target() -> str:
     """The processor that code is made for; code made for another must not be loaded."""
     features = llvm.get_host_cpu_features().flatten()
