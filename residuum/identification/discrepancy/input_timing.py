@@ -37,17 +37,21 @@ def at_likelier_timing(
     The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
     parameters that lie many standard deviations beside the truth.
     """
-    tried: list[tuple[float, list[Experiment], Estimate]] = []
-    for turned in (list(experiments), turned_timing(experiments)):
+
+    def tried(turned: list[Experiment]) -> tuple[list[Experiment], Estimate] | NotIdentifiable:
         try:
-            found = fitted(turned)
-        except NotIdentifiable:
-            if tried:
-                break
-            raise
-        tried.append((float(np.nansum((found.rmse / _spread(experiments)) ** 2)), turned, found))
-    _, turned, found = min(tried, key=lambda one: one[0])
-    return turned, found
+            return turned, fitted(turned)
+        except NotIdentifiable as diverges:
+            return diverges
+
+    def error(found: Estimate) -> float:
+        return float(np.nansum((found.rmse / spread) ** 2))
+
+    spread = _spread(experiments)
+    first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
+    if isinstance(first, NotIdentifiable):
+        raise first
+    return first if isinstance(other, NotIdentifiable) or error(first[1]) <= error(other[1]) else other
 
 
 def _spread(experiments: Sequence[Experiment]) -> FloatArray:

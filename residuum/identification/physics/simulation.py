@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -172,15 +173,17 @@ class Simulator:
 
     def look(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> dict[str, Array]:
         """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`) along the states X."""
-        Z = integration.evaluate_signals(
-            self.kernel.system, experiment.U, X, self.p(values), experiment.sample_time, experiment.hold
-        )
+        Z = integration.evaluate_signals(*self._along(experiment, X, values))
         return {name: Z[:, k] for k, name in enumerate(self.kernel.signals)}
 
     def look_outputs(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> Array:
         """Outputs along the states X, shape (n, outputs)."""
-        arguments = (experiment.U, X, self.p(values), experiment.sample_time, experiment.hold)
-        return np.asarray(integration.evaluate_outputs(self.kernel.system, *arguments))
+        return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
+
+    def _along(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None) -> tuple[Any, ...]:
+        """What evaluates along given states; whole arrays, since for strided ones it would be compiled once more."""
+        U, X = np.ascontiguousarray(experiment.U), np.ascontiguousarray(X)
+        return self.kernel.system, U, X, self.p(values), experiment.sample_time, experiment.hold
 
     def substeps(self, experiment: Experiment, x0: Array, p: Array) -> int:
         """`substeps_each` of one experiment."""
