@@ -8,7 +8,7 @@ import typer
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.judgement import Candidate, Quantity
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.discrepancy.trials import SLOW
 from residuum.identification.physics import load_model
@@ -101,11 +101,18 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
     }
 
 
+def _size(name: str, quantity: Quantity) -> str:
+    """A parameter with its standard deviation, or as held where it was not estimated."""
+    if quantity.std == 0.0:
+        return f"{name} = {quantity.value:.4g} {quantity.unit}".rstrip() + " (held)"
+    return f"{name} = {quantity.value:.4g} ± {quantity.std:.1g} {quantity.unit}".rstrip()
+
+
 def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
     for candidate in explanation.candidates[:6]:
-        values = ", ".join(f"{n} = {q.value:.4g} ± {q.std:.1g} {q.unit}".rstrip() for n, q in candidate.parameters.items())
+        values = ", ".join(_size(name, quantity) for name, quantity in candidate.parameters.items())
         lines.append(
             f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
             f"probability {candidate.probability:.2f}, {values}; "
