@@ -30,7 +30,7 @@ def _record(truth: PhysicalModel) -> Record:
     """Steps of the inputs, and what the model answers, with noise."""
     rng = np.random.default_rng(0)
     inputs = {name: np.repeat(rng.normal(scale=6.0, size=_SAMPLES // 20), 20) for name in truth.inputs}
-    units = {name: signal.unit for name, signal in (*truth.inputs.items(), *truth.outputs.items())}
+    units = {n: signal.unit for n, signal in truth.inputs.items()} | {n: output.unit for n, output in truth.outputs.items()}
     nothing = {name: np.zeros(_SAMPLES) for name in truth.outputs}
     empty = Record({**inputs, **nothing}, units, _SAMPLE_TIME)
     _, (experiment,) = match(truth, [empty])

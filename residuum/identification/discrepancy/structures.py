@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.discrepancy.ascent import Ascent, Point
+from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
@@ -21,9 +22,6 @@ from residuum.identification.physics.effects import EFFECTS
 
 FloatArray = npt.NDArray[np.float64]
 
-_HARDEST = 1e4
-_DONE = 0.02
-"""Stop when a step gains less log-likelihood than this."""
 VISIBLE_SUBSTEPS = 16
 """An effect so fast that it asks for more of them, a tenth of a sample and less, cannot be seen in the record."""
 _TOKEN, _NEAR_TOKEN = 1e-9, 1e3
@@ -34,12 +32,8 @@ _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
 _NOISE_ALONE = 1.2
 """Root mean square of a residual over its innovations' scale (1.12 where both are white and normal) up to which it is noise."""
-_SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
-"""Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
-_OPTIMISM, _CLOSE, _MUCH_WORSE = 3.0, 20.0, 4.0
-"""A structure that lies behind its rival by more than this many promised steps, and this much, is not followed further; nor is a
-simulation error of which the mean square is not promised to come within this factor of its rival's.
-"""
+_MUCH_WORSE = 4.0
+"""A mean square simulation error that is not promised to come within this factor of its rival's is not followed further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,146 +127,6 @@ class Rival:
 NO_RIVAL = Rival()
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    p: FloatArray
-    initial: list[FloatArray]
-    residuals: list[FloatArray]
-    by_parameters: list[FloatArray]
-    by_states: list[FloatArray]
-    noises: Noises
-    pointwise: FloatArray
-    rmse: FloatArray
-
-    @property
-    def log_likelihood(self) -> float:
-        return float(self.pointwise.sum())
-
-
-class _Ascent:
-    """Levenberg–Marquardt on the innovations' likelihood, the noise re-estimated at every point."""
-
-    def __init__(
-        self,
-        model: PhysicalModel,
-        experiments: Sequence[Experiment],
-        names: tuple[str, ...],
-        colour: Noises | None,
-        drifting: bool,
-    ):
-        self.simulator, self.experiments, self.names = Simulator(model), list(experiments), names
-        known = model.all_parameters
-        self.lower = np.array([known[name].lower for name in names])
-        self.upper = np.array([known[name].upper for name in names])
-        self.index = self.simulator.columns(names)
-        states = self.simulator.free_states
-        self.states = [self.simulator.states.index(name) for name in states]
-        self.slopes = [*names, *(f"initial:{name}" for name in states)]
-        self.colour, self.drifting = colour, drifting
-        self.substeps: tuple[int, ...] = ()
-        self.count = np.sum([np.isfinite(e.Y).sum(axis=0) for e in self.experiments], axis=0)
-
-    def point(self, p: FloatArray, initial: list[FloatArray]) -> _Point | None:
-        """Simulate with derivatives; None when that diverges."""
-        q = len(self.names)
-        residuals, by_parameters, by_states = [], [], []
-        power = np.zeros(self.count.size)
-        runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
-        for e, run in zip(self.experiments, runs, strict=True):
-            if run.dY is None or not run.bounded:
-                return None
-            error, slopes = e.Y - run.Y, e.means(run.dY)
-            power += np.nansum(error**2, axis=0)
-            residuals.append(e.means(error))
-            by_parameters.append(slopes[:, :, :q])
-            by_states.append(slopes[:, :, q:])
-        noises = self._noises(residuals)
-        rmse = np.sqrt(power / np.where(self.count > 0, self.count, np.nan))
-        pointwise = pointwise_log_likelihood(residuals, noises)
-        return _Point(p, initial, residuals, by_parameters, by_states, noises, pointwise, rmse)
-
-    def log_likelihood(self, p: FloatArray, initial: list[FloatArray]) -> float:
-        """At a point, without derivatives; −∞ where the simulation diverges."""
-        residuals = []
-        runs = self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps)
-        for e, run in zip(self.experiments, runs, strict=True):
-            if not run.bounded:
-                return -np.inf
-            residuals.append(e.means(e.Y - run.Y))
-        return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
-
-    def _noises(self, residuals: list[FloatArray]) -> Noises:
-        return fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
-
-    def choose_steps(self, initial: list[FloatArray], most: float, enough: Sequence[int] = ()) -> bool:
-        """Set the integration steps a sample of each experiment; False when its fastest mode asks for more than `most`.
-
-        Where so many were exact `enough` before an effect joined, only a faster mode asks for more.
-        """
-        p = self.simulator.p()
-        modal = self.simulator.modal_substeps(self.experiments, initial, p)
-        if max(modal) > most:
-            return False
-        exact = map(max, modal, enough) if enough else self.simulator.substeps_each(self.experiments, initial, p, modal)
-        self.substeps = tuple(exact)
-        return True
-
-    def climb(self, here: _Point, iterations: int, rival: float = -np.inf) -> _Point:
-        """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood.
-
-        A step takes the noise for known, and is too short where the noise changes with it: along a ridge, on which three steps on
-        end point the same way, it is stretched.
-        """
-        damping, refused, stretch, last, on = 1e-4, False, 1.0, np.zeros(len(self.names)), 0
-        for _ in range(iterations):
-            equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
-            if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
-                break
-            before, first = here, damping
-            while damping < _HARDEST:
-                trial = self._trial(here, equations, damping, stretch)
-                if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
-                    there = self.point(*trial)
-                    if there is not None and there.log_likelihood > here.log_likelihood:
-                        refused = damping > first
-                        here, damping = there, max(damping / 10.0, 1e-9)
-                        break
-                damping, refused, stretch = damping if stretch > 1.0 else damping * 8.0, True, 1.0
-            done, plain = here.log_likelihood - before.log_likelihood < _DONE, stretch == 1.0
-            if done and plain:
-                break
-            step = (here.p - before.p)[self.index] / np.where(before.p[self.index] == 0.0, 1.0, before.p[self.index])
-            on = on + 1 if _same_way(step, last) and not done else 0
-            stretch, last = (min(2.0 * stretch, _MOST_STRETCHED) if on > 1 else 1.0), step
-        return here
-
-    def _trial(
-        self, here: _Point, equations: NormalEquations, damping: float, stretch: float
-    ) -> tuple[FloatArray, list[FloatArray]]:
-        """Parameters and first states after the damped step, stretched, within bounds."""
-        theta = here.p[self.index]
-        held = np.zeros(len(theta), dtype=bool)
-        for _ in range(len(theta) + 1):
-            step, own = equations.step(damping, held)
-            out = ~held & ((theta <= self.lower) & (step < 0) | (theta >= self.upper) & (step > 0))
-            if not out.any():
-                break
-            held |= out
-        p = here.p.copy()
-        p[self.index] = np.clip(theta + stretch * step, self.lower, self.upper)
-        initial = []
-        for x0, z in zip(here.initial, own, strict=True):
-            x = x0.copy()
-            x[self.states] += stretch * z
-            initial.append(x)
-        return p, initial
-
-
-def _same_way(step: FloatArray, last: FloatArray) -> bool:
-    """Whether two steps of the parameters, relative to their values, point the same way."""
-    return bool(step @ last > _SAME_WAY * np.linalg.norm(step) * np.linalg.norm(last) > 0.0)
-
-
 def fit_structure(
     model: PhysicalModel,
     experiments: Sequence[Experiment],
@@ -298,7 +152,7 @@ def fit_structure(
     alone that nothing swallowed.
     """
     names = tuple(model.free if free is None else free)
-    ascent = _Ascent(model, experiments, names, noises, drifting)
+    ascent = Ascent(model, experiments, names, noises, drifting)
     start = _states(initial, ascent.simulator)
     if not ascent.choose_steps(start, most_substeps):
         return None
@@ -334,7 +188,7 @@ def fit_structure(
     )
 
 
-def _is_noise_alone(point: _Point) -> bool:
+def _is_noise_alone(point: Point) -> bool:
     """Whether the residual of every output is hardly more than its innovations."""
     scales = np.array([np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in point.noises])
     return bool(np.nanmax(root_mean_squares(point.residuals) / scales) < _NOISE_ALONE)
@@ -390,7 +244,7 @@ def glimpse(
     A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
     trajectory that the base model gets wrong. Left early where its error is not promised to come near its `rival`'s.
     """
-    ascent = _Ascent(model, experiments, tuple(model.free), None, before.drifting)
+    ascent = Ascent(model, experiments, tuple(model.free), None, before.drifting)
     start = _states(before.initial, ascent.simulator)
     if not ascent.choose_steps(start, most_substeps, before.substeps):
         return -np.inf
@@ -423,7 +277,7 @@ def _weights(residuals: Sequence[FloatArray]) -> FloatArray:
 
 
 def _least_simulation_error(
-    ascent: _Ascent,
+    ascent: Ascent,
     model: PhysicalModel,
     start: list[FloatArray],
     residuals: Sequence[FloatArray] | None,
