@@ -370,8 +370,10 @@ def _error_ratio(after: list[FloatArray], before: list[FloatArray]) -> float:
 
 
 def _information(equations: NormalEquations, leading: int) -> float:
-    """Information on parameter `leading` after those before it are free."""
+    """Information on parameter `leading` after those before it are free; 0 where there is none."""
     H = equations.information()
+    if leading == len(H):
+        return 0.0
     absorbed = solve_scaled(H[:leading, :leading], H[:leading, leading : leading + 1], RIDGE)
     return float(H[leading, leading] - H[leading, :leading] @ absorbed[:, 0])
 

@@ -239,3 +239,13 @@ def test_a_machine_at_standstill_explains_nothing():
     record = Record(still, {"voltage": "V", "speed": "rad/s", "current": "A"}, 0.01, source="still.csv")
     with pytest.raises(BadRecord, match=r"still\.csv.*standstill explains nothing"):
         explain(load_model("gate-drive"), [record])
+
+
+def test_a_coarse_reading_is_named_with_the_step_that_the_record_shows():
+    """The step is read off the stairs; estimated, it ends in one of the error's many minima, and is not believed."""
+    coarse = drive({"output-quantisation": {"step": 4.0}}, seed=41, duration=30.0, rate=500.0, profile="rich")
+    spoken = Record({name: coarse.channels[name] for name in ("voltage", "speed")}, coarse.units, coarse.sample_time)
+    found = explain(load_model("gate-drive"), [spoken])
+    assert found.verdict == "missing-effect"
+    assert (found.candidates[0].effect, found.candidates[0].balance) == ("output-quantisation", "speed")
+    assert found.candidates[0].parameters["q"].value == 4.0

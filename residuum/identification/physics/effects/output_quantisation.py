@@ -20,7 +20,8 @@ class SteppedRound(sp.Function):
 class OutputQuantisation(Effect):
     """q·round(y/q). Derivatives lean on the line through the stairs.
 
-    `q` [output unit] > 0. It only improves a model whose error is below a step.
+    `q` [output unit] > 0 is read off the record, whose samples lie on the stairs, and held: as a function of q the error has a
+    minimum for every number of steps that a signal may be long. It only improves a model whose error is below a step.
     """
 
     id = "output-quantisation"
@@ -31,7 +32,7 @@ class OutputQuantisation(Effect):
     every_sample = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
-        return (Parameter("q", 1e-9, site.unit, lower=1e-12, meaning="step"),)
+        return (Parameter("q", 1e-9, site.unit, lower=1e-12, fixed=True, meaning="step"),)
 
     def contribution(self, scene: Scene) -> Contribution:
         q = scene.p["q"]
