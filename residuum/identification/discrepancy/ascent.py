@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.coarse_reading import reading_variances
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
@@ -61,7 +62,7 @@ class Ascent:
         states = self.simulator.free_states
         self.states = [self.simulator.states.index(name) for name in states]
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
-        self.colour, self.drifting = colour, drifting
+        self.colour, self.drifting, self.reading = colour, drifting, reading_variances(experiments)
         self.substeps: tuple[int, ...] = ()
         self.count = np.sum([np.isfinite(e.Y).sum(axis=0) for e in self.experiments], axis=0)
 
@@ -95,7 +96,9 @@ class Ascent:
         return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
 
     def _noises(self, residuals: list[FloatArray]) -> Noises:
-        return fit_noises(residuals, drifting=self.drifting) if self.colour is None else self.colour
+        if self.colour is not None:
+            return self.colour
+        return fit_noises(residuals, drifting=self.drifting, reading=self.reading)
 
     def choose_steps(self, initial: list[FloatArray], most: float, enough: Sequence[int] = ()) -> bool:
         """Set the integration steps a sample of each experiment; False when its fastest mode asks for more than `most`.

@@ -113,10 +113,11 @@ def scale_of(x, starts, a, near):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def reweighted(x, starts, a, variance, turns):
+def reweighted(x, starts, a, variance, turns, floor):
     """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
 
-    No coefficients where missing samples leave too few complete rows for them.
+    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it. No coefficients where
+    missing samples leave too few complete rows for them.
     """
     order = a.shape[0]
     for _ in range(turns):
@@ -126,7 +127,7 @@ def reweighted(x, starts, a, variance, turns):
         if rows < 3 * (order + 1):
             return np.zeros(0), scale_of(x, starts, np.zeros(0), 0.0)
         if order:
-            ridge = 1e-10 * (np.trace(G) + 1e-300)
+            ridge = 1e-10 * (np.trace(G) + 1e-300) + floor * rows
             for i in range(order):
                 for j in range(i):
                     G[j, i] = G[i, j]

@@ -30,20 +30,27 @@ Noises = tuple[ColouredNoise | None, ...]
 
 
 def fit_noises(
-    residuals: Sequence[FloatArray], order: int = ORDER, *, drifting: bool = False, near: Noises | None = None
+    residuals: Sequence[FloatArray],
+    order: int = ORDER,
+    *,
+    drifting: bool = False,
+    near: Noises | None = None,
+    reading: FloatArray | None = None,
 ) -> Noises:
     """The noise of every output's residuals (one array (n, outputs) an experiment, NaN where missing).
 
     Noise that is `drifting` may be integrated (a load that walks at random); other noise forgets within the data.
     Autoregression by iteratively reweighted least squares, the maximum likelihood of t-distributed innovations; a noise it
-    is `near` saves one turn.
+    is `near` saves one turn. `reading` are the variances of what coarse steps hide of each output.
     """
     signals = [[r[:, o] for r in residuals] for o in range(residuals[0].shape[1])]
     known = [None] * len(signals) if near is None else near
-    return tuple(_fit(each, order, drifting, noise) for each, noise in zip(signals, known, strict=True))
+    floors = np.zeros(len(signals)) if reading is None else reading
+    each = zip(signals, known, floors.tolist(), strict=True)
+    return tuple(_fit(signal, order, drifting, noise, floor) for signal, noise, floor in each)
 
 
-def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNoise | None) -> ColouredNoise | None:
+def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNoise | None, floor: float) -> ColouredNoise | None:
     known = sum(int(np.isfinite(v).sum()) for v in signals)
     if known == 0:
         return None
@@ -52,7 +59,7 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     if near is not None and near.order == a.size:
         a, variance, turns = near.a, near.innovation_variance, _REWEIGHTINGS - 1
     x, starts = np.concatenate(signals), np.cumsum([0, *map(len, signals)])
-    a, variance = reweighted(x, starts, a, variance, turns)
+    a, variance = reweighted(x, starts, a, variance, turns, floor)
     limited = forgetting(a, _DRIFT if drifting else longest_memory(known, longest))
     return ColouredNoise(limited, variance if limited is a else scale_of(x, starts, limited, variance))
 

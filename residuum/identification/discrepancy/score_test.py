@@ -334,7 +334,7 @@ def first_order_fit(
         return NormalEquations.of(residuals, by_parameters, by_states, noises)
 
     def judged(step: FloatArray, rest: list[FloatArray], near: Noises | None) -> _Fitted:
-        colour = fit_noises(rest, drifting=base.drifting, near=near)
+        colour = fit_noises(rest, drifting=base.drifting, near=near, reading=base.reading)
         return step, pointwise_log_likelihood(rest, colour), rest, colour
 
     step, rest = solved(under(base.noises) if equations is None else equations)

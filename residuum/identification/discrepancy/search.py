@@ -52,8 +52,9 @@ they have to fall with a later one or where they are slow; less is enough where 
 """
 MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
 """Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
-PLAIN_FALL = 0.95
-"""Factor to which the error has to fall at least with an effect of the reading alone."""
+PLAIN_FALL, _OF_READING = 0.95, 3.0
+"""Factor to which the error has to fall at least with an effect of the reading alone, or where the mean square error is less than
+so many times what the steps of the reading hide."""
 HALF = 0.5
 """Share of its error that the base is left with at most, where a search begins with what lowers it most."""
 NEARLY_ALL = 0.1
@@ -469,6 +470,16 @@ def _held_out_errors(
     return None if errors[0] is None or errors[1] is None else (errors[0], errors[1])
 
 
+def _is_the_readings(before: Structure, better: Structure) -> bool:
+    """Whether what falls is the error of outputs that are read coarsely, and falls little.
+
+    A machine that stands, or turns at few speeds, errs there by up to half a step, always the same: any effect may take that up.
+    """
+    read = before.rmse**2 < _OF_READING * before.reading
+    ratio = better.rmse / before.rmse
+    return bool(read.any() and not np.any(ratio < np.where(read, PLAIN_FALL, FALL)))
+
+
 def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiments: Sequence[Experiment]) -> bool:
     """Whether the effect raises neither the simulation error nor that on data which were not used for the estimation.
 
@@ -478,6 +489,8 @@ def _holds_up(found: Search, key: tuple[str, str], better: Structure, experiment
     plain = tempered_gain(better, found.best) > PLAINLY_MORE
     doubted = 1.0 if plain else FALL
     if not simulates_no_worse(better, found.best, doubted if found.accepted or times_its_innovations(better) > SLOW else RISE):
+        return False
+    if _is_the_readings(found.best, better):
         return False
     errors = _held_out_errors(found.best, better, experiments)
     if errors is None:

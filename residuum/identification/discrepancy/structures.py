@@ -52,6 +52,8 @@ class Structure:
         y − ŷ in the outputs' units, means over the experiments' blocks.
     noises : tuple
         Colour of each output's residual.
+    reading : array, shape (outputs,)
+        Variance that coarse steps hide of each output.
     by_parameters, by_states : list of array, shapes (blocks, outputs, q) and (blocks, outputs, free initial states)
         Derivatives of ŷ there, in the outputs' units a unit of each.
     pointwise : array
@@ -74,6 +76,7 @@ class Structure:
     by_parameters: list[FloatArray]
     by_states: list[FloatArray]
     noises: Noises
+    reading: FloatArray
     pointwise: FloatArray
     rmse: FloatArray
     at_bound: tuple[str, ...] = ()
@@ -181,6 +184,7 @@ def fit_structure(
         by_parameters=found.by_parameters,
         by_states=found.by_states,
         noises=found.noises,
+        reading=ascent.reading,
         pointwise=found.pointwise,
         rmse=found.rmse,
         at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
