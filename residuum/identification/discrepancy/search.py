@@ -214,7 +214,7 @@ def _forward(base: Structure, task: Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
-    if len(found.accepted) == 1 or times_its_innovations(found.base) <= SLOW:
+    if times_its_innovations(found.base) <= SLOW or (len(found.accepted) == 1 and _nearly_all(found)):
         return found
     for key in _other_beginnings(found, first):
         if len(found.accepted) == 2 and _nearly_all(found):
