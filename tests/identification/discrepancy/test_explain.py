@@ -260,3 +260,11 @@ def test_what_a_coarse_reading_hides_at_a_few_speeds_is_blamed_on_no_effect():
     """At each of them the speed is off by up to half a step, always the same: a supply's sag would fit that."""
     found = explain(load_model("gate-drive"), [read_in_steps(4.0, "duty-cycle")])
     assert found.verdict != "missing-effect"
+
+
+def test_friction_in_one_direction_alone_is_one_effect():
+    """Not Coulomb friction and a constant load, which do the same together."""
+    found = explain(load_model("gate-drive"), [drive({"directional-friction": {"tau_c": 0.02, "asymmetry": 0.04}})])
+    assert found.search.accepted == [("directional-friction", "shaft")]
+    assert found.candidates[0].parameters["tau_plus"].value == pytest.approx(0.04, abs=5e-4)
+    assert found.candidates[0].parameters["tau_minus"].value < 5e-4

@@ -9,7 +9,7 @@ from residuum.identification.physics.effects.friction import Friction
 class DirectionalFriction(Friction):
     """Forward −τ₊, backward +τ₋: seals, wipers, worm gears under load.
 
-    `tau_plus`, `tau_minus` [balance unit] ≥ 0.
+    `tau_plus`, `tau_minus` [balance unit] ≥ 0; a machine may rub in one direction alone.
     """
 
     id = "directional-friction"
@@ -19,6 +19,7 @@ class DirectionalFriction(Friction):
     sizes = ("tau_plus", "tau_minus")
     rest = 0.001
     generalises = "coulomb-friction"
+    natural_bounds = ("tau_plus", "tau_minus")
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
