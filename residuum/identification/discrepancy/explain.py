@@ -15,8 +15,8 @@ from residuum.identification.discrepancy.input_timing import experiments_and_bas
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Search, Tell, search, untold
-from residuum.identification.discrepancy.structures import Structure, fit_structure
-from residuum.identification.discrepancy.trials import SHIFTS, times_each_its_innovations
+from residuum.identification.discrepancy.structures import Structure, fit_structure, times_each_its_innovations
+from residuum.identification.discrepancy.trials import SHIFTS
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record

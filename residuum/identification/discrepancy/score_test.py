@@ -159,6 +159,10 @@ class Screen:
             if screened is not None:
                 self._tested[pair].append(screened)
 
+    def not_refitted(self, starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
+        """Those of the starts that were not re-estimated in full yet."""
+        return [start for start in starts if not any(start is one for one in self.refitted)]
+
     def promising(self, id: str, target: str, most: int = 3) -> list[Screened]:
         """The candidate at its few starts that explain most, to first order or by what its simulation there leaves."""
         found = self.tests(id, target)

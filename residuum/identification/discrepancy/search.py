@@ -22,6 +22,7 @@ from residuum.identification.discrepancy.structures import (
     fit_structure,
     in_likelier_order,
     refit,
+    times_its_innovations,
 )
 from residuum.identification.discrepancy.trials import (
     ACCEPT,
@@ -31,7 +32,6 @@ from residuum.identification.discrepancy.trials import (
     polished,
     schwarz,
     simulates_no_worse,
-    times_its_innovations,
     within_a_sample,
 )
 from residuum.identification.errors import NotIdentifiable
@@ -58,7 +58,7 @@ so many times what the steps of the reading hide."""
 HALF = 0.5
 """Share of its error that the base is left with at most, where a search begins with what lowers it most."""
 NEARLY_ALL = 0.1
-"""Share of the way to white noise, in logarithms of the error, up to which two effects may leave it and need no second search."""
+"""Share of the way to white noise, in logarithms of the error, up to which one effect or two may leave it and end the search."""
 PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
 """An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0

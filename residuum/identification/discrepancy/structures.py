@@ -31,7 +31,7 @@ COARSER = 2
 _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
 _NOISE_ALONE = 1.2
-"""Root mean square of a residual over its innovations' scale (1.12 where both are white and normal) up to which it is noise."""
+"""Times its innovations (1.12 where both are white and normal) up to which an error is noise that swallowed nothing."""
 _MUCH_WORSE = 4.0
 """A mean square simulation error that is not promised to come within this factor of its rival's is not followed further."""
 
@@ -161,7 +161,7 @@ def fit_structure(
         return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival.log_likelihood)
-    if second_start and noises is None and not (found is not None and _is_noise_alone(found)):
+    if second_start and noises is None and not (found is not None and times_its_innovations(found) < _NOISE_ALONE):
         plain = _least_simulation_error(ascent, model, start, None if found is None else found.residuals, rival)
         other = None if plain is None else ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
         if other is not None and found is not None:
@@ -190,12 +190,6 @@ def fit_structure(
         at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
         drifting=drifting,
     )
-
-
-def _is_noise_alone(point: Point) -> bool:
-    """Whether the residual of every output is hardly more than its innovations."""
-    scales = np.array([np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in point.noises])
-    return bool(np.nanmax(root_mean_squares(point.residuals) / scales) < _NOISE_ALONE)
 
 
 def refit(
@@ -273,6 +267,17 @@ def root_mean_squares(residuals: Sequence[FloatArray]) -> FloatArray:
     stacked = np.concatenate(residuals)
     known = np.isfinite(stacked).sum(axis=0)
     return np.asarray(np.sqrt(np.nansum(stacked**2, axis=0) / np.where(known > 0, known, np.nan)))
+
+
+def times_its_innovations(structure: Structure | Point) -> float:
+    """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
+    return float(np.nanmax(times_each_its_innovations(structure)))
+
+
+def times_each_its_innovations(structure: Structure | Point) -> FloatArray:
+    """The same of each output; NaN where it was never measured."""
+    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
+    return root_mean_squares(structure.residuals) / np.array(innovations)
 
 
 def _weights(residuals: Sequence[FloatArray]) -> FloatArray:

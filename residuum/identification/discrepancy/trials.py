@@ -11,7 +11,15 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, glimpse, refit, root_mean_squares
+from residuum.identification.discrepancy.structures import (
+    NO_RIVAL,
+    Rival,
+    Structure,
+    glimpse,
+    refit,
+    root_mean_squares,
+    times_its_innovations,
+)
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
@@ -48,7 +56,7 @@ def trials(
         doubted += [_from_the_track(screen, pairs)[:MOST_GLIMPSES], _with_states(screen, pairs)]
     refitted = _likelier(refitted, _refitted(screen, _overlooked(screen, doubted, refitted), _rival(refitted.values())))
     refitted = _likelier(refitted, _grown(screen, pairs, refitted))
-    refitted |= _simplified(best, experiments, refitted)
+    refitted |= _simplified(screen, refitted)
     return _settled(refitted, best, experiments), tested
 
 
@@ -69,18 +77,15 @@ def _refitted(screen: Screen, starts: Sequence[PhysicalModel], rival: Rival = NO
     Without a `rival` for them to come near the first is one for the others.
     """
     best, experiments = screen.base, screen.experiments
-    new = [start for start in starts if not any(start is one for one in screen.refitted)]
+    new = screen.not_refitted(starts)
     screen.refitted += new
     structures = [refit(best, start, experiments) for start in new[:1] if rival.log_likelihood == -np.inf]
     nearest = _rival([s for s in structures if s is not None]) if structures else rival
     structures += side_by_side(lambda start: refit(best, start, experiments, rival=nearest), new[len(structures) :])
     found: dict[tuple[str, str], Structure] = {}
     for start, structure in zip(new, structures, strict=True):
-        if structure is None:
-            continue
         key = _key(start)
-        shorter = within_a_sample(structure, key, experiments)
-        if shorter or (simulates_no_worse(structure, best) and _shows(structure, key, experiments)):
+        if structure is not None and (within_a_sample(structure, key, experiments) or _is_sound(structure, key, screen)):
             found = _likelier(found, {key: structure})
     return found
 
@@ -167,17 +172,16 @@ def _grown(
     found: dict[tuple[str, str], Structure] = {}
     for (model, _), structure in zip(starts, structures, strict=True):
         key = _key(model)
-        if structure is not None and simulates_no_worse(structure, best) and _shows(structure, key, experiments):
+        if structure is not None and _is_sound(structure, key, screen):
             found = _likelier(found, {key: structure})
     return found
 
 
-def _simplified(
-    best: Structure, experiments: Sequence[Experiment], refitted: Mapping[tuple[str, str], Structure]
-) -> dict[tuple[str, str], Structure]:
+def _simplified(screen: Screen, refitted: Mapping[tuple[str, str], Structure]) -> dict[tuple[str, str], Structure]:
     """Effects refitted from the estimate of one that generalises them, where that one does better: they may have been stuck, or
     not been among the likeliest to first order.
     """
+    best, experiments = screen.base, screen.experiments
     found: dict[tuple[str, str], Structure] = {}
     for (id, target), general in refitted.items():
         key = EFFECTS[id].generalises, target
@@ -192,13 +196,18 @@ def _simplified(
         known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
         again = refit(best, best.model.with_values(known).with_effect(*key, values), experiments, initial=general.initial)
         higher = again is not None and (special is None or again.log_likelihood > special.log_likelihood)
-        if again is not None and higher and simulates_no_worse(again, best) and _shows(again, key, experiments):
+        if again is not None and higher and _is_sound(again, key, screen):
             found[key] = again
     return found
 
 
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
     return EFFECTS[id].grown(*_at_estimate(special, (EFFECTS[id].generalises, target), experiments, EFFECTS[id]))
+
+
+def _is_sound(structure: Structure, key: tuple[str, str], screen: Screen) -> bool:
+    """Whether an effect leaves no larger simulation error, and can be told from an unknown load."""
+    return simulates_no_worse(structure, screen.base) and _shows(structure, key, screen.experiments)
 
 
 def _shows(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
@@ -237,8 +246,8 @@ def _overlooked(
         there = screen.where(start)
         return glimpse(start, there.experiments, there.base, there.most_substeps, rival) - there.base.log_likelihood
 
-    starts = [(which, start) for which, one in enumerate(doubted) for start in one if _key(start) not in done]
-    starts = [(which, start) for which, start in starts if not any(start is one for one in screen.refitted)]
+    new = [screen.not_refitted(one) for one in doubted]
+    starts = [(which, start) for which, one in enumerate(new) for start in one if _key(start) not in done]
     gains = side_by_side(lambda each: gain(each[1]), starts)
     ranked = sorted((k for k in range(len(starts)) if gains[k] > 2.0), key=lambda k: -gains[k])
     return [starts[k][1] for n in range(len(doubted)) for k in [k for k in ranked if starts[k][0] == n][:SECOND_LOOKS]]
@@ -271,17 +280,6 @@ def within_a_sample(structure: Structure, key: tuple[str, str], experiments: Seq
 def simulates_no_worse(structure: Structure, before: Structure, rise: float = WORTH_A_LOOK) -> bool:
     """Whether the simulation error fell too: noise that is nearly integrated can swallow any slow error."""
     return mean_ratio(structure.rmse, before.rmse) < rise
-
-
-def times_its_innovations(structure: Structure) -> float:
-    """How far a structure's simulation error stands above what its noise cannot predict of it, at the output where it is most."""
-    return float(np.nanmax(times_each_its_innovations(structure)))
-
-
-def times_each_its_innovations(structure: Structure) -> FloatArray:
-    """The same of each output; NaN where it was never measured."""
-    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return root_mean_squares(structure.residuals) / np.array(innovations)
 
 
 def mean_ratio(after: FloatArray, before: FloatArray) -> float:
