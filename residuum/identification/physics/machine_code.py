@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import count
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -18,13 +19,18 @@ SIGNATURES: Mapping[str, Any] = {
 }
 """Of the functions that take more than nine pointers to doubles."""
 
+_COUNT = count()
+"""Numbers the libraries."""
+_PLACED = 1000
+"""Libraries that one linker places: it keeps 10 kB of each that was released."""
+
 
 class Function(types.WrapperAddressProtocol):
-    """A loaded function; it keeps its code in memory as long as it lives."""
+    """A function of a loaded library; it keeps the library, and what placed it, in memory as long as it lives."""
 
-    def __init__(self, engine: Any, name: str) -> None:
-        self._engine = engine
-        self._address = int(engine.get_function_address(name))
+    def __init__(self, library: Any, name: str, linker: Any) -> None:
+        self._kept = library, linker
+        self._address = int(library[name])
         self._signature = SIGNATURES.get(name, _PLAIN)
 
     def __wrapper_address__(self) -> int:
@@ -55,14 +61,20 @@ def compiled(assembly: str) -> bytes:
 
 
 def loaded(code: bytes, names: Sequence[str]) -> tuple[Function, ...]:
-    """The functions `names` of object code.
+    """The functions `names` of object code."""
+    number = next(_COUNT)
+    builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
+    for name in names:
+        builder.export_symbol(name)
+    linker = _linker(number // _PLACED)
+    library = builder.link(linker, f"kernel_{number}")
+    return tuple(Function(library, name, linker) for name in names)
 
-    An engine owns its target machine and takes it along when it goes: each has one of its own.
-    """
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    return tuple(Function(engine, name) for name in names)
+
+@lru_cache(maxsize=1)
+def _linker(_which: int) -> Any:
+    """What places object code in memory: one for many, since to set one up takes five times as long as to place a kernel."""
+    return llvm.create_lljit_compiler(_machine())
 
 
 def _machine() -> Any:
