@@ -15,7 +15,7 @@ from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
-from residuum.identification.discrepancy.judgement import leaves_much
+from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Search, Tell, untold
@@ -34,6 +34,8 @@ _RISE, _TIMING, _STRANGE = 1.002, 0.9, 2.0
 """Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not; and times
 the error of the rest above which something happens there that the rest does not know.
 """
+_ERROR_AFTER, _STD = "error_after", "std_"
+"""Keys of an effect's provenance: the held-out error with it, and the standard deviation of a parameter."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,17 @@ class Improvement:
     error_unit: str
     explanation: Explanation | None
     aside: str
+
+    @property
+    def added(self) -> list[EffectUse]:
+        """The effects that joined and stayed, estimated on everything; `quantities_of` tells their sizes."""
+        ids = [step.added for step in self.history]
+        return [use for use in self.model.effects if use.id in ids and _ERROR_AFTER in use.provenance]
+
+    def candidate(self, use: EffectUse) -> Candidate | None:
+        """An effect that was added, as `explain` judged it on the rest; None where it was asked for."""
+        candidates = () if self.explanation is None else self.explanation.candidates
+        return next((c for c in candidates if (c.effect, c.balance) == (use.id, use.target)), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,9 +395,15 @@ def _with_provenance(final: Structure, records: Sequence[Record], history: Seque
             "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
             "output": judge.output,
             "error_before": before.error,
-            "error_after": after.error,
+            _ERROR_AFTER: after.error,
             "error_unit": judge.unit,
         }
-        note |= {f"std_{n}": float(s) for n in use.parameters if np.isfinite(s := std.get(f"{use.label}.{n}", np.nan))}
+        note |= {_STD + n: float(s) for n in use.parameters if np.isfinite(s := std.get(f"{use.label}.{n}", np.nan))}
         model = model.with_provenance(use.label, note)
     return model
+
+
+def quantities_of(use: EffectUse) -> dict[str, Quantity]:
+    """The parameters of an effect that was added, with their standard deviations: 0 where held, infinite where undetermined."""
+    doubts = {n: 0.0 if p.fixed else float(use.provenance.get(_STD + n, np.inf)) for n, p in use.parameters.items()}
+    return {n: Quantity(p.value, doubts[n], p.unit) for n, p in use.parameters.items()}

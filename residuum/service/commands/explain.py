@@ -8,11 +8,12 @@ import typer
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.judgement import Candidate, Quantity
+from residuum.identification.discrepancy.judgement import Candidate
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.discrepancy.trials import SLOW
 from residuum.identification.physics import load_model
 from residuum.service.commands.compare import comparison_json, comparison_text
+from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.large_arrays import keep_large_arrays
@@ -88,10 +89,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "balance": candidate.balance,
         "probability": candidate.probability,
         "indistinguishable_from": list(candidate.indistinguishable_from),
-        "parameters": {
-            name: {"value": quantity.value, "std": quantity.std, "unit": quantity.unit}
-            for name, quantity in candidate.parameters.items()
-        },
+        "parameters": quantities_json(candidate.parameters),
         "error_before": candidate.error_before,
         "error_after": candidate.error_after,
         "error_unit": candidate.error_unit,
@@ -101,26 +99,22 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _size(name: str, quantity: Quantity) -> str:
-    """A parameter with its standard deviation, or as held where it was not estimated."""
-    if quantity.std == 0.0:
-        return f"{name} = {quantity.value:.4g} {quantity.unit}".rstrip() + " (held)"
-    return f"{name} = {quantity.value:.4g} ± {quantity.std:.1g} {quantity.unit}".rstrip()
+def _candidate_text(candidate: Candidate) -> str:
+    text = (
+        f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
+        f"probability {candidate.probability:.2f}, {sizes_text(candidate.parameters)}; "
+        f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
+        f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
+    )
+    bounds = "" if candidate.within_bounds else "; at a physical bound"
+    others = f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else ""
+    return text + bounds + others
 
 
 def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
-    for candidate in explanation.candidates[:6]:
-        values = ", ".join(_size(name, quantity) for name, quantity in candidate.parameters.items())
-        lines.append(
-            f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
-            f"probability {candidate.probability:.2f}, {values}; "
-            f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
-            f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
-            + ("" if candidate.within_bounds else "; at a physical bound")
-            + (f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else "")
-        )
+    lines += map(_candidate_text, explanation.candidates[:6])
     if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
         free = explanation.free
         lines.append(

@@ -1,14 +1,15 @@
 """`residuum improve`: add effects to a model and re-estimate it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from residuum.identification.discrepancy.improve import Improvement, improve
+from residuum.identification.discrepancy.improve import Improvement, improve, quantities_of
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import load_model, write_model
+from residuum.identification.physics import EffectUse, load_model, write_model
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.large_arrays import keep_large_arrays
@@ -57,6 +58,7 @@ def improve_command(
             for step in improvement.history
         ],
         "verdict": improvement.verdict,
+        "effects": [_effect_json(use, improvement) for use in improvement.added],
         "output": improvement.output,
         "error_unit": improvement.error_unit,
         "held_out": True,
@@ -64,6 +66,17 @@ def improve_command(
         "model_file": str(out),
     }
     report(result, improvement_text(improvement, out), as_json=as_json)
+
+
+def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
+    judged = improvement.candidate(use)
+    return {
+        "effect": use.id,
+        "at": use.target,
+        "probability": None if judged is None else judged.probability,
+        "indistinguishable_from": [] if judged is None else list(judged.indistinguishable_from),
+        "parameters": quantities_json(quantities_of(use)),
+    }
 
 
 def improvement_text(improvement: Improvement, out: Path) -> str:
@@ -74,4 +87,14 @@ def improvement_text(improvement: Improvement, out: Path) -> str:
         + (" (together, each alone raises it)" if step.together else "")
         for step in improvement.history
     ]
+    lines += [_effect_text(use, improvement) for use in improvement.added]
     return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file (estimated on everything): {out}"])
+
+
+def _effect_text(use: EffectUse, improvement: Improvement) -> str:
+    judged = improvement.candidate(use)
+    text = f"{use.id} in {use.target}: {sizes_text(quantities_of(use))}"
+    if judged is None:
+        return text
+    others = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
+    return f"{text} (probability {judged.probability:.2f}{others})"
