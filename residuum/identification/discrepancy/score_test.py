@@ -167,7 +167,7 @@ class Screen:
         """The candidate at its few starts that explain most, to first order or by what its simulation there leaves."""
         found = self.tests(id, target)
         by_gain = sorted(found, key=lambda s: -s.gain)
-        by_error = sorted(found, key=lambda s: self._error(s.start))
+        by_error = sorted(found, key=lambda s: self.error(s.start))
         return list(dict.fromkeys([by_gain[k] for k in range(min(most, len(found)))] + by_error[:1]))
 
     def test(self, id: str, target: str, start: dict[str, float]) -> Screened | None:
@@ -233,10 +233,10 @@ class Screen:
         label, sizes = full.effects[-1].label, [n for n in EFFECTS[id].sizes if n in start]
         tried = [_inside(self.base.model, id, target, {n: f * start[n] for n in sizes}) for f in _FRACTIONS]
         models = [full.with_values({f"{label}.{n}": value for n, value in values.items()}) for values in tried]
-        errors = [self._error(model) for model in models]
+        errors = [self.error(model) for model in models]
         return models[int(np.argmin(errors))]
 
-    def _error(self, model: PhysicalModel) -> float:
+    def error(self, model: PhysicalModel) -> float:
         """Sum of the outputs' log mean square simulation errors; ∞ where the model diverges."""
         try:
             simulator = Simulator(model)

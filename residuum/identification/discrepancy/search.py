@@ -15,6 +15,7 @@ from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.looks import NEAR, Task, strayed
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
+from residuum.identification.discrepancy.shooting import pairs_by_shooting
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import (
     Structure,
@@ -51,7 +52,7 @@ RISE, FALL = 1.005, 0.99
 they have to fall with a later one or where they are slow; less is enough where the gain is plain.
 """
 MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
-"""Log-likelihood by which an effect gains more than a lower top can lie behind; and by which another top is higher."""
+"""Log-likelihood by which a first effect gains more than a lower top can lie behind; and by which another top is higher."""
 PLAIN_FALL, _OF_READING = 0.95, 3.0
 """Factor to which the error has to fall at least with an effect of the reading alone, or where the mean square error is less than
 so many times what the steps of the reading hide."""
@@ -216,11 +217,14 @@ def _forward(base: Structure, task: Task) -> Search:
     _settle(found, task)
     if times_its_innovations(found.base) <= SLOW or (len(found.accepted) == 1 and _nearly_all(found)):
         return found
+    if not (len(found.accepted) == 2 and _nearly_all(found)):
+        other = _begun_with_two(found, task)
+        found = other if other is not None and _does_more(other, found) else found
     for key in _other_beginnings(found, first):
         if len(found.accepted) == 2 and _nearly_all(found):
             break
-        other = _begun_with(key, found, first, task)
-        found = other if _does_more(other, found) else found
+        another = _begun_with(key, found, first, task)
+        found = another if _does_more(another, found) else found
     return found
 
 
@@ -240,7 +244,10 @@ def _does_more(other: Search, found: Search) -> bool:
 
 def _settle(found: Search, task: Task) -> None:
     """Exchange what was accepted one by one for what does more together, until nothing changes."""
-    settled = [] if _two_instead(found, task) else found.accepted[-1:]
+    _exchange_all(found, task, [] if _two_instead(found, task) else found.accepted[-1:])
+
+
+def _exchange_all(found: Search, task: Task, settled: list[tuple[str, str]]) -> None:
     for _ in range(EXCHANGES):
         if not _exchange(found, task, settled):
             break
@@ -286,6 +293,34 @@ def _begun_with(key: tuple[str, str], found: Search, first: dict[tuple[str, str]
     return other
 
 
+def _begun_with_two(found: Search, task: Task) -> Search | None:
+    """The search that begins with the two effects that shooting finds; None where they do not hold up."""
+    base = found.base
+    screen = Screen(base, task.experiments, task.origin(base))
+    task.tell("trying pairs of effects over short stretches")
+    pairs = pairs_by_shooting(screen, task.candidates(base))
+    fitted = [s for s in side_by_side(lambda pair: refit(base, pair, task.experiments), pairs) if s is not None]
+    if not fitted:
+        return None
+    best = polished(max(fitted, key=lambda s: schwarz(s, base)), task.experiments)
+    none = replace(found, best=base, before=[], alternatives=[], accepted=[], refuted=[], held_out={}, plain=[])
+    other = _with_two(none, best, task.experiments)
+    if other is None:
+        return None
+    _grow(other, task)
+    _exchange_all(other, task, [])
+    return other
+
+
+def _with_two(found: Search, pair: Structure, experiments: Sequence[Experiment]) -> Search | None:
+    """The search with the last two effects of a structure accepted in place of what it had; None where they do not hold up."""
+    first, second = ((use.id, use.target) for use in pair.model.effects[-2:])
+    if not _holds_up(found, second, pair, experiments):
+        return None
+    accepted, alternatives = [first, second], [{first: pair}, {second: pair}]
+    return replace(found, accepted=accepted, best=pair, before=[found.base, found.base], alternatives=alternatives)
+
+
 def _two_instead(found: Search, task: Task) -> bool:
     """Put two effects in place of those accepted where they do more together; whether that was so."""
     if not found.accepted:
@@ -298,11 +333,10 @@ def _two_instead(found: Search, task: Task) -> bool:
     if not better:
         return False
     pair = polished(max(better, key=lambda s: schwarz(s, base)), task.experiments)
-    first, second = ((use.id, use.target) for use in pair.model.effects[-2:])
-    if not _holds_up(found, second, pair, task.experiments):
+    other = _with_two(found, pair, task.experiments)
+    if other is None:
         return False
-    found.accepted, found.best = [first, second], pair
-    found.before, found.alternatives = [base, base], [{first: pair}, {second: pair}]
+    found.accepted, found.best, found.before, found.alternatives = other.accepted, other.best, other.before, other.alternatives
     return True
 
 
@@ -326,7 +360,7 @@ def _grow(found: Search, task: Task) -> None:
             found.best = refitted[key]
             found.base = found.base if found.accepted else found.best
             continue
-        if key is not None and wins and (higher := _climbed_without(refitted[key], key, found.best, task.experiments)):
+        if key is not None and wins and (higher := _climbed_without(refitted[key], key, found, task.experiments)):
             found.best = higher
             found.base = found.base if found.accepted else higher
             continue
@@ -343,17 +377,18 @@ def _grow(found: Search, task: Task) -> None:
 
 
 def _climbed_without(
-    structure: Structure, key: tuple[str, str], before: Structure, experiments: Sequence[Experiment]
+    structure: Structure, key: tuple[str, str], found: Search, experiments: Sequence[Experiment]
 ) -> Structure | None:
     """The structure without its new effect, climbed from where that led to, when it ends higher than where it was left.
 
     The likelihood of what sticks and slides has many tops; any effect may lead from a lower one to a higher, and would seem
-    missing.
+    missing. The first effect is believed where it gains more than that; a later one may have found the place of those before.
     """
-    if structure.log_likelihood > before.log_likelihood + MORE_THAN_A_TOP:
+    before = found.best.log_likelihood
+    if not found.accepted and structure.log_likelihood > before + MORE_THAN_A_TOP:
         return None
     less = _without(structure, key, experiments)
-    return less if less is not None and less.log_likelihood > before.log_likelihood + HIGHER else None
+    return less if less is not None and less.log_likelihood > before + HIGHER else None
 
 
 def _leave_to_the_noise(refitted: dict[tuple[str, str], Structure], best: Structure) -> None:

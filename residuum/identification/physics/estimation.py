@@ -15,7 +15,7 @@ an eigenvector of the scaled H with a vanishing eigenvalue is a *flat direction*
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.least_squares import FlatDirection, covariance_of, damped, solve_scaled
 from residuum.identification.physics.model import PhysicalModel
-from residuum.identification.physics.simulation import Simulator
+from residuum.identification.physics.simulation import Simulation, Simulator
 
 Array = npt.NDArray[np.float64]
 
@@ -151,6 +151,12 @@ def estimate(
     return problem.solve(start, substeps)
 
 
+def _end_to_end(experiments: Sequence[Experiment]) -> Experiment:
+    """One with the rows of all, for sums over them."""
+    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
+    return replace(experiments[0], U=U, Y=Y, known={})
+
+
 @dataclass
 class _Point:
     theta: Array
@@ -174,12 +180,25 @@ class _Problem:
         self.upper = np.array([parameters[name].upper for name in names])
         self.theta0 = np.array([parameters[name].value for name in names])
         self.index = simulator.columns(names)
-        self.states = simulator.free_states
+        self.states = () if self._all_known(simulator.free_states) else simulator.free_states
+        self.summed = self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
         self.state_index = [simulator.states.index(name) for name in self.states]
         self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
         self.measured = np.any([e.measured for e in experiments], axis=0)
         self.substeps = [0] * len(experiments)
         self.weights = np.where(self.measured, 1.0, 0.0)
+
+    def _all_known(self, states: Sequence[str]) -> bool:
+        """Whether nothing is free that belongs to one experiment alone: then the sums may run over all of them at once."""
+        settings = self.settings
+        known = all(name in e.known for e in self.experiments for name in states)
+        return known and settings.filters is None and not (settings.blocks and any(e.block > 1 for e in self.experiments))
+
+    def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> list[Simulation]:
+        """Simulations of the experiments that are summed over."""
+        if self.summed is self.experiments:
+            return self.simulator.run_each(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)
+        return [self.simulator.run_end_to_end(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)]
 
     def first_states(self) -> list[Array]:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
@@ -253,7 +272,7 @@ class _Problem:
         return self._result(point, iterations, converged)
 
     def _from_residuals(self, point: _Point) -> Array:
-        stacked = np.concatenate([e.Y - y for e, y in zip(self.experiments, point.predicted, strict=True)])[:, self.measured]
+        stacked = np.concatenate([e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)])[:, self.measured]
         floor = 1e-9 / self._scales()[self.measured]
         weights = np.zeros(self.measured.size)
         weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
@@ -310,6 +329,8 @@ class _Problem:
             held |= out
         theta = np.clip(point.theta + step, self.lower, self.upper)
         moved = theta - point.theta
+        if not self.states:
+            return theta, point.initial
         initial = []
         for x0, solved in zip(point.initial, eliminated, strict=True):
             x = x0.copy()
@@ -320,8 +341,7 @@ class _Problem:
     def _evaluate(self, theta: Array, initial: list[Array]) -> _Point:
         q, p = len(self.names), self.p(theta)
         point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
-        runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
-        for experiment, run in zip(self.experiments, runs, strict=True):
+        for experiment, run in zip(self.summed, self._runs(initial, p, self.slopes), strict=True):
             if not run.bounded:
                 point.cost = np.inf
                 return point
@@ -340,8 +360,7 @@ class _Problem:
     def _cost(self, theta: Array, initial: list[Array]) -> float:
         """The cost alone, which needs no sensitivities."""
         cost = 0.0
-        runs = self.simulator.run_each(self.experiments, initial, self.p(theta), substeps=self.substeps)
-        for experiment, run in zip(self.experiments, runs, strict=True):
+        for experiment, run in zip(self.summed, self._runs(initial, self.p(theta)), strict=True):
             if not run.bounded:
                 return np.inf
             r, _ = self._weighted(experiment, run.Y, None)
@@ -378,14 +397,16 @@ class _Problem:
         covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
         model = self.simulator.model.with_values(dict(zip(self.names, point.theta.tolist(), strict=True)))
         bound = (point.theta <= self.lower) | (point.theta >= self.upper)
+        ends = np.cumsum([e.n for e in self.experiments])[:-1]
+        predicted = np.split(np.concatenate(point.predicted), ends)
         return Estimate(
             model=model,
             parameters=self.names,
             theta=point.theta,
             covariance=covariance,
             initial=point.initial,
-            predicted=point.predicted,
-            residuals=[e.Y - y for e, y in zip(self.experiments, point.predicted, strict=True)],
+            predicted=predicted,
+            residuals=[e.Y - y for e, y in zip(self.experiments, predicted, strict=True)],
             weights=self.weights,
             cost=point.cost,
             samples=samples,

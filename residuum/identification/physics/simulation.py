@@ -165,6 +165,20 @@ class Simulator:
             found.append(Simulation(X, Y, dY if slopes else None, tuple(slopes)))
         return found
 
+    def run_end_to_end(
+        self,
+        experiments: Sequence[Experiment],
+        initial: Sequence[Array],
+        p: Array,
+        *,
+        slopes: Sequence[str] = (),
+        substeps: Sequence[int],
+    ) -> Simulation:
+        """`run_each` with the rows of all experiments, one after the other, in one; `slopes` by parameters only."""
+        joined = _Joined.of(experiments)
+        X, Y, dY = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
+        return Simulation(X, Y, dY if slopes else None, tuple(slopes))
+
     def _simulated(
         self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:

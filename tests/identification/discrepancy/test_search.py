@@ -8,7 +8,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.search import _climbed_without, _leave_to_the_noise, _winner
+from residuum.identification.discrepancy.search import Search, _climbed_without, _leave_to_the_noise, _winner
 from residuum.identification.discrepancy.structures import base_structure, refit
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
@@ -187,8 +187,15 @@ def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
     top, key = base_structure(model, experiments), ("constant-load", "chassis")
     with_it = refit(top, model.with_effect(*key), experiments)
     lower = replace(top, pointwise=top.pointwise - 20.0 / top.samples)
-    assert abs(_climbed_without(with_it, key, lower, experiments).log_likelihood - top.log_likelihood) < 1.0
-    assert _climbed_without(with_it, key, top, experiments) is None
+    lowest = replace(top, pointwise=top.pointwise - 500.0 / top.samples)
+
+    def climbed(before, accepted=()):
+        return _climbed_without(with_it, key, Search(before, before, 1, accepted=list(accepted)), experiments)
+
+    assert abs(climbed(lower).log_likelihood - top.log_likelihood) < 1.0
+    assert climbed(top) is None
+    assert climbed(lowest) is None  # a first effect that gains so much is believed
+    assert abs(climbed(lowest, [("quadratic-drag", "chassis")]).log_likelihood - top.log_likelihood) < 1.0
 
 
 def test_an_effect_whose_first_parameter_no_output_feels_is_no_answer():

@@ -1,0 +1,159 @@
+"""Shooting: two effects at once, found on stretches too short for a simulation to stray from the track.
+
+Where each of two missing effects changes the course of the machine (a friction, and a cog that holds it), a simulation with one
+of them is as far off as one with none, whatever its size, and no first-order test or refit on whole records points there. From
+the track's states, where the measurements hold the machine, a simulation of some samples shows what either explains. What is
+found there is followed over longer and longer stretches, each along the track of the model found so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.score_test import Screen
+from residuum.identification.discrepancy.side_by_side import side_by_side
+from residuum.identification.discrepancy.track import track
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
+from residuum.identification.physics.effects import EFFECTS
+
+FloatArray = npt.NDArray[np.float64]
+Key = tuple[str, str]
+
+_STRETCHES = (40, 100, 250, 600)
+"""Samples (block means) of the stretches: the first for the choice of effects, all for following them."""
+_MOST_SAMPLES = 12_000
+"""Samples simulated in one shot; of longer records stretches are left out evenly."""
+_LEADERS, _FOLLOWED = 3, 2
+"""Effects that a second one is tried beside, and pairs that are followed."""
+_PRICE = 0.01
+"""Fall of an error's logarithm that a parameter must be worth."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretches:
+    """Parts of the experiments that begin on a track: with first states known, and integration steps a sample; and the weights of
+    the outputs' errors, where they are known.
+    """
+
+    parts: list[Experiment]
+    initial: FloatArray
+    substeps: list[int]
+    weights: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """A model refitted on stretches: `score` is the sum of its outputs' log errors, parameters paid for."""
+
+    model: PhysicalModel
+    score: float
+    weights: FloatArray
+
+    @property
+    def key(self) -> Key:
+        """The effect that was added last."""
+        return self.model.effects[-1].id, self.model.effects[-1].target
+
+
+def pairs_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
+    """The base with two of the effects `keys` besides, refitted on ever longer stretches; the best first.
+
+    Only effects without states of their own, since no track shows where those were; and none that generalises another: later
+    steps of a search grow it from that.
+    """
+    static = [key for key in keys if _is_static(screen.base.model, key) and not _generalises(key, keys)]
+    stretches = _stretches(screen, screen.track.X, _STRETCHES[0])
+    nothing = _shot(screen.origin, stretches, iterations=8)
+    if nothing is None:
+        return []
+    stretches = replace(stretches, weights=nothing.weights)
+    alone = _best_of_each(_tried(screen, screen.origin, static, stretches))
+    pairs: list[_Shot] = []
+    for leader in alone[:_LEADERS]:
+        others = [key for key in static if key != leader.key]
+        pairs += _best_of_each(_tried(screen, leader.model, others, stretches))
+    best: dict[frozenset[Key], _Shot] = {}
+    for pair in sorted(pairs, key=lambda shot: shot.score):
+        best.setdefault(frozenset((use.id, use.target) for use in pair.model.effects[-2:]), pair)
+    return [_followed(screen, pair.model) for pair in list(best.values())[:_FOLLOWED]]
+
+
+def _is_static(model: PhysicalModel, key: Key) -> bool:
+    """Whether an effect acts on the machine by what its states are now."""
+    effect = EFFECTS[key[0]]
+    return effect.place != "output" and not effect.states(model.site(key[1], effect))
+
+
+def _generalises(key: Key, keys: Sequence[Key]) -> bool:
+    special = EFFECTS[key[0]].generalises
+    return special != key[0] and (special, key[1]) in keys
+
+
+def _best_of_each(shots: Sequence[_Shot]) -> list[_Shot]:
+    """Of each effect its best start, the best effect first."""
+    found: dict[Key, _Shot] = {}
+    for shot in sorted(shots, key=lambda s: s.score):
+        found.setdefault(shot.key, shot)
+    return list(found.values())
+
+
+def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches: _Stretches) -> list[_Shot]:
+    """The model with each of these effects besides, refitted from every start of it."""
+    starts = [(key, start) for key in keys for start in screen.starts(*key)]
+
+    def tried(one: tuple[Key, dict[str, float]]) -> _Shot | None:
+        (id, target), start = one
+        try:
+            return _shot(model.with_effect(id, target, EFFECTS[id].at_rest(start)), stretches, iterations=4)
+        except (BadInput, NotImplementedError):
+            return None
+
+    return [shot for shot in side_by_side(tried, starts) if shot is not None]
+
+
+def _followed(screen: Screen, model: PhysicalModel) -> PhysicalModel:
+    """The model refitted over longer and longer stretches, each from the states that the filter with it finds; of all these the
+    one that simulates whole experiments best.
+    """
+    X, found = screen.track.X, [model]
+    for samples in _STRETCHES:
+        shot = _shot(found[-1], _stretches(screen, X, samples), iterations=15)
+        if shot is None:
+            break
+        found.append(shot.model)
+        X = track(shot.model, screen.base, screen.experiments, _of_each(screen.experiments, X)).X
+    return min(found, key=screen.error)
+
+
+def _shot(model: PhysicalModel, stretches: _Stretches, iterations: int) -> _Shot | None:
+    """The model at the least simulation error on the stretches; None if it diverges."""
+    settings = Settings(iterations=iterations, tolerance=1e-2, weights=stretches.weights)
+    width = len(Simulator(model).states)
+    initial = np.pad(stretches.initial, [(0, 0), (0, width - stretches.initial.shape[1])])
+    try:
+        found = estimate(model, stretches.parts, initial=list(initial), settings=settings, substeps=stretches.substeps)
+    except NotIdentifiable:
+        return None
+    return _Shot(found.model, float(np.nansum(np.log(found.rmse))) + _PRICE * len(found.parameters), found.weights)
+
+
+def _stretches(screen: Screen, X: FloatArray, samples: int) -> _Stretches:
+    states = Simulator(screen.base.model).states
+    parts, initial, substeps = [], [], []
+    for e, along, steps in zip(screen.experiments, _of_each(screen.experiments, X), screen.base.substeps, strict=True):
+        for part in windows(e, min(samples * e.block, e.n)):
+            x = along[round((part.t0 - e.t0) / e.sample_time)]
+            parts.append(replace(part, known=dict(zip(states, x.tolist(), strict=True)), block=1))
+            initial.append(x)
+            substeps.append(steps)
+    every = slice(None, None, max(1, -(-sum(part.n for part in parts) // _MOST_SAMPLES)))
+    return _Stretches(parts[every], np.array(initial[every]), substeps[every])
+
+
+def _of_each(experiments: Sequence[Experiment], X: FloatArray) -> list[FloatArray]:
+    return np.split(X, np.cumsum([e.n for e in experiments])[:-1])
