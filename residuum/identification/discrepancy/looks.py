@@ -20,7 +20,8 @@ _SAME = 0.5
 class Task:
     """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
 
-    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model.
+    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model; `shot` are
+    structures that were found over short stretches, for the looks from which one effect leads there.
     """
 
     experiments: Sequence[Experiment]
@@ -30,6 +31,7 @@ class Task:
     most_effects: int
     tell: Callable[[str], None] = field(default=lambda _doing: None)
     looks: dict[frozenset[str], Look] = field(default_factory=dict)
+    shot: list[Structure] = field(default_factory=list)
 
     def look(self, structure: Structure, without: tuple[str, str] | None = None) -> Look:
         """All candidates on top of a structure, or all but one; those that were tried there before are not tried again."""
@@ -42,7 +44,21 @@ class Task:
             beside = ", ".join(use.id for use in structure.model.effects)
             self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
             look.add(*trials(look.screen, new, self.refits), new)
+        look.add(self._one_effect_away(structure, pairs, look.refitted), (), ())
         return look
+
+    def _one_effect_away(
+        self, structure: Structure, pairs: Sequence[tuple[str, str]], known: Mapping[tuple[str, str], Structure]
+    ) -> dict[tuple[str, str], Structure]:
+        """Of the structures found over short stretches those with one effect more, where likelier than what is `known`."""
+        here = _effects(structure)
+        found: dict[tuple[str, str], Structure] = {}
+        for other in self.shot:
+            more = _effects(other) - here
+            if len(more) == 1 and _effects(other) > here and (key := next(iter(more))) in pairs:
+                likelier = key not in known or other.log_likelihood > known[key].log_likelihood
+                found |= {key: other} if likelier else {}
+        return found
 
     def candidates(self, structure: Structure) -> list[tuple[str, str]]:
         """Those that the structure does not have yet."""
@@ -77,6 +93,10 @@ class Look:
         self.refitted |= refitted
         self.tested += tested
         self.tried |= set(tried)
+
+
+def _effects(structure: Structure) -> set[tuple[str, str]]:
+    return {(use.id, use.target) for use in structure.model.effects}
 
 
 def strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:

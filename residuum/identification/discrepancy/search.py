@@ -15,7 +15,7 @@ from residuum.identification.discrepancy.held_out import cross_checked
 from residuum.identification.discrepancy.looks import NEAR, Task, strayed
 from residuum.identification.discrepancy.pair_screen import promising_pairs
 from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.shooting import pairs_by_shooting
+from residuum.identification.discrepancy.shooting import effects_by_shooting, pairs_by_shooting
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import (
     Structure,
@@ -64,6 +64,8 @@ PLAINLY_LESS, PLAINLY_MORE = 0.7, 100.0
 """An effect that few moments speak for joins where it takes held-out errors to this share and gains so much log-likelihood."""
 ACCEPT_MORE = 6.0
 """As `ACCEPT`, of a second and third effect, which must not make up for what the first does not follow exactly."""
+MUCH_MORE = 2.0
+"""Times its innovations from which on what is left is looked at over short stretches too."""
 FAR_LESS = 0.2
 """Share of the error that is left by what was found to which an unknown load has to take it to be believed."""
 EXCHANGES = 3
@@ -215,6 +217,9 @@ def _forward(base: Structure, task: Task) -> Search:
     _grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     _settle(found, task)
+    while _shot_besides(found, task):
+        _grow(found, task)
+        _exchange_all(found, task, found.accepted[-1:])
     if times_its_innovations(found.base) <= SLOW or (len(found.accepted) == 1 and _nearly_all(found)):
         return found
     if not (len(found.accepted) == 2 and _nearly_all(found)):
@@ -293,16 +298,40 @@ def _begun_with(key: tuple[str, str], found: Search, first: dict[tuple[str, str]
     return other
 
 
+def _shot_besides(found: Search, task: Task) -> bool:
+    """Accept one more effect that shooting finds where much more than noise is left; whether there is one."""
+    best = found.best
+    if len(found.accepted) >= task.most_effects or times_its_innovations(best) < MUCH_MORE:
+        return False
+    screen = Screen(best, task.experiments, task.origin(best))
+    task.tell("trying effects over short stretches")
+    models = effects_by_shooting(screen, task.candidates(best))
+    tops = _tops(models, best, task)
+    if not tops:
+        return False
+    key, better = next(iter(tops.items()))
+    if key in found.refuted or tempered_gain(better, best) - better.penalty(best) < _asked(found, ACCEPT_MORE):
+        return False
+    if not _holds_up(found, key, better, task.experiments):
+        return False
+    del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
+    found.before.append(best)
+    found.alternatives.append(tops)
+    found.accepted.append(key)
+    found.best = better
+    return True
+
+
 def _begun_with_two(found: Search, task: Task) -> Search | None:
     """The search that begins with the two effects that shooting finds; None where they do not hold up."""
     base = found.base
     screen = Screen(base, task.experiments, task.origin(base))
     task.tell("trying pairs of effects over short stretches")
     pairs = pairs_by_shooting(screen, task.candidates(base))
-    fitted = [s for s in side_by_side(lambda pair: refit(base, pair, task.experiments), pairs) if s is not None]
-    if not fitted:
+    tops = _tops(pairs, base, task)
+    if not tops:
         return None
-    best = polished(max(fitted, key=lambda s: schwarz(s, base)), task.experiments)
+    best = next(iter(tops.values()))
     none = replace(found, best=base, before=[], alternatives=[], accepted=[], refuted=[], held_out={}, plain=[])
     other = _with_two(none, best, task.experiments)
     if other is None:
@@ -310,6 +339,19 @@ def _begun_with_two(found: Search, task: Task) -> Search | None:
     _grow(other, task)
     _exchange_all(other, task, [])
     return other
+
+
+def _tops(models: Sequence[PhysicalModel], before: Structure, task: Task) -> dict[tuple[str, str], Structure]:
+    """Models that were found over short stretches refitted on whole experiments, by their last effect, the likeliest first; later
+    looks know all of them.
+    """
+    fitted = side_by_side(lambda model: refit(before, model, task.experiments), models)
+    tops = [polished(s, task.experiments) for s in fitted if s is not None]
+    task.shot.extend(tops)
+    found: dict[tuple[str, str], Structure] = {}
+    for top in sorted(tops, key=lambda s: -schwarz(s, before)):
+        found.setdefault((top.model.effects[-1].id, top.model.effects[-1].target), top)
+    return found
 
 
 def _with_two(found: Search, pair: Structure, experiments: Sequence[Experiment]) -> Search | None:

@@ -8,7 +8,7 @@ found there is followed over longer and longer stretches, each along the track o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +30,8 @@ _MOST_SAMPLES = 12_000
 """Samples simulated in one shot; of longer records stretches are left out evenly."""
 _LEADERS, _FOLLOWED = 3, 2
 """Effects that a second one is tried beside, and pairs that are followed."""
-_PRICE = 0.01
-"""Fall of an error's logarithm that a parameter must be worth."""
+_PRICE, _LITTLE = 0.01, 0.05
+"""Fall of an error's logarithm that a parameter must be worth; and that a special case may lie behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,46 +60,45 @@ class _Shot:
         return self.model.effects[-1].id, self.model.effects[-1].target
 
 
-def pairs_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
-    """The base with two of the effects `keys` besides, refitted on ever longer stretches; the best first.
+def effects_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
+    """The base with one of the effects `keys` besides, refitted on ever longer stretches; the best first.
 
-    Only effects without states of their own, since no track shows where those were; and none that generalises another: later
-    steps of a search grow it from that.
+    Only effects on the machine, and without states of their own, since no track shows where those were.
     """
-    static = [key for key in keys if _is_static(screen.base.model, key) and not _generalises(key, keys)]
-    stretches = _stretches(screen, screen.track.X, _STRETCHES[0])
-    nothing = _shot(screen.origin, stretches, iterations=8)
-    if nothing is None:
-        return []
-    stretches = replace(stretches, weights=nothing.weights)
-    alone = _best_of_each(_tried(screen, screen.origin, static, stretches))
+    alone, _ = _alone(screen, keys)
+    return [_followed(screen, shot.model) for shot in alone[:_FOLLOWED]]
+
+
+def pairs_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
+    """The base with two of the effects `keys` besides, as `effects_by_shooting` finds one."""
+    alone, stretches = _alone(screen, keys)
     pairs: list[_Shot] = []
     for leader in alone[:_LEADERS]:
-        others = [key for key in static if key != leader.key]
-        pairs += _best_of_each(_tried(screen, leader.model, others, stretches))
+        pairs += _tried(screen, leader.model, [shot.key for shot in alone if shot is not leader], stretches)
     best: dict[frozenset[Key], _Shot] = {}
     for pair in sorted(pairs, key=lambda shot: shot.score):
         best.setdefault(frozenset((use.id, use.target) for use in pair.model.effects[-2:]), pair)
     return [_followed(screen, pair.model) for pair in list(best.values())[:_FOLLOWED]]
 
 
-def _is_static(model: PhysicalModel, key: Key) -> bool:
-    """Whether an effect acts on the machine by what its states are now."""
-    effect = EFFECTS[key[0]]
-    return effect.place != "output" and not effect.states(model.site(key[1], effect))
-
-
-def _generalises(key: Key, keys: Sequence[Key]) -> bool:
-    special = EFFECTS[key[0]].generalises
-    return special != key[0] and (special, key[1]) in keys
-
-
-def _best_of_each(shots: Sequence[_Shot]) -> list[_Shot]:
-    """Of each effect its best start, the best effect first."""
+def _alone(screen: Screen, keys: Sequence[Key]) -> tuple[list[_Shot], _Stretches]:
+    """Each effect on top of the base at its best start, the best effect first; and the stretches they were tried on."""
+    stretches = _stretches(screen, screen.track.X, _STRETCHES[0])
+    nothing = _shot(screen.origin, stretches, iterations=8)
+    if nothing is None:
+        return [], stretches
+    stretches = replace(stretches, weights=nothing.weights)
+    felt = [key for key in keys if EFFECTS[key[0]].place != "output"]
     found: dict[Key, _Shot] = {}
-    for shot in sorted(shots, key=lambda s: s.score):
+    for shot in sorted(_tried(screen, screen.origin, felt, stretches), key=lambda s: s.score):
         found.setdefault(shot.key, shot)
-    return list(found.values())
+    return [shot for shot in found.values() if not _needless(shot, found)], stretches
+
+
+def _needless(shot: _Shot, found: Mapping[Key, _Shot]) -> bool:
+    """Whether an effect does little more than the one that it generalises: later steps of a search grow it from that."""
+    special = found.get((EFFECTS[shot.key[0]].generalises, shot.key[1]))
+    return special is not None and special is not shot and special.score < shot.score + _LITTLE
 
 
 def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches: _Stretches) -> list[_Shot]:
@@ -131,12 +130,13 @@ def _followed(screen: Screen, model: PhysicalModel) -> PhysicalModel:
 
 
 def _shot(model: PhysicalModel, stretches: _Stretches, iterations: int) -> _Shot | None:
-    """The model at the least simulation error on the stretches; None if it diverges."""
+    """The model at the least simulation error on the stretches; None if it diverges, or has states that no track shows."""
     settings = Settings(iterations=iterations, tolerance=1e-2, weights=stretches.weights)
-    width = len(Simulator(model).states)
-    initial = np.pad(stretches.initial, [(0, 0), (0, width - stretches.initial.shape[1])])
+    if len(Simulator(model).states) > stretches.initial.shape[1]:
+        return None
+    initial = list(stretches.initial)
     try:
-        found = estimate(model, stretches.parts, initial=list(initial), settings=settings, substeps=stretches.substeps)
+        found = estimate(model, stretches.parts, initial=initial, settings=settings, substeps=stretches.substeps)
     except NotIdentifiable:
         return None
     return _Shot(found.model, float(np.nansum(np.log(found.rmse))) + _PRICE * len(found.parameters), found.weights)
