@@ -11,10 +11,11 @@ import numpy as np
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
+from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
-from residuum.identification.discrepancy.search import Search, Tell, search, untold
+from residuum.identification.discrepancy.search import Tell, search, untold
 from residuum.identification.discrepancy.structures import Structure, fit_structure, times_each_its_innovations
 from residuum.identification.discrepancy.trials import SHIFTS
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable

@@ -13,12 +13,13 @@ import numpy.typing as npt
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
+from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.search import Search, Tell, untold
+from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.structures import Structure, fit_structure, in_likelier_order
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise

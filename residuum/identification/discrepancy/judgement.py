@@ -12,8 +12,8 @@ from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.compare import structured_errors
 from residuum.identification.discrepancy.evidence import ALIKE, relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
+from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
-from residuum.identification.discrepancy.search import Search
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.trials import ACCEPT, SLOW
 from residuum.identification.errors import NotIdentifiable

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2, ncx2
 
+from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.judgement import Candidate
-from residuum.identification.discrepancy.search import Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, Simulator
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.identification.discrepancy.search import Search
+from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.trials import ACCEPT
 from residuum.identification.physics.effects import EFFECTS
 

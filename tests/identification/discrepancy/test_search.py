@@ -8,7 +8,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.search import Search, _climbed_without, _leave_to_the_noise, _winner
+from residuum.identification.discrepancy.growth import Search, _climbed_without, _leave_to_the_noise, _winner
 from residuum.identification.discrepancy.structures import base_structure, refit
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
