@@ -20,12 +20,14 @@ def once(name: str) -> None:
     from residuum.identification.physics import load_model
     from residuum.identification.record import Record
     from residuum.service.large_arrays import keep_large_arrays
+    from residuum.service.loaded_modules import leave_loaded_modules
     from residuum.simulation import MACHINES
 
     machine = MACHINES["gate-drive"](seed=1, effects=dict(CASES[name]), profile="rich", rate=RATE)
     signals = machine.simulate(DURATION)
     record = Record(signals.channels, signals.units, signals.sample_time)
-    keep_large_arrays()  # as the command does
+    keep_large_arrays()  # as the command does, and
+    leave_loaded_modules()
     begin, used = time.perf_counter(), time.process_time()
     found = explain(load_model("gate-drive"), [record])
     seconds, used = time.perf_counter() - begin, time.process_time() - used

@@ -38,8 +38,9 @@ def solve_scaled(H: Array, right: Array, ridge: float = RIDGE) -> Array:
     """
     if H.shape[-1] == 0:
         return np.zeros(right.shape)
-    sound = np.all(np.isfinite(H), axis=(-2, -1)) & np.all(np.isfinite(right), axis=(-2, -1))
-    H, right = np.where(sound[..., None, None], H, 0.0), np.where(sound[..., None, None], right, 0.0)
+    if not (np.isfinite(H).all() and np.isfinite(right).all()):
+        sound = np.all(np.isfinite(H), axis=(-2, -1)) & np.all(np.isfinite(right), axis=(-2, -1))
+        H, right = np.where(sound[..., None, None], H, 0.0), np.where(sound[..., None, None], right, 0.0)
     scale = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 0.0))
     scale = np.where(scale > 0, scale, 1.0)[..., None]
     values, vectors = np.linalg.eigh(H / (scale * scale.swapaxes(-2, -1)))

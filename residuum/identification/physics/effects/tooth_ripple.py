@@ -18,6 +18,9 @@ from residuum.identification.physics.effects.base import (
 )
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
+_REFINED_ON = 10_000
+"""Samples on which a wave number is refined."""
+
 
 def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewest_periods: float = 5.0) -> list[float]:
     """Wave numbers [rad / position unit] at which a signal varies most along the position.
@@ -41,7 +44,8 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
             wave_numbers.append(float(wave_number))
         if len(wave_numbers) == count:
             break
-    return [_refined(position, signal, wave_number, np.pi / (2.0 * travel)) for wave_number in wave_numbers]
+    every = slice(None, None, max(1, position.size // _REFINED_ON))
+    return [_refined(position[every], signal[every], wave_number, np.pi / (2.0 * travel)) for wave_number in wave_numbers]
 
 
 def _refined(position: Array, signal: Array, wave_number: float, width: float) -> float:
