@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from residuum.identification.discrepancy.innovation_sums import first_predictors, stable, whitened
+from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened, within
 from residuum.identification.errors import BadInput
 
 FloatArray = npt.NDArray[np.float64]
@@ -53,17 +53,17 @@ class ColouredNoise:
     def innovations_of_rows(self, rows: FloatArray) -> FloatArray:
         """`innovations` of each of several signals, which lie along axis 1."""
         known = min(self.order, rows.shape[1])
-        first = rows[:, :known] @ self._first[0][:known, :known].T
+        first = rows[:, :known] @ self.first[0][:known, :known].T
         return np.concatenate([first, whitened(np.ascontiguousarray(rows, dtype=float), self.a)], axis=1)
 
     def log_spreads(self, n: int) -> FloatArray:
         """log of the prediction errors' standard deviation over that of the innovations, at each of n samples."""
         spreads = np.zeros(n)
-        spreads[: self.order] = self._first[1][:n]
+        spreads[: self.order] = self.first[1][:n]
         return spreads
 
     @cached_property
-    def _first(self) -> tuple[FloatArray, FloatArray]:
+    def first(self) -> tuple[FloatArray, FloatArray]:
         """Rows of the scaled predictors of the first p samples, and the logarithms of their spreads (Levinson's recursion)."""
         rows, spreads = first_predictors(self.a, _STABLE)
         return np.asarray(rows), np.asarray(spreads)
@@ -145,13 +145,11 @@ def longest_memory(samples: int, longest: int) -> float:
     return min(samples / 30.0, longest / 5.0)
 
 
+def pole_radius(memory: float) -> float:
+    """Largest pole of noise that forgets over `memory` samples."""
+    return float(np.exp(-1.0 / max(memory, 2.0)))
+
+
 def forgetting(a: FloatArray, memory: float) -> FloatArray:
     """The autoregression with its poles kept within the radius that forgets over `memory` samples."""
-    if a.size == 0:
-        return a
-    radius = float(np.exp(-1.0 / max(memory, 2.0)))
-    if stable(a / radius ** np.arange(1, a.size + 1)):
-        return a
-    roots = np.roots(np.r_[1.0, a])
-    size = np.abs(roots)
-    return np.asarray(np.real(np.poly(np.where(size > radius, roots * radius / np.maximum(size, 1e-300), roots)))[1:])
+    return np.asarray(within(a, pole_radius(memory))[0])

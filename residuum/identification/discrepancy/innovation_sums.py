@@ -1,8 +1,13 @@
-"""Compiled sums over innovations: autoregression, whitening and the scale of t-distributed noise, one pass each."""
+"""Compiled sums over innovations: autoregression, whitening, normal equations and likelihood of t-distributed noise.
+
+They run without the interpreter's lock, so that candidates are judged side by side.
+"""
 
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
@@ -14,6 +19,10 @@ _SCALINGS = 12
 _STRETCH = 1024
 _LOW = 0.53
 """Median of e²/s² for t-distributed e of scale s."""
+NORMAL = FREEDOM / (FREEDOM - 2.0)
+"""Variance of t-distributed innovations over their squared scale."""
+_AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
+"""Log density of t-distributed innovations of scale one at zero."""
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
@@ -38,6 +47,48 @@ def whiten(x, a, e):
             past, factor = x[begin + order - lag - 1 :], a[lag]
             for t in range(there.shape[0]):
                 there[t] += factor * past[t]
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+def innovate(x, a, first, e):
+    """`whiten` with the first p samples too, each by its own predictor, a row of `first`, from those before it."""
+    for k in range(min(a.shape[0], x.shape[0])):
+        e[k] = 0.0
+        for j in range(k + 1):
+            e[k] += first[k, j] * x[j]
+    if x.shape[0] > a.shape[0]:
+        whiten(x, a, e[a.shape[0] :])
+
+
+@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+def normal_equations(r, J, o, a, first, variance):
+    """G = Σ w·φφᵀ and b = Σ w·φ·e of output o, e and φ the innovations of r (n, outputs) and of the columns of J (n, outputs,
+    columns), w the likelihood's weights.
+
+    w = (ν + 1)/(ν + e²/s²)/s², and 0 where a sample is missing. The first sample is no innovation but a sum of many, and normal:
+    without its stationary density an initial state that decays as the noise does would cost nothing, whatever its size.
+    """
+    n, columns = J.shape[0], J.shape[2]
+    e, w, x, weighted, phi = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty((columns, n))
+    x[:] = r[:, o]
+    innovate(x, a, first, e)
+    for t in range(n):
+        complete = np.isfinite(e[t])
+        w[t] = (FREEDOM + 1.0) / (FREEDOM + e[t] * e[t] / variance) / variance if complete else 0.0
+        e[t] = e[t] if complete else 0.0
+    if n and w[0] != 0.0:
+        w[0] = 1.0 / (NORMAL * variance)
+    G, b = np.empty((columns, columns)), np.empty(columns)
+    for i in range(columns):
+        x[:] = J[:, o, i]
+        innovate(x, a, first, phi[i])
+        for t in range(n):
+            weighted[t] = w[t] * phi[i, t] if w[t] != 0.0 else 0.0
+        b[i] = product(weighted, e, n)
+        for j in range(i + 1):
+            G[i, j] = product(weighted, phi[j], n)
+            G[j, i] = G[i, j]
+    return G, b
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
@@ -135,6 +186,67 @@ def reweighted(x, starts, a, variance, turns, floor):
             a = -np.linalg.solve(G, g)
         variance = scale_of(x, starts, a, variance)
     return a, variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def autoregression(x, starts, a, variance, turns, floor, radius):
+    """`reweighted`, its poles kept within the circle of this radius and the scale found again where that moved them."""
+    a, variance = reweighted(x, starts, a, variance, turns, floor)
+    a, moved = within(a, radius)
+    return a, scale_of(x, starts, a, variance) if moved else variance
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def within(a, radius):
+    """Coefficients of A(z) with its zeros drawn onto the circle of this radius where they lie beyond, and whether any did."""
+    if stable(a / radius ** np.arange(1, a.shape[0] + 1)):
+        return a, False
+    found = np.zeros(a.shape[0] + 1, dtype=np.complex128)
+    found[0] = 1.0
+    polynomial = np.ones(a.shape[0] + 1, dtype=np.complex128)
+    polynomial[1:] = a
+    for number, root in enumerate(np.roots(polynomial)):
+        size = abs(root)
+        drawn = root * (radius / size) if size > radius else root
+        for k in range(number + 1, 0, -1):
+            found[k] -= drawn * found[k - 1]
+    return found[1:].real.copy(), True
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def log_density(e, s):
+    """Log density of t-distributed innovations of scale s."""
+    constant = _AT_ZERO - np.log(s)
+    return constant - 0.5 * (FREEDOM + 1.0) * np.log1p((e / s) ** 2 / FREEDOM)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def log_likelihoods(x, starts, a, first, spreads, variance):
+    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the scale that is best near `variance`.
+
+    The first samples of a signal have the stationary density of the noise; 0 where one is missing.
+    """
+    e, known, count = np.empty(x.shape[0]), np.empty(x.shape[0]), 0
+    for j in range(starts.shape[0] - 1):
+        innovate(x[starts[j] : starts[j + 1]], a, first, e[starts[j] : starts[j + 1]])
+    for one in e:
+        if np.isfinite(one):
+            known[count] = one
+            count += 1
+    if count == 0:
+        return np.zeros(0)
+    s = np.sqrt(squared_scale(known[:count], variance))
+    found = log_density(e, s)
+    for j in range(starts.shape[0] - 1):
+        begin, end = starts[j], starts[j + 1]
+        if begin < end:
+            found[begin] = -0.5 * (np.log(2.0 * np.pi * NORMAL * s**2) + e[begin] ** 2 / (NORMAL * s**2))
+        for k in range(min(a.shape[0], end - begin)):
+            found[begin + k] -= spreads[k]
+    for t in range(e.shape[0]):
+        if not np.isfinite(e[t]):
+            found[t] = 0.0
+    return found
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -46,7 +46,7 @@ def linear_response(model: PhysicalModel, experiment: Experiment, x0: FloatArray
     return LinearResponse(tuple(model.balances), X, F, C)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _transitions(q, U, X, p, columns, sample_time, substeps, hold):
     n, nx, m = X.shape[0], X.shape[1], columns.shape[0]
     F, C = np.zeros((n, nx, m)), np.zeros((n, q.sizes[3], m))
@@ -67,7 +67,7 @@ def _transitions(q, U, X, p, columns, sample_time, substeps, hold):
     return F, C
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _respond(F, C, balance, terms):
     n, nx, m = F.shape[0], F.shape[1], terms.shape[1]
     out = np.zeros((n, C.shape[1], m))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovations import Noises, likelihood_weights
+from residuum.identification.discrepancy.innovations import Noises
+from residuum.identification.discrepancy.innovation_sums import normal_equations
 from residuum.identification.physics.least_squares import damped, solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
@@ -97,16 +98,10 @@ class NormalEquations:
 
 def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, FloatArray]:
     G, b = np.zeros((J.shape[2], J.shape[2])), np.zeros(J.shape[2])
+    whole = np.ascontiguousarray(r), np.ascontiguousarray(J)  # for strided ones it would be compiled once more
     for o, noise in enumerate(noises):
-        if noise is None:
-            continue
-        e = noise.innovations(r[:, o])
-        known = np.isfinite(e)
-        A = noise.innovations_of_rows(J[:, o].T)
-        w = likelihood_weights(e, noise.innovation_variance)
-        if not known.all():
-            e, w, A = e[known], w[known], A[:, known]
-        weighted = A * w
-        G += weighted @ A.T
-        b += weighted @ e
+        if noise is not None:
+            of_output = normal_equations(*whole, o, noise.a, noise.first[0], noise.innovation_variance)
+            G += of_output[0]
+            b += of_output[1]
     return G, b

@@ -376,11 +376,12 @@ class _Problem:
         for o in map(int, np.flatnonzero(self.measured)):
             r = errors[:, o]
             there = np.isfinite(r)
+            kept = slice(None) if there.all() else there
             r = np.where(there, r, 0.0) * self.weights[o]
-            residuals.append(self._filtered(r, o)[there])
+            residuals.append(self._filtered(r, o)[kept])
             if dY is not None:
-                J = np.where(there[:, None], dY[:, o], 0.0) * self.weights[o]
-                rows.append(self._filtered(J, o)[there])
+                J = dY[:, o] if there.all() else np.where(there[:, None], dY[:, o], 0.0)
+                rows.append(self._filtered(J * self.weights[o], o)[kept])
         return np.concatenate(residuals), np.concatenate(rows) if rows else None
 
     def _filtered(self, signal: Array, o: int) -> Array:

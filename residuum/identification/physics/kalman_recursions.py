@@ -10,7 +10,7 @@ from numba import njit
 from residuum.identification.physics.integration import integrate, new_memory, observe, observe_slopes
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def linearise(q, w, U, k, z, p, columns, sample_time, hold, y, H):
     """Outputs y and their slopes H by z at sample k."""
     nx = w.x.shape[0]
@@ -24,7 +24,7 @@ def linearise(q, w, U, k, z, p, columns, sample_time, hold, y, H):
             H[o, i] = w.C[o, i] if i < nx else w.D[o, columns[i]]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def update(z, P, H, y, measured, r, e, V):
     """Use the outputs of one sample, one after the other; z and P are overwritten, e and V receive the innovations."""
     nz = z.shape[0]
@@ -48,7 +48,7 @@ def update(z, P, H, y, measured, r, e, V):
                 P[i, j] -= gain[i] * gain[j] / variance
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def propagate(F, P, Q, work):
     """P ← F·P·Fᵀ + Q, kept symmetric."""
     nz = P.shape[0]
@@ -67,7 +67,7 @@ def propagate(F, P, Q, work):
             P[j, i] = total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold):
     """Extended Kalman filter of the states and of some parameters that walk at random (the missing terms).
 
@@ -110,7 +110,7 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     return z, P, F, H, e, V, filtered
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def smooth(z, P, F, H, e, V):
     """Smoothed z and the diagonal of its covariance by the adjoint recursion of Bryson and Frazier (nothing is inverted)."""
     n, nz = z.shape
@@ -136,7 +136,7 @@ def smooth(z, P, F, H, e, V):
     return Z, variance
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def transposed_times(F, v):
     """Fᵀ·v."""
     out = np.zeros(v.shape[0])
@@ -146,7 +146,7 @@ def transposed_times(F, v):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def output_gains(P, H, e, V, gains):
     """Kalman gain P·Hᵀ/V of each output of one sample, taken one after the other; P is overwritten."""
     nz = P.shape[0]
@@ -163,7 +163,7 @@ def output_gains(P, H, e, V, gains):
                 P[i, j] -= gains[o, i] * gains[o, j] * V[o]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def pass_output(adjoint, Adjoint, a, gain, e, V):
     """Carry the adjoint vector and matrix back across one used output with slope a."""
     nz = a.shape[0]
@@ -181,7 +181,7 @@ def pass_output(adjoint, Adjoint, a, gain, e, V):
             Adjoint[i, j] += a[i] * a[j] * quadratic - a[i] * Ag[j] - Ag[i] * a[j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold):
     """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); NaN in the first `steps` rows."""
     n, w = U.shape[0], new_memory(q, 0)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -36,17 +37,28 @@ def solve_scaled(H: Array, right: Array, ridge: float = RIDGE) -> Array:
 
     Shapes (…, m, m) and (…, m, columns); `ridge` is the fraction of the largest scaled curvature that is too little.
     """
-    if H.shape[-1] == 0:
+    m, columns = right.shape[-2:]
+    if not right.size:
         return np.zeros(right.shape)
-    if not (np.isfinite(H).all() and np.isfinite(right).all()):
-        sound = np.all(np.isfinite(H), axis=(-2, -1)) & np.all(np.isfinite(right), axis=(-2, -1))
-        H, right = np.where(sound[..., None, None], H, 0.0), np.where(sound[..., None, None], right, 0.0)
-    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", H), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)[..., None]
-    values, vectors = np.linalg.eigh(H / (scale * scale.swapaxes(-2, -1)))
-    kept = values > ridge * np.maximum(values[..., -1:], 1e-300)
-    inverse = np.where(kept, 1.0 / np.where(kept, values, 1.0), 0.0)
-    return np.asarray(((vectors * inverse[..., None, :]) @ vectors.swapaxes(-2, -1) @ (right / scale)) / scale)
+    several = np.ascontiguousarray(H).reshape(-1, m, m), np.ascontiguousarray(right).reshape(-1, m, columns)
+    return np.asarray(_solved(*several, ridge).reshape(right.shape))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _solved(H, right, ridge):  # type: ignore[no-untyped-def]
+    found = np.zeros(right.shape)
+    for k in range(H.shape[0]):
+        if not (np.isfinite(H[k]).all() and np.isfinite(right[k]).all()):
+            continue
+        scale = np.sqrt(np.maximum(np.diag(H[k]), 0.0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        values, vectors = np.linalg.eigh(H[k] / np.outer(scale, scale))
+        for i in range(values.shape[0]):
+            if values[i] > ridge * max(values[-1], 1e-300):
+                direction = vectors[:, i] / scale
+                for c in range(right.shape[2]):
+                    found[k, :, c] += np.sum(direction * right[k, :, c]) / values[i] * direction
+    return found
 
 
 def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Array) -> tuple[Array, tuple[FlatDirection, ...]]:

@@ -7,7 +7,8 @@ from scipy.signal import lfilter
 from scipy.stats import t
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
-from residuum.identification.discrepancy.innovations import FREEDOM, fit_noises, log_density, pointwise_log_likelihood, scale
+from residuum.identification.discrepancy.innovation_sums import FREEDOM, log_density, squared_scale
+from residuum.identification.discrepancy.innovations import fit_noises, pointwise_log_likelihood
 
 
 def coloured(n, rho, seed=0):
@@ -29,7 +30,7 @@ def test_density_is_that_of_the_t_distribution():
 
 def test_scale_maximises_the_likelihood():
     e = 3.0 * np.random.default_rng(1).standard_t(FREEDOM, 20_000)
-    s = scale(e)
+    s = np.sqrt(squared_scale(e, 0.0))
     assert s == pytest.approx(3.0, rel=0.03)
     assert log_density(e, s).sum() > max(log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum())
 

@@ -51,7 +51,12 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
 def _refined(position: Array, signal: Array, wave_number: float, width: float) -> float:
     """The wave number within ± `width` at which the samples themselves, not their cells, vary most."""
     tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
-    return float(tried[np.argmax([abs(np.exp(-1j * n * position) @ signal) for n in tried])])
+    turned, turn = np.exp(-1j * tried[0] * position) * signal, np.exp(-1j * (tried[1] - tried[0]) * position)
+    sizes = [abs(turned.sum())]
+    for _ in tried[1:]:
+        turned *= turn
+        sizes.append(abs(turned.sum()))
+    return float(tried[np.argmax(sizes)])
 
 
 class ToothRipple(Effect):
