@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.innovation_sums import normal_equations
+from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.physics.least_squares import damped, solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
