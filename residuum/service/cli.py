@@ -10,6 +10,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands import COMMANDS
+from residuum.service.loaded_modules import loading_modules
 
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT = 0, 1, 2, 3
 
@@ -29,7 +30,8 @@ def run(arguments: list[str]) -> int:
     if name not in COMMANDS:
         return _refuse(f"command {name!r}: there is none of this name; known are {', '.join(COMMANDS)}")
     try:
-        command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+        with loading_modules():
+            command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
         status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
     except typer.Exit as done:
         return done.exit_code

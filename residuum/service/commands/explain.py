@@ -17,7 +17,6 @@ from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.large_arrays import keep_large_arrays
-from residuum.service.loaded_modules import leave_loaded_modules
 
 app = typer.Typer(add_completion=False)
 
@@ -38,7 +37,6 @@ def explain_command(
     mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = load_model(model)
     keep_large_arrays()
-    leave_loaded_modules()
     explanation = explain(given, loaded, mapping, effects=wanted, tell=lambda share, doing: progress(doing, 0.9 * share))
     progress("comparing", 0.9)
     comparison = compare(given, loaded, mapping)

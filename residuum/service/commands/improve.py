@@ -13,7 +13,6 @@ from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.large_arrays import keep_large_arrays
-from residuum.service.loaded_modules import leave_loaded_modules
 
 app = typer.Typer(add_completion=False)
 
@@ -44,7 +43,6 @@ def improve_command(
     wanted = None if auto else [id.strip() for text in add or [] for id in text.split(",")]
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()
-    leave_loaded_modules()
     improvement = improve(
         load_model(model),
         loaded,
