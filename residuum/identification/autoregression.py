@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft, signal
+import scipy
 
 from residuum.identification.errors import NotIdentifiable
 
@@ -23,11 +23,11 @@ def autocovariance(values: npt.ArrayLike, lags: int) -> FloatArray:
     if known.sum() <= lags:
         raise NotIdentifiable(f"{int(known.sum())} samples: an autocovariance up to lag {lags} needs more")
     deviation = np.where(known, values - np.mean(values[known]), 0.0)
-    size = fft.next_fast_len(len(values) + lags, real=True)
-    products = fft.irfft(np.abs(fft.rfft(deviation, size)) ** 2, size)[: lags + 1]
+    size = scipy.fft.next_fast_len(len(values) + lags, real=True)
+    products = scipy.fft.irfft(np.abs(scipy.fft.rfft(deviation, size)) ** 2, size)[: lags + 1]
     if known.all():
         return np.asarray(products / len(values))
-    pairs = np.round(fft.irfft(np.abs(fft.rfft(known.astype(float), size)) ** 2, size)[: lags + 1])
+    pairs = np.round(scipy.fft.irfft(np.abs(scipy.fft.rfft(known.astype(float), size)) ** 2, size)[: lags + 1])
     taper = 1 - np.arange(lags + 1) / len(values)
     return np.asarray(products / np.maximum(pairs, 1.0) * taper)
 
@@ -37,7 +37,7 @@ def fit_autoregression(values: npt.ArrayLike, highest: int | None = None) -> tup
 
     A is stable (all reflection coefficients below 1) also when samples are missing.
 
-    >>> v = signal.lfilter([1.0], [1.0, -0.8], np.random.default_rng(0).standard_normal(2000))
+    >>> v = scipy.signal.lfilter([1.0], [1.0, -0.8], np.random.default_rng(0).standard_normal(2000))
     >>> fit_autoregression(v)[0].round(1).tolist()
     [1.0, -0.8]
     """
@@ -66,8 +66,8 @@ def fit_autoregression(values: npt.ArrayLike, highest: int | None = None) -> tup
 def whitened(values: npt.ArrayLike, A: FloatArray) -> FloatArray:
     """A(q) applied to `values`, shape (n,): NaN for the first samples and wherever a missing sample is touched."""
     values = np.asarray(values, dtype=float)
-    filtered = signal.lfilter(A, [1.0], np.where(np.isnan(values), 0.0, values))
-    touched = signal.lfilter(np.ones(len(A)), [1.0], np.isnan(values).astype(float)) > 0.5
+    filtered = scipy.signal.lfilter(A, [1.0], np.where(np.isnan(values), 0.0, values))
+    touched = scipy.signal.lfilter(np.ones(len(A)), [1.0], np.isnan(values).astype(float)) > 0.5
     filtered[touched] = np.nan
     filtered[: len(A) - 1] = np.nan
     return np.asarray(filtered)

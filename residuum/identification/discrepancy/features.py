@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from residuum.identification.discrepancy.locate import Axis
+from residuum.identification.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
 Shape = Callable[[FloatArray], FloatArray]
@@ -48,4 +48,4 @@ def features(axes: Sequence[Axis]) -> FloatArray:
 
 
 def _lagged(x: FloatArray, pole: float) -> FloatArray:
-    return x if pole == 0 else np.asarray(lfilter([1 - pole], [1, -pole], x), dtype=float)
+    return x if pole == 0 else all_pole([1.0, -pole], (1.0 - pole) * x)

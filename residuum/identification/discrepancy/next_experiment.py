@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2, ncx2
 
 from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.judgement import Candidate
@@ -110,7 +110,13 @@ def _power(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
     u, s, _ = np.linalg.svd(J[:, scale > 0] / scale[scale > 0], full_matrices=False)
     u = u[:, s > 1e-9 * s.max(initial=0.0)]
     rest = r - u @ (u.T @ r)
-    return float(ncx2.sf(chi2.isf(LEVEL, 1), 1, max(float(rest @ rest), 1e-12)))
+    return _exceeds(NormalDist().inv_cdf(1.0 - LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+
+
+def _exceeds(threshold: float, shift: float) -> float:
+    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
+    normal = NormalDist()
+    return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
 
 
 def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import medfilt, welch
 
 from residuum.identification.discrepancy.coloured_noise import longest_memory, stretches
 
@@ -60,11 +59,11 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
     if not parts:
         return rms
     length = min(1024, *(len(part) for part in parts))
-    spectra = [welch(part, nperseg=length, detrend="linear") for part in parts]
+    spectra = [_spectra(_windows(part, length)).mean(axis=0) for part in parts]
     weights = np.array([len(part) for part in parts], dtype=float)
-    power = np.average([spectrum for _, spectrum in spectra], axis=0, weights=weights)
-    fast = (spectra[0][0] >= LOWEST_FREQUENCY) & (spectra[0][0] < 0.5)
-    return min(rms, float(np.sqrt(_whittle_variance(spectra[0][0][fast], power[fast], _COLOURS[max(slowest, 0.0) >= _COLOURS]))))
+    power = np.average(spectra, axis=0, weights=weights)
+    frequency, fast = _fast_frequencies(length)
+    return min(rms, float(np.sqrt(_whittle_variance(frequency[fast], power[fast], _COLOURS[max(slowest, 0.0) >= _COLOURS]))))
 
 
 def fast_floor(residuals: Sequence[FloatArray]) -> float:
@@ -87,22 +86,51 @@ def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
     that is not there all the time (that of a quantised signal, which rests) says nothing of other times.
     """
     parts = [part for residual in residuals for part in _whole_parts(residual)]
-    windows = [part[k : k + _WINDOW] for part in parts for k in range(0, len(part) - _WINDOW + 1, _WINDOW // 2)]
-    if len(windows) < _FEWEST_WINDOWS:
+    windows = [_windows(part, _WINDOW) for part in parts if len(part) >= _WINDOW]
+    if sum(map(len, windows)) < _FEWEST_WINDOWS:
         return 0.0
-    frequency, spectra = welch(np.array(windows), nperseg=_WINDOW, detrend="linear")
-    fast = (frequency >= LOWEST_FREQUENCY) & (frequency < 0.5)
+    spectra = _spectra(np.concatenate(windows))
+    frequency, fast = _fast_frequencies(_WINDOW)
     power = spectra[:, fast].mean(axis=1)
     quietest, loud = np.quantile(power, (_QUIET, _LOUD))
     if quietest < _THROUGHOUT * loud:
         return 0.0
     floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), _COLOURS)))
-    smooth = np.concatenate([medfilt(part, 5) for part in parts])
+    smooth = np.concatenate([_without_single_samples(part) for part in parts])
     return float(np.sqrt(np.mean(smooth**2))) / floor if floor > 0 else 0.0
 
 
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:
     return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= 64]
+
+
+def _windows(part: FloatArray, length: int) -> FloatArray:
+    """Stretches of this length, each half over the next; shape (windows, length)."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(part, length)[:: length - length // 2])
+
+
+def _spectra(windows: FloatArray) -> FloatArray:
+    """One-sided power of each window a unit of relative frequency: its straight line taken out, under a Hann window (Welch)."""
+    length = windows.shape[1]
+    slope = np.arange(length) - 0.5 * (length - 1)
+    line = np.stack([np.full(length, length**-0.5), slope / np.linalg.norm(slope)])
+    taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    rest = windows - windows @ line.T @ line
+    power = np.abs(np.fft.rfft(rest * taper, axis=1)) ** 2 / np.sum(taper**2)
+    power[:, 1 : (length + 1) // 2] *= 2.0
+    return np.asarray(power)
+
+
+def _fast_frequencies(length: int) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Relative frequencies of a window's spectrum, and which of them belong to an error's fast part."""
+    frequency = np.asarray(np.fft.rfftfreq(length), dtype=np.float64)
+    return frequency, (frequency >= LOWEST_FREQUENCY) & (frequency < 0.5)
+
+
+def _without_single_samples(part: FloatArray) -> FloatArray:
+    """Each sample the median of five, zeros beyond the ends."""
+    five = np.lib.stride_tricks.sliding_window_view(np.pad(part, 2), 5)
+    return np.asarray(np.partition(five, 2, axis=1)[:, 2])
 
 
 def _whittle_variance(frequency: FloatArray, power: FloatArray, colours: FloatArray) -> float:

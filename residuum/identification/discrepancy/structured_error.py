@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import gamma
+from scipy.special import gammaincc
 
 from residuum.identification.discrepancy.coloured_noise import (
     ColouredNoise,
@@ -219,4 +219,4 @@ def _tail(statistic: float, draws: FloatArray) -> float:
     mean, variance = float(draws.mean()), float(draws.var(ddof=1))
     if mean <= 0 or variance <= 0:
         return 1.0
-    return float(gamma.sf(statistic, a=mean**2 / variance, scale=variance / mean))
+    return float(gammaincc(mean**2 / variance, max(statistic, 0.0) * mean / variance))

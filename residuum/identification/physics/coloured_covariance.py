@@ -15,7 +15,6 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from residuum.identification.autoregression import fit_autoregression
 from residuum.identification.errors import NotIdentifiable
@@ -23,6 +22,7 @@ from residuum.identification.physics.estimation import Estimate
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.least_squares import covariance_of, solve_scaled
 from residuum.identification.physics.simulation import Simulator
+from residuum.identification.recursive_filter import all_pole
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def with_coloured_noise(result: Estimate, experiments: Sequence[Experiment]) -> 
     for o in map(int, np.flatnonzero(result.weights > 0)):
         A, variance = _colour([r[:, o] for r in result.residuals])
         for J in slopes:
-            filtered = lfilter([1.0], A, J[::-1, o], axis=0)
+            filtered = all_pole(A, J[::-1, o])
             H += J[:, o].T @ J[:, o]
             spread += variance * result.weights[o] ** 2 * filtered.T @ filtered
     inverse, _ = covariance_of(H, 1.0, result.parameters, result.theta)

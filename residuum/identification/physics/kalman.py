@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
+from residuum.identification.nelder_mead import nelder_mead
 from residuum.identification.physics.composition import missing_name
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.kalman_recursions import kalman_filter, predict_ahead
@@ -192,8 +192,7 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
 
     size = len(balances) + len(start.output_variance)
     simplex = np.vstack([np.zeros(size), 3.0 * np.eye(size)])
-    best = minimize(cost, np.zeros(size), method="Nelder-Mead", options={"maxfev": evaluations, "initial_simplex": simplex})
-    return noise(best.x)
+    return noise(nelder_mead(cost, simplex, evaluations))
 
 
 def missing_terms(

@@ -4,8 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError
+import scipy
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -50,15 +49,24 @@ def write_mat(record: Record, path: str | Path) -> None:
     """Write a MAT file of version 5 that `read_mat` gives back: channels, `sample_time`, `units_<channel>`."""
     content: dict[str, Any] = {name: np.asarray(signal)[:, None] for name, signal in record.channels.items()}
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
-    savemat(path, content | {"time": record.time[:, None]}, long_field_names=True)
+    scipy.io.savemat(path, content | {"time": record.time[:, None]}, long_field_names=True)
 
 
 def _load(path: str | Path) -> dict[str, Any]:
     try:
         with open(path, "rb") as file:
             is_hdf5 = _HDF5 in file.read(1024)
-        return _load_hdf5(path) if is_hdf5 else loadmat(path, squeeze_me=True, simplify_cells=True)
-    except (OSError, ValueError, TypeError, MatReadError, NotImplementedError, KeyError, EOFError, MemoryError) as error:
+        return _load_hdf5(path) if is_hdf5 else scipy.io.loadmat(path, squeeze_me=True, simplify_cells=True)
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        scipy.io.matlab.MatReadError,
+        NotImplementedError,
+        KeyError,
+        EOFError,
+        MemoryError,
+    ) as error:
         raise BadRecord(f"{path}: is not a MAT file: {' '.join(str(error).split())[:120]}") from None
 
 

@@ -4,7 +4,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from scipy.io import wavfile
+import scipy
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -15,8 +15,8 @@ def read_wav(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a WAV file; integer samples are divided by full scale, 8-bit ones centred first."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", wavfile.WavFileWarning)  # chunks that are not audio
-            rate, data = wavfile.read(path)
+            warnings.simplefilter("ignore", scipy.io.wavfile.WavFileWarning)  # chunks that are not audio
+            rate, data = scipy.io.wavfile.read(path)
     except (OSError, ValueError, EOFError) as error:
         raise BadRecord(f"{path}: is not a WAV file: {error}") from None
     samples = _full_scale(np.atleast_2d(data.T))
@@ -34,7 +34,7 @@ def write_wav(record: Record, path: str | Path) -> None:
     rate = round(record.sampling_rate)
     if abs(rate - record.sampling_rate) > 1e-6 * record.sampling_rate:
         raise BadRecord(f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole; WAV cannot keep it")
-    wavfile.write(path, rate, np.stack(list(record.channels.values()), axis=1).astype(np.float32))
+    scipy.io.wavfile.write(path, rate, np.stack(list(record.channels.values()), axis=1).astype(np.float32))
 
 
 def _full_scale(data: np.ndarray) -> np.ndarray:

@@ -2,9 +2,21 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, medfilt, welch
 
+from residuum.identification.discrepancy import noise_floor
 from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
+
+
+@pytest.mark.parametrize("length", [64, 255, 1024])
+def test_spectrum_and_running_median_are_those_of_scipy(length):
+    x = np.cumsum(np.random.default_rng(length).standard_normal(5000))
+    frequency, power = welch(x, nperseg=length, detrend="linear")
+    found = noise_floor._spectra(noise_floor._windows(x, length)).mean(axis=0)
+    own, fast = noise_floor._fast_frequencies(length)
+    assert np.array_equal(own, frequency)
+    assert found[fast] == pytest.approx(power[fast], rel=1e-9)
+    assert np.array_equal(noise_floor._without_single_samples(x), medfilt(x, 5))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9, 0.99])
