@@ -121,11 +121,9 @@ def compare(
     model, experiments = match(model, records, mapping)
     experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
     kalman = Filter(model, tune(model, experiments, simulation.initial))
-    smoothed = [kalman.run(e, x0) for e, x0 in zip(experiments, simulation.initial, strict=True)]
-    axes = [
-        signal_axes(model, experiment, _simulated_states(model, experiment, x0), record)
-        for experiment, x0, record in zip(experiments, simulation.initial, records, strict=True)
-    ]
+    runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
+    smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
+    axes = [signal_axes(model, run[0], _simulated_states(model, *run), r) for run, r in zip(runs, records, strict=True)]
     refitted = _refitted(model, experiments, simulation)
     structured = structured_errors(experiments, simulation.residuals, axes, model, refitted, level=level, seed=seed)
     in_parts = _structured_in_windows(model, experiments, structured, level, seed)
@@ -214,8 +212,8 @@ def _structured_in_windows(
         simulation = estimate(model, parts, free=())
     except NotIdentifiable:
         return {}
-    starts = zip(parts, simulation.initial, strict=True)
-    axes = [signal_axes(model, part, _simulated_states(model, part, x0)) for part, x0 in starts]
+    runs = zip(parts, simulation.initial, simulation.substeps, strict=True)
+    axes = [signal_axes(model, run[0], _simulated_states(model, *run)) for run in runs]
     refitted = _refitted(model, parts, simulation)
     found = structured_errors(parts, simulation.residuals, axes, model, refitted, level=level, seed=seed)
     found |= _plainly_structured(model, simulation.residuals, found)
@@ -242,9 +240,9 @@ def _plainly_structured(
     return found
 
 
-def _simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray) -> FloatArray:
+def _simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int) -> FloatArray:
     simulator = Simulator(model)
-    return simulator.run_vectors(experiment, x0, simulator.p()).X
+    return simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps).X
 
 
 def _output_errors(

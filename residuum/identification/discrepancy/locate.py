@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,16 @@ class Axis:
     unit: str
     kind: str
     values: FloatArray
+
+    @cached_property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Where the signal is there."""
+        return np.isfinite(self.values)
+
+    @cached_property
+    def bins(self) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+        """Edges of bins of the values that are there, and the bin of each: the same for every error that has no gaps."""
+        return _binned(self.values[self.known])
 
 
 @dataclass(frozen=True)
@@ -106,14 +117,13 @@ class _Interval:
 
 
 def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None:
-    known = np.isfinite(error) & np.isfinite(axis.values)
+    known = np.isfinite(error) & axis.known
     if known.sum() < 4 * _FEWEST:
         return None
-    values, squares = axis.values[known], error[known] ** 2
-    edges = _bin_edges(values)
+    squares = error[known] ** 2
+    edges, index = axis.bins if np.array_equal(known, axis.known) else _binned(axis.values[known])
     if len(edges) < 3:
         return None
-    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     count = np.asarray(np.bincount(index, minlength=len(edges) - 1), dtype=np.float64)
     power = np.asarray(np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64)
     first, last, score = _best_interval(count, power, correlation)
@@ -164,15 +174,21 @@ def _one_way(error: FloatArray, inside: npt.NDArray[np.bool_], direction: FloatA
     return larger if means[larger] > 4.0 * min(means.values()) else None
 
 
+def _binned(values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """Edges of bins, and the bin of each value."""
+    edges = _bin_edges(np.sort(values))
+    return edges, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
 def _bin_edges(values: FloatArray) -> FloatArray:
-    """Half quantile, half even edges: quantiles alone blur rare regions, even bins alone starve the busy ones."""
-    low, high = float(values.min()), float(values.max())
+    """Half quantile, half even edges of sorted values: quantiles alone blur rare places, even bins alone starve the busy ones."""
+    low, high = float(values[0]), float(values[-1])
     if not high > low:
         return np.array([low])
     quantiles = np.quantile(values, np.linspace(0, 1, _BINS // 2 + 1))
     edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, _BINS // 2 + 1)]))
     kept = [edges[0]]
-    position = np.searchsorted(np.sort(values), edges)
+    position = np.searchsorted(values, edges)
     start = 0
     for edge, place in zip(edges[1:-1], position[1:-1], strict=True):
         if place - start >= _FEWEST and len(values) - place >= _FEWEST:

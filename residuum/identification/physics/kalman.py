@@ -87,12 +87,20 @@ class Filter:
         names = [f"initial:{name}" for name in self.simulator.states] + [missing_name(b) for b in self.balances]
         self.columns = self.simulator.columns(names)
 
-    def run(self, experiment: Experiment, x0: Array, *, substeps: int | None = None, smooth: bool = True) -> Smoothed:
-        """Filter (and smooth) one experiment from first states x0."""
+    def run(
+        self,
+        experiment: Experiment,
+        x0: Array,
+        *,
+        substeps: int | None = None,
+        smooth: bool = True,
+        scales: Array | None = None,
+    ) -> Smoothed:
+        """Filter (and smooth) one experiment from first states x0; `scales` are its `state_scales`, where they are known."""
         p = self.simulator.p()
         steps = substeps or self.simulator.substeps(experiment, x0, p)
         z0 = np.concatenate([x0, np.zeros(len(self.balances))])
-        P0, Q = self._covariances(experiment, x0, steps)
+        P0, Q = self._covariances(experiment, state_scales(self.simulator, experiment, x0, steps) if scales is None else scales)
         arguments: tuple[Any, ...] = (
             z0,
             P0,
@@ -118,23 +126,23 @@ class Filter:
         arguments = (self.columns, steps, experiment.sample_time, substeps, experiment.hold)
         return np.asarray(predict_ahead(system, experiment.U, smoothed.filtered, self.simulator.p(), *arguments))
 
-    def _covariances(self, experiment: Experiment, x0: Array, substeps: int) -> tuple[Array, Array]:
+    def _covariances(self, experiment: Experiment, scale: Array) -> tuple[Array, Array]:
         """Initial covariance wide enough for any start, and process noise: the walks, and a trace on every state.
 
         The trace keeps a state that stands still (its sensitivities are then zero) open to correction.
         """
-        scale = self._state_scales(experiment, x0, substeps)
         walk = np.array([self.noise.walk[b] for b in self.balances])
         P0 = np.diag(np.concatenate([scale**2, walk * 10.0 * experiment.sample_time * experiment.n]))
         Q = np.diag(np.concatenate([(1e-5 * scale) ** 2, walk * experiment.sample_time]))
         return P0, Q
 
-    def _state_scales(self, experiment: Experiment, x0: Array, substeps: int) -> Array:
-        """Size of each state: its peak in a simulation, or the largest output where that diverges or rests at zero."""
-        largest = float(np.nanmax(np.abs(experiment.Y)))
-        run = self.simulator.run_vectors(experiment, x0, self.simulator.p(), substeps=substeps)
-        peak = np.nanmax(np.abs(run.X), axis=0)
-        return np.where(np.isfinite(peak) & (peak > 0), peak, largest if largest > 0 else 1.0)
+
+def state_scales(simulator: Simulator, experiment: Experiment, x0: Array, substeps: int) -> Array:
+    """Size of each state: its peak in a simulation, or the largest output where that diverges or rests at zero."""
+    largest = float(np.nanmax(np.abs(experiment.Y)))
+    run = simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps)
+    peak = np.nanmax(np.abs(run.X), axis=0)
+    return np.where(np.isfinite(peak) & (peak > 0), peak, largest if largest > 0 else 1.0)
 
 
 def noise_floor(Y: Array) -> Array:
@@ -175,7 +183,8 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
     parts = [e.window(0, max(2, min(e.n, TUNING_SAMPLES // len(experiments)))) for e in experiments]
     simulator = Simulator(model)
     steps = simulator.substeps_each(parts, initial, simulator.p())
-    balances = list(start.walk)
+    balances, known = list(start.walk), list(zip(parts, initial, steps, strict=True))
+    scales = [state_scales(simulator, *each) for each in known]
 
     def noise(exponents: Array) -> Noise:
         walk = {b: start.walk[b] * float(np.exp(v)) for b, v in zip(balances, exponents, strict=False)}
@@ -185,9 +194,8 @@ def tune(model: PhysicalModel, experiments: Sequence[Experiment], initial: Seque
         if np.max(np.abs(exponents)) > 25:
             return 1e12
         kalman = Filter(model, noise(exponents))
-        total = sum(
-            kalman.run(e, x, substeps=s, smooth=False).log_likelihood for e, x, s in zip(parts, initial, steps, strict=True)
-        )
+        runs = zip(known, scales, strict=True)
+        total = sum(kalman.run(e, x, substeps=n, smooth=False, scales=s).log_likelihood for (e, x, n), s in runs)
         return -total if np.isfinite(total) else 1e12
 
     size = len(balances) + len(start.output_variance)

@@ -7,33 +7,31 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from residuum.identification.physics.integration import integrate, new_memory, observe, observe_slopes
+from residuum.identification.physics.integration import (
+    crossed,
+    forget,
+    integrate,
+    land,
+    new_memory,
+    observe,
+    set_delayed_stages,
+    set_directions,
+    set_inputs,
+    set_stages,
+    some_delayed,
+    stand,
+)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def linearise(q, w, U, k, z, p, columns, sample_time, hold, y, H):
-    """Outputs y and their slopes H by z at sample k."""
-    nx = w.x.shape[0]
-    w.x[:] = z[:nx]
-    for i in range(nx, z.shape[0]):
-        p[columns[i]] = z[i]
-    observe(q, w, U, k, sample_time, hold, p, y)
-    observe_slopes(q, w, p)
-    for o in range(y.shape[0]):
-        for i in range(z.shape[0]):
-            H[o, i] = w.C[o, i] if i < nx else w.D[o, columns[i]]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def update(z, P, H, y, measured, r, e, V):
-    """Use the outputs of one sample, one after the other; z and P are overwritten, e and V receive the innovations."""
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def update(z, P, H, y, k, Y, r, e, V, before, gain):
+    """Use the outputs of sample k, one after the other; z and P are overwritten, e[k] and V[k] receive the innovations."""
     nz = z.shape[0]
-    before = z.copy()
-    gain = np.zeros(nz)
-    for o in range(measured.shape[0]):
-        if not np.isfinite(measured[o]):
+    before[:] = z
+    for o in range(r.shape[0]):
+        if not np.isfinite(Y[k, o]):
             continue
-        residual, variance = measured[o] - y[o], r[o]
+        residual, variance = Y[k, o] - y[o], r[o]
         for i in range(nz):
             residual -= H[o, i] * (z[i] - before[i])
             gain[i] = 0.0
@@ -41,7 +39,7 @@ def update(z, P, H, y, measured, r, e, V):
                 gain[i] += P[i, j] * H[o, j]
         for i in range(nz):
             variance += H[o, i] * gain[i]
-        e[o], V[o] = residual, variance
+        e[k, o], V[k, o] = residual, variance
         for i in range(nz):
             z[i] += gain[i] * residual / variance
             for j in range(nz):
@@ -80,34 +78,64 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     F (n, NZ, NZ) : transition from sample k to k + 1.
     H (n, NY, NZ), e (n, NY), V (n, NY) : output slopes, innovations and their variances (NaN where nothing was measured).
     filtered (n, NZ) : after the sample was used.
+
+    A sample is stepped here as `integrate` does it: to call it for one sample costs three times as much as the step.
     """
     n, nz, ny = U.shape[0], columns.shape[0], Y.shape[1]
     z, P, F = np.full((n, nz), np.nan), np.zeros((n, nz, nz)), np.zeros((n, nz, nz))
     H, e, V = np.zeros((n, ny, nz)), np.full((n, ny), np.nan), np.full((n, ny), np.nan)
-    filtered, y, work = np.full((n, nz), np.nan), np.zeros(ny), np.zeros((nz, nz))
-    p, zk, Pk, w = p.copy(), z0.copy(), P0.copy(), new_memory(q, nz)
-    nx, none, none3 = w.x.shape[0], np.zeros((0, 0)), np.zeros((0, 0, 0))
+    filtered, y, Hk, work = np.full((n, nz), np.nan), np.zeros(ny), np.zeros((ny, nz)), np.zeros((nz, nz))
+    p, zk, Pk, w, before, gain = p.copy(), z0.copy(), P0.copy(), new_memory(q, nz), np.zeros(nz), np.zeros(nz)
+    x, u, ur, s, m, S, inputs, surfaces, nx = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, w.x.shape[0]
+    at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
+    at_0, at_1, at_2, at_y, at_H = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes, y.ctypes, Hk.ctypes
+    at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
+    ch, delayed = 1.0 / substeps, some_delayed(q.delays)
+    w.step[0] = sample_time / substeps
     for k in range(n):
         z[k], P[k] = zk, Pk
-        linearise(q, w, U, k, zk, p, columns, sample_time, hold, y, H[k])
-        update(zk, Pk, H[k], y, Y[k], r, e[k], V[k])
-        filtered[k] = zk
+        place(zk, x, p, columns)
+        for i in range(nx):
+            for j in range(nz):
+                S[i, j] = 1.0 if i == j else 0.0
+        set_inputs(q.delays, u, ur, U, k, 0.0, sample_time, hold, p)
+        q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_H, at_S, at_columns, nz)
+        update(zk, Pk, Hk, y, k, Y, r, e, V, before, gain)
+        H[k], filtered[k] = Hk, zk
         if k == n - 1:
             break
-        w.x[:] = zk[:nx]
-        w.S[:] = 0.0
-        for i in range(nx):
-            w.S[i, i] = 1.0
+        place(zk, x, p, columns)
+        for step in range(substeps):
+            c = step * ch
+            if set_directions(x, surfaces, s, m):
+                stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
+            if delayed:
+                set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p)
+            else:
+                set_stages(inputs, U, k, c, ch, sample_time, hold)
+            q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, nz)
+            if crossed(x, surfaces, s, m):
+                set_inputs(q.delays, u, ur, U, k, c + ch, sample_time, hold, p)
+                land(q, w, p, columns)
+        forget(S)
+        zk[:nx] = x
+        F[k, :nx] = S
         for i in range(nx, nz):
-            p[columns[i]] = zk[i]
             F[k, i, i] = 1.0
-        integrate(q, w, U, k, k + 1, sample_time, substeps, hold, p, columns, none, none, none3)
-        zk[:nx] = w.x
-        F[k, :nx, :] = w.S
         if not np.isfinite(zk.sum()):
             break
         propagate(F[k], Pk, Q, work)
     return z, P, F, H, e, V, filtered
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def place(z, x, p, columns):
+    """The states of z go to x, its missing terms to their places in p."""
+    for i in range(z.shape[0]):
+        if i < x.shape[0]:
+            x[i] = z[i]
+        else:
+            p[columns[i]] = z[i]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

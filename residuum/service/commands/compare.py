@@ -9,6 +9,7 @@ from residuum.identification.discrepancy.locate import Region
 from residuum.identification.physics import load_model
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report
+from residuum.service.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
@@ -25,6 +26,7 @@ def compare_command(
 ) -> None:
     """Compare a model, its parameters as they are, with records."""
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    keep_large_arrays()
     comparison = compare(load_model(model), loaded, pairs("--map", channel_map))
     report(comparison_json(model, [str(file) for file in records], comparison), comparison_text(comparison), as_json=as_json)
 
