@@ -18,12 +18,11 @@ from typing import Any, ClassVar
 import sympy as sp
 
 from residuum.identification.physics.composition import TIME, Equations
-from residuum.identification.physics.effects.output_quantisation import SteppedRound
+from residuum.identification.physics.machine_code import FUNCTIONS
+from residuum.identification.physics.stepped_round import SteppedRound
 from residuum.identification.physics.stepping_code import FREE, stepping
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
-FUNCTIONS = ("rates", "slopes", "initial", "outputs", "output_slopes", "signals")
-STEPPING = ("advance", "advance_slopes", "observe")
 _INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", sp.floor: "floor"}
 _COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "!=": "une"}
 

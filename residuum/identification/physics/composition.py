@@ -29,7 +29,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.consistency import owners_of
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.expression import Call, Name, Node, Number, Operation
-from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel
+from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name
 
 TIME = sp.Symbol("t", real=True)
 
@@ -68,11 +68,6 @@ class Equations:
     deviating: tuple[str, ...]
     surfaces: Mapping[int, sp.Symbol]
     delays: Mapping[str, sp.Symbol]
-
-
-def missing_name(balance: str) -> str:
-    """Name of the additive unknown term of a balance among the kernel's parameters."""
-    return f"missing@{balance}"
 
 
 def compose(model: PhysicalModel) -> Equations:

@@ -21,11 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.nelder_mead import nelder_mead
-from residuum.identification.physics.composition import missing_name
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.kalman_recursions import kalman_filter, predict_ahead
 from residuum.identification.physics.kalman_recursions import smooth as adjoint_smoother
-from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.model import PhysicalModel, missing_name
 from residuum.identification.physics.simulation import Simulator
 
 Array = npt.NDArray[np.float64]

@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.physics import machine_code
-from residuum.identification.physics.code_generation import FUNCTIONS, STEPPING, generate, names_of
-from residuum.identification.physics.composition import compose
 from residuum.identification.physics.integration import System
+from residuum.identification.physics.machine_code import FUNCTIONS, STEPPING
 from residuum.identification.physics.model import PhysicalModel
 
 _LOADED = (*FUNCTIONS, *STEPPING)
@@ -78,15 +77,22 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     digest = hashlib.sha256((structure + machine + _sources()).encode()).hexdigest()[:24]
     path = cache_folder() / f"kernel_{digest}"
     if not path.exists():
-        equations = compose(deferred.model)
-        header = json.dumps(names_of(equations)).encode()
-        _write(path, header + b"\n" + machine_code.compiled(generate(equations)))
+        _write(path, _made(deferred.model))
     header, _, code = path.read_bytes().partition(b"\n")
     told = json.loads(header)
     functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
     numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in ("sizes", "surfaces", "delays", "own")}
     names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
     return Kernel(**names, system=System(**functions, **numbers))
+
+
+def _made(model: PhysicalModel) -> bytes:
+    """What a kernel's file holds. SymPy is imported here: where all kernels are on disk it is not needed."""
+    from residuum.identification.physics.code_generation import generate, names_of  # noqa: PLC0415
+    from residuum.identification.physics.composition import compose  # noqa: PLC0415
+
+    equations = compose(model)
+    return json.dumps(names_of(equations)).encode() + b"\n" + machine_code.compiled(generate(equations))
 
 
 def _structure(model: PhysicalModel) -> str:

@@ -13,6 +13,9 @@ from numba import types
 
 _DOUBLES, _INTEGERS = types.CPointer(types.float64), types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 _PLAIN: Any = types.void(*[_DOUBLES] * 9)
+FUNCTIONS = ("rates", "slopes", "initial", "outputs", "output_slopes", "signals")
+STEPPING = ("advance", "advance_slopes", "observe")
+"""What a kernel consists of."""
 SIGNATURES: Mapping[str, Any] = {
     "advance_slopes": types.void(*[_DOUBLES] * 10, _INTEGERS, types.int64),
     "observe": types.void(*[_DOUBLES] * 10, _INTEGERS, types.int64),

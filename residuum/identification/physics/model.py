@@ -242,6 +242,11 @@ class PhysicalModel:
         return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
 
 
+def missing_name(balance: str) -> str:
+    """Name of the additive unknown term of a balance among the kernel's parameters."""
+    return f"missing@{balance}"
+
+
 def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[tuple[str, str]]:
     """All (effect id, target) pairs that fit the model and are not in it yet; `ids` restricts the effects.
 

@@ -9,7 +9,7 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.linear_response import linear_response
 from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
-from residuum.identification.physics.composition import missing_name
+from residuum.identification.physics.model import missing_name
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 

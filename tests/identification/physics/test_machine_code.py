@@ -5,7 +5,7 @@ import gc
 import numpy as np
 
 from residuum.identification.physics import Experiment, Simulator, load_model, machine_code
-from residuum.identification.physics.code_generation import FUNCTIONS, generate
+from residuum.identification.physics.code_generation import generate
 from residuum.identification.physics.composition import compose
 from residuum.identification.physics.kernel import _kernel
 
@@ -18,7 +18,7 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
     before = simulator.run(push).Y
     code = machine_code.compiled(generate(compose(model)))
     for _ in range(60):
-        addresses = [f.__wrapper_address__() for f in machine_code.loaded(code, FUNCTIONS)]
+        addresses = [f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)]
         assert all(addresses)
     _kernel.cache_clear()
     gc.collect()

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 import pint
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.units import parse_unit
 
 Array = npt.NDArray[np.float64]
@@ -107,11 +107,11 @@ class Contribution:
         The parameter by which a recorded input is delayed [s].
     """
 
-    term: sp.Expr = sp.S.Zero
+    term: sp.Expr = field(default_factory=lambda: sp.S.Zero)
     rates: Mapping[str, sp.Expr] = field(default_factory=dict)
     initial: Mapping[str, sp.Expr] = field(default_factory=dict)
     deviating: tuple[str, ...] = ()
-    storage_factor: sp.Expr = sp.S.One
+    storage_factor: sp.Expr = field(default_factory=lambda: sp.S.One)
     inductance: sp.Expr | None = None
     signal: sp.Expr | None = None
     delay: sp.Symbol | None = None

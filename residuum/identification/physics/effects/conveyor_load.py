@@ -1,7 +1,6 @@
 """Goods that carry heat away."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.heat_loss import HeatLoss
 

@@ -1,8 +1,8 @@
 """A door that stands open for a while."""
 
 import numpy as np
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.heat_loss import HeatLoss
 

@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import (
     Conditions,
     Contribution,

@@ -1,10 +1,12 @@
 """Part of the inertia hangs on a spring."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 import numpy as np
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Parameter, Site, product
 from residuum.identification.physics.effects.two_bodies import TwoBodies
 

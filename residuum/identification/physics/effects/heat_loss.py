@@ -1,10 +1,12 @@
 """What all heat losses share: surroundings at a temperature, and heat that only flows towards the colder side."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 
 import numpy as np
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Array, Conditions, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import oven_example
 

@@ -1,7 +1,6 @@
 """The actuator cannot give more."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
 

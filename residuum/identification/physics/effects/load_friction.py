@@ -1,7 +1,6 @@
 """Dry friction that grows with the transmitted load."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.friction import Friction
 

@@ -1,7 +1,6 @@
 """The sensor does not know the direction."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import drive_example
 

@@ -1,20 +1,9 @@
 """The sensor counts in steps."""
 
 import numpy as np
-import sympy as sp
 
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import axis_example, drive_example, oven_example, tank_example
-
-
-class SteppedRound(sp.Function):
-    """Rounding to the nearest integer, with the derivative of the line through the stairs: 1."""
-
-    nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The line's slope."""
-        return sp.S.One
 
 
 class OutputQuantisation(Effect):
@@ -35,6 +24,8 @@ class OutputQuantisation(Effect):
         return (Parameter("q", 1e-9, site.unit, lower=1e-12, fixed=True, meaning="step"),)
 
     def contribution(self, scene: Scene) -> Contribution:
+        from residuum.identification.physics.stepped_round import SteppedRound  # noqa: PLC0415  its class needs SymPy
+
         q = scene.p["q"]
         return Contribution(signal=q * SteppedRound(scene.signal / q))
 

@@ -1,7 +1,6 @@
 """What runs over the rim."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.drain import Drain
 

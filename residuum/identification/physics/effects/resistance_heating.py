@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import (
     Array,
     Conditions,

@@ -1,7 +1,6 @@
 """What heaters and pumps share: a supply that is not proportional to its input."""
 
-import sympy as sp
-
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Parameter, Scene, Site
 
 _SMALLEST = 1e-6

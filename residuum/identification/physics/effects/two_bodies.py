@@ -1,11 +1,13 @@
 """What play and an elastic transmission share: part of the inertia is driven through a contact."""
 
+from __future__ import annotations
+
 from abc import abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
-import sympy as sp
 
+from residuum.identification.physics import symbolic as sp
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Scene, Site, product
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 

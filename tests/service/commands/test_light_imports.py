@@ -1,0 +1,15 @@
+"""What a command imports before it begins: a library that it seldom needs must not cost its seconds every time."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("sympy", "scipy.io", "sklearn", "fastapi", "pyarrow", "h5py")
+
+
+@pytest.mark.parametrize("command", ["compare", "explain", "improve", "estimate"])
+def test_a_command_on_a_model_begins_without_what_it_seldom_needs(command):
+    script = f"import sys, residuum.service.commands.{command}; print([name for name in {HEAVY!r} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
