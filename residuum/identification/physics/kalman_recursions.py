@@ -144,15 +144,16 @@ def smooth(z, P, F, H, e, V):
     n, nz = z.shape
     Z, variance = np.zeros((n, nz)), np.zeros((n, nz))
     adjoint, Adjoint, work = np.zeros(nz), np.zeros((nz, nz)), np.zeros((nz, nz))
-    gains, none = np.zeros((e.shape[1], nz)), np.zeros((nz, nz))
+    gains, none, Pk, beside = np.zeros((e.shape[1], nz)), np.zeros((nz, nz)), np.zeros((nz, nz)), np.zeros(nz)
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            adjoint = transposed_times(F[k], adjoint)
+            transposed_times(F[k], adjoint, beside)
             propagate(F[k].T, Adjoint, none, work)
-        output_gains(P[k].copy(), H[k], e[k], V[k], gains)
+        Pk[:] = P[k]
+        output_gains(Pk, H[k], e[k], V[k], gains)
         for o in range(e.shape[1] - 1, -1, -1):
             if np.isfinite(e[k, o]):
-                pass_output(adjoint, Adjoint, H[k, o], gains[o], e[k, o], V[k, o])
+                pass_output(adjoint, Adjoint, H[k, o], gains[o], e[k, o], V[k, o], beside)
         for i in range(nz):
             Z[k, i] = z[k, i]
             variance[k, i] = P[k, i, i]
@@ -164,17 +165,17 @@ def smooth(z, P, F, H, e, V):
     return Z, variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def transposed_times(F, v):
-    """Fᵀ·v."""
-    out = np.zeros(v.shape[0])
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def transposed_times(F, v, work):
+    """v ← Fᵀ·v."""
+    work[:] = 0.0
     for i in range(v.shape[0]):
         for j in range(v.shape[0]):
-            out[j] += F[i, j] * v[i]
-    return out
+            work[j] += F[i, j] * v[i]
+    v[:] = work
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def output_gains(P, H, e, V, gains):
     """Kalman gain P·Hᵀ/V of each output of one sample, taken one after the other; P is overwritten."""
     nz = P.shape[0]
@@ -191,11 +192,12 @@ def output_gains(P, H, e, V, gains):
                 P[i, j] -= gains[o, i] * gains[o, j] * V[o]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def pass_output(adjoint, Adjoint, a, gain, e, V):
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def pass_output(adjoint, Adjoint, a, gain, e, V, Ag):
     """Carry the adjoint vector and matrix back across one used output with slope a."""
     nz = a.shape[0]
-    inner, Ag = e / V, np.zeros(nz)
+    inner = e / V
+    Ag[:] = 0.0
     for i in range(nz):
         inner += gain[i] * adjoint[i]
         for j in range(nz):
