@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened, within
 from residuum.identification.errors import BadInput
+from residuum.identification.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class ColouredNoise:
         """A realisation of v of n samples, after a run-in that forgets the zero start."""
         run_in = min(20_000, int(10 * self.time_constant) + 10 * self.order)
         e = rng.normal(scale=np.sqrt(self.innovation_variance), size=n + run_in)
-        return np.asarray(lfilter([1.0], np.r_[1.0, self.a], e)[run_in:], dtype=float)
+        return all_pole(np.r_[1.0, self.a], e)[run_in:]
 
     @property
     def time_constant(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,13 +17,22 @@ from residuum.identification.discrepancy.input_timing import experiments_and_bas
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Tell, search, untold
-from residuum.identification.discrepancy.structures import Structure, fit_structure, times_each_its_innovations
-from residuum.identification.discrepancy.trials import SHIFTS
+from residuum.identification.discrepancy.structures import (
+    Structure,
+    fit_structure,
+    times_each_its_innovations,
+    times_its_innovations,
+)
+from residuum.identification.discrepancy.trials import SHIFTS, SLOW
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
 
 MOST_SAMPLES = 6_000
+_FINER, _FAR_LESS = 4, 0.3
+"""How many times shorter windows are tried where the usual ones leave a slow error; and the share of it, in units of what its own
+past cannot predict, to which it has to fall for them to be believed.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +53,8 @@ class Explanation:
         The smooth term that best explains the rest.
     undetectable, next_experiment
         What this experiment cannot show, and what would.
+    finer : int
+        How many times shorter than usual the windows of `experiments` are.
     """
 
     verdict: str
@@ -55,6 +67,7 @@ class Explanation:
     next_experiment: tuple[Proposal, ...]
     search: Search
     experiments: list[Experiment]
+    finer: int
     seconds: float
 
     @property
@@ -85,6 +98,47 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list
             base = fit_structure(found.base.model, turned, found.base.initial)
             return None if base is None else (turned, base)
     return None
+
+
+def _searched(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    effects: Iterable[str] | None,
+    tell: Tell,
+) -> tuple[Search, list[Experiment], int]:
+    """What is missing, the experiments that say so, and how many times finer than usual they are cut.
+
+    Over a window a machine that holds on what it lacks (a cog, a friction) takes another course at the least difference of its
+    first state, and no structure reaches the top of its likelihood. Over a shorter one it does not.
+    """
+    wanted = None if effects is None else tuple(effects)
+
+    def found_on(
+        base: Structure, experiments: list[Experiment], begin: float, end: float, *, thorough: bool = True
+    ) -> tuple[Search, list[Experiment]]:
+        def told(share: float, doing: str) -> None:
+            tell(begin + (end - begin) * share, doing)
+
+        found = search(base, experiments, nominal=model, effects=wanted, thorough=thorough, tell=told)
+        if turned := at_turned_timing(found, experiments):
+            experiments, base = turned
+            found = search(base, experiments, nominal=model, effects=wanted, thorough=thorough, tell=told)
+        return found, experiments
+
+    tell(0.0, "estimating the model as it is")
+    usual, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
+    cut = any(after.follows(before) for before, after in pairwise(usual))
+    found, experiments = found_on(base, usual, 0.27, 0.6, thorough=not cut)
+    left = times_its_innovations(found.best)
+    if cut and left > SLOW:
+        tell(0.6, "estimating the model over shorter windows")
+        finely, finely_base = experiments_and_base(model, records, mapping, MOST_SAMPLES, _FINER)
+        other, finely = found_on(finely_base, finely, 0.65, 0.9)
+        if times_its_innovations(other.best) < _FAR_LESS * left:
+            return other, finely, _FINER
+        found, experiments = found_on(base, usual, 0.9, 1.0)
+    return found, experiments, 1
 
 
 @one_thread()
@@ -123,14 +177,7 @@ def explain(
     then named as a group).
     """
     began = time.perf_counter()
-    tell(0.0, "estimating the model as it is")
-    experiments, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
-    found = search(base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.2 + 0.35 * share, doing))
-    if turned := at_turned_timing(found, experiments):
-        experiments, base = turned
-        found = search(
-            base, experiments, nominal=model, effects=effects, tell=lambda share, doing: tell(0.55 + 0.2 * share, doing)
-        )
+    found, experiments, finer = _searched(model, records, mapping, effects, lambda share, doing: tell(0.75 * share, doing))
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
@@ -146,5 +193,6 @@ def explain(
         next_experiment=next_experiments(found, judgement.candidates, experiments),
         search=found,
         experiments=experiments,
+        finer=finer,
         seconds=time.perf_counter() - began,
     )

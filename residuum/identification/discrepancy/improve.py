@@ -134,14 +134,15 @@ def _improved(
         explanation = explain(
             model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
         )
-        if np.any(explanation.experiments[0].hold != experiments[0].hold):
+        if explanation.finer > 1 or np.any(explanation.experiments[0].hold != experiments[0].hold):
             experiments = explanation.experiments
             base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
         if turned := _turned(explanation.search, experiments, base):
             experiments, base = turned
             chosen = list(explanation.search.accepted)
-    judge = _HeldOut(parts, experiments, base, mapping)
+    finer = 1 if explanation is None else explanation.finer
+    judge = _HeldOut(parts, experiments, base, mapping, finer)
     history = [Step(None, judge.error(base))]
     kept, waiting, tried = base, chosen, len(chosen) + 1
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
@@ -163,7 +164,7 @@ def _improved(
     simulates_better = error < history[-1].error
     if simulates_better:
         history = [replace(s, error=error) if s.together or s is history[-1] else s for s in history]
-    final = _on_everything(kept, records, mapping, least_error=simulates_better)
+    final = _on_everything(kept, records, mapping, finer, least_error=simulates_better)
     for use in _vanished(final, history, shifts):
         final = replace(final, model=final.model.without_effect(use.label))
         history.append(Step(f"-{use.id}", history[-1].error))
@@ -294,9 +295,14 @@ class _HeldOut:
     """Simulation error on the data that were kept aside, on one output: the one whose error stands highest above its noise."""
 
     def __init__(
-        self, parts: Split, experiments: Sequence[Experiment], base: Structure, mapping: Mapping[str, str] | None
+        self,
+        parts: Split,
+        experiments: Sequence[Experiment],
+        base: Structure,
+        mapping: Mapping[str, str] | None,
+        finer: int,
     ) -> None:
-        self.testing = _reduced(base.model, parts.testing, mapping, experiments)
+        self.testing = _reduced(base.model, parts.testing, mapping, experiments, finer)
         noise = [np.nan if n is None else np.sqrt(n.innovation_variance) for n in base.noises]
         self.o = int(np.nanargmax(base.rmse / np.array(noise)))
         self.output = list(base.model.outputs)[self.o]
@@ -312,13 +318,14 @@ def _reduced(
     testing: Sequence[tuple[Record, int]],
     mapping: Mapping[str, str] | None,
     like: Sequence[Experiment],
+    finer: int,
 ) -> list[tuple[Experiment, int]]:
-    """Held-out records with the training experiments' input timing and blocks, and their first held-out sample."""
+    """Held-out records with the training experiments' input timing, blocks and windows, and their first held-out sample."""
     model, experiments = match(model, [record for record, _ in testing], mapping)
     found = []
     for e, (_, first) in zip(experiments, testing, strict=True):
         timed = replace(e, hold=like[0].hold, block=like[0].block)
-        parts = in_windows(model, [timed])
+        parts = in_windows(model, [timed], finer)
         later = [(part, 0) for part in parts if round((part.t0 - timed.t0) / timed.sample_time) >= first]
         found += [(timed, first)] if len(parts) == 1 else later
     return found
@@ -354,11 +361,11 @@ def _least_simulation_error(structure: Structure, experiments: Sequence[Experime
 
 
 def _on_everything(
-    kept: Structure, records: Sequence[Record], mapping: Mapping[str, str] | None, *, least_error: bool
+    kept: Structure, records: Sequence[Record], mapping: Mapping[str, str] | None, finer: int, *, least_error: bool
 ) -> Structure:
     """The structure re-estimated on all records, at the likeliest innovations or at the least simulation error."""
     try:
-        experiments, result = experiments_and_base(kept.model, records, mapping, MOST_SAMPLES)
+        experiments, result = experiments_and_base(kept.model, records, mapping, MOST_SAMPLES, finer)
     except NotIdentifiable:  # with the values of the training part it diverges on the rest
         return kept
     likelier = fit_structure(kept.model, experiments, result.initial)

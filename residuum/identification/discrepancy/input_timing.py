@@ -60,9 +60,11 @@ def _spread(experiments: Sequence[Experiment]) -> FloatArray:
 
 
 def experiments_and_base(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, most: int
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, most: int, finer: int = 1
 ) -> tuple[list[Experiment], Structure]:
     """Experiments of at most about `most` samples, and the model re-estimated on them, at the likelier input timing.
+
+    Those of a plant that is judged in windows are cut so many times `finer`.
 
     The two conventions differ by half a sample; the wrong one looks like a delay or a lag of that size.
 
@@ -78,7 +80,7 @@ def experiments_and_base(
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
 
     def fitted(turned: list[Experiment]) -> tuple[list[Experiment], Structure] | NotIdentifiable:
-        reduced = in_windows(model, averaged(turned, most))
+        reduced = in_windows(model, averaged(turned, most), finer)
         try:
             plain = plain_estimate(model, reduced)
             settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]

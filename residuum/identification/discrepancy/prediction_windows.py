@@ -14,8 +14,8 @@ _LASTING = 0.3
 _SHORTEST, _LONGEST, _PARTS = 80, 1200, 25
 
 
-def in_windows(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The experiments, cut into windows where the outputs never forget an initial state.
+def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: int = 1) -> list[Experiment]:
+    """The experiments, cut into windows where the outputs never forget an initial state, so many times `finer` than usual.
 
     Over a whole record the simulation of such a plant drifts with every small error of its input (and in closed loop with
     the controller's answer to the noise); over a window with states of its own it does not.
@@ -25,7 +25,7 @@ def in_windows(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[
     """
     found: list[Experiment] = []
     for e in experiments:
-        samples = int(np.clip(e.n // _PARTS, _SHORTEST, _LONGEST))
+        samples = int(np.clip(e.n // _PARTS, _SHORTEST, _LONGEST)) // finer
         felt = _lasting(model, e) if e.n > 2 * samples else None
         if felt is None or not any(share > _LASTING for share in felt.values()):
             found.append(e)

@@ -72,6 +72,7 @@ def search(
     effects: Iterable[str] | None = None,
     refits: int = FEWEST_REFITS,
     most_effects: int = MOST_EFFECTS,
+    thorough: bool = True,
     tell: Tell = untold,
 ) -> Search:
     """Add the best effect, again and again while the evidence wants one more.
@@ -87,10 +88,13 @@ def search(
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
 
+    A structure that leaves much is sought from other beginnings too, and over short stretches, where the search is `thorough`.
+
     How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
     """
     wanted, looks = None if effects is None else tuple(effects), count()
-    task = Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
+    telling = lambda doing: tell(1.0 - 0.8 ** next(looks), doing)  # noqa: E731
+    task = Task(experiments, nominal, wanted, refits, most_effects, thorough, telling)
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
         found = _forward(near, task)
@@ -145,6 +149,8 @@ def _forward(base: Structure, task: Task) -> Search:
     grow(found, task)
     first = dict(found.alternatives[0]) if found.alternatives else {}
     settle(found, task)
+    if not task.thorough:
+        return found
     for _ in range(task.most_effects):
         if not _shot_besides(found, task):
             break

@@ -23,7 +23,6 @@ from residuum.identification.physics.stepped_round import SteppedRound
 from residuum.identification.physics.stepping_code import FREE, stepping
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
-_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", sp.floor: "floor"}
 _COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "!=": "une"}
 
 Slot = tuple[str, int]
@@ -35,6 +34,30 @@ class InverseRoot(sp.Function):
     """1/√x in the slope of a root, kept finite where the root is zero (an empty tank)."""
 
     nargs = 1
+
+
+class Direction(sp.Function):
+    """sign(x) of what cannot be seen to be real (a current by cases), so that its slope is nothing rather than complex."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """Nothing."""
+        return sp.S.Zero
+
+
+class Magnitude(sp.Function):
+    """|x| of what cannot be seen to be real."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The direction."""
+        return Direction(self.args[0])
+
+
+_REAL = {sp.Abs: Magnitude, sp.sign: Direction}
+_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", Magnitude: "fabs", sp.floor: "floor"}
 
 
 def names_of(equations: Equations) -> dict[str, list[Any]]:
@@ -51,6 +74,7 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
         "surfaces": list(eq.surfaces),
         "delays": [-1 if name not in eq.delays else _index(eq.p.values(), eq.delays[name]) for name in eq.u],
         "own": [list(eq.x).index(name) for name in eq.initial],
+        "remembered": [list(eq.x).index(name) for name in eq.initial if name not in eq.deviating],
     }
 
 
@@ -75,21 +99,29 @@ def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:
 
 def _assignments(eq: Equations) -> list[Assignments]:
     x, p = list(eq.x.values()), list(eq.p.values())
-    y, z = list(eq.outputs.values()), list(eq.signals.values())
+    y, z = map(_real, eq.outputs.values()), map(_real, eq.signals.values())
     moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
-    rates: dict[Slot, sp.Expr] = {("r0", i): moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
+    each = [_real(rate) for rate in eq.rates]
+    rates: dict[Slot, sp.Expr] = {("r0", i): moving.get(i, sp.S.One) * rate for i, rate in enumerate(each)}
     slopes = dict(rates)
-    for i, rate in enumerate(eq.rates):
+    for i, rate in enumerate(each):
         slopes |= {at: moving.get(i, sp.S.One) * e for at, e in _row(("r1", "r2"), i, rate, x, p, eq).items()}
-    own = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
+    own = {list(eq.x).index(name): _real(expression) for name, expression in eq.initial.items()}
     start: dict[Slot, sp.Expr] = {("r0", i): e for i, e in own.items()}
     for i, expression in own.items():
         start |= _row(("r1", "r2"), i, expression, x, p, eq)
     outputs: dict[Slot, sp.Expr] = {("r0", o): h for o, h in enumerate(y)}
     output_slopes: dict[Slot, sp.Expr] = {}
-    for o, h in enumerate(y):
+    for (_, o), h in outputs.items():
         output_slopes |= _row(("r0", "r1"), o, h, x, p, eq)
     return [rates, slopes, start, outputs, output_slopes, {("r0", o): h for o, h in enumerate(z)}]
+
+
+def _real(expression: sp.Expr) -> sp.Expr:
+    """The expression with sizes and signs that differentiate as those of real values do."""
+    return sp.sympify(expression).replace(
+        lambda e: type(e) in _REAL and not e.args[0].is_extended_real, lambda e: _REAL[type(e)](e.args[0])
+    )
 
 
 def _row(
@@ -147,6 +179,8 @@ class _Function:
         if e.is_Symbol:
             array, index = self.loads[e]
             return self._new(f"load double, ptr {self._place(array, index)}")
+        if e in (sp.true, sp.false):
+            return "true" if e else "false"
         if e.is_number and not e.is_Boolean:
             return _constant(float(e))
         if type(e) in _INTRINSICS:
@@ -226,6 +260,9 @@ class _Function:
     def _or(self, *conditions: Any) -> str:
         return self._fold_bits("or", conditions)
 
+    def _if_then_else(self, condition: Any, yes: Any, no: Any) -> str:
+        return self._new(f"select i1 {self.value(condition)}, i1 {self.value(yes)}, i1 {self.value(no)}")
+
     def _fold_bits(self, operation: str, conditions: Iterable[Any]) -> str:
         return reduce(lambda a, b: self._new(f"{operation} i1 {a}, {b}"), map(self.value, conditions))
 
@@ -255,6 +292,7 @@ class _Function:
         sp.Pow: _pow,
         sp.tanh: _tanh,
         sp.sign: _sign,
+        Direction: _sign,
         sp.Heaviside: _heaviside,
         sp.DiracDelta: _nothing,
         SteppedRound: _rounded,
@@ -264,6 +302,7 @@ class _Function:
         sp.Piecewise: _piecewise,
         sp.And: _and,
         sp.Or: _or,
+        sp.ITE: _if_then_else,
     }
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
+import scipy
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics.experiment import Experiment
@@ -387,7 +387,7 @@ class _Problem:
     def _filtered(self, signal: Array, o: int) -> Array:
         if self.settings.filters is None:
             return signal
-        return np.asarray(lfilter(self.settings.filters[o], [1.0], signal, axis=0))
+        return np.asarray(scipy.signal.lfilter(self.settings.filters[o], [1.0], signal, axis=0))
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)

@@ -55,6 +55,11 @@ class Experiment:
         """Which outputs the record has, shape (outputs,)."""
         return ~np.all(np.isnan(self.Y), axis=0)
 
+    def follows(self, other: Experiment) -> bool:
+        """Whether this one's first sample is the next after the other's last, in the same record."""
+        end = other.t0 + other.n * other.sample_time
+        return self.source == other.source and self.t0 > other.t0 and abs(self.t0 - end) < 0.5 * self.sample_time
+
     def means(self, values: Array) -> Array:
         """`block_means` over this experiment's blocks."""
         return block_means(values, self.block)

@@ -34,7 +34,8 @@ class System(NamedTuple):
     `rates`(dx) · `slopes`(dx, A, B) · `initial`(x, A, B): own states of effects · `outputs`(y) · `output_slopes`(C, D) ·
     `signals`(z); `advance`, `advance_slopes` and `observe` are those of `stepping_code`. `sizes` = (NX, NU, NP, NY, NZ);
     `surfaces`: states that can stand still; `delays`: for each input the parameter that delays it, or −1; `own`: states of
-    effects, whose initial values follow from the others.
+    effects, whose initial values follow from the others; `remembered`: those of them that go on in an experiment which follows
+    another one in time.
     """
 
     rates: Any
@@ -50,6 +51,7 @@ class System(NamedTuple):
     surfaces: npt.NDArray[np.int64]
     delays: npt.NDArray[np.int64]
     own: npt.NDArray[np.int64]
+    remembered: npt.NDArray[np.int64]
 
 
 @typeof_impl.register(System)
@@ -374,21 +376,54 @@ def observe_slopes(q, w, p):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def simulate(q, U, starts, p, X0, sample_times, substeps, holds, columns):
+def remember(q, w, U, sample_time, hold, p, columns, memory):
+    """Values and sensitivities of the remembered states a sample after an experiment's last, in the columns of `memory`.
+
+    The derivatives by first states are left out: they are those of this experiment, not of the next.
+    """
+    set_inputs(q.delays, w.u, w.ur, U, U.shape[0] - 1, 0.0, sample_time, hold, p)
+    q.rates(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes)
+    parameters = w.B.shape[1] - w.x.shape[0]
+    for number in range(q.remembered.shape[0]):
+        i = q.remembered[number]
+        memory[number, columns.shape[0]] = w.x[i] + sample_time * w.k[i]
+        for c in range(columns.shape[0]):
+            memory[number, c] = w.S[i, c] if columns[c] < parameters else 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def recall(q, w, memory):
+    """The remembered states as they were left."""
+    count = memory.shape[1] - 1
+    for number in range(q.remembered.shape[0]):
+        w.x[q.remembered[number]] = memory[number, count]
+        for c in range(count):
+            w.S[q.remembered[number], c] = memory[number, c]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, columns):
     """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several experiments.
 
     Experiment j has rows starts[j] … starts[j + 1] − 1 of all these and of U, and its own first state X0[j], sample time,
     sub-steps and hold; one call for all, since a call costs as much as hundreds of steps. NaN after a state ceases to be finite.
+    In one that `follows` the one before in time, what effects remember (heat, strain) goes on.
     """
     n, w = U.shape[0], new_memory(q, columns.shape[0])
     X, Y = np.full((n, q.sizes[0]), np.nan), np.full((n, q.sizes[3]), np.nan)
     dY = np.full((n, q.sizes[3], columns.shape[0]), np.nan)
+    memory = np.zeros((q.remembered.shape[0], columns.shape[0] + 1))
     for j in range(X0.shape[0]):
-        a, b = starts[j], starts[j + 1]
+        a, b, goes_on = starts[j], starts[j + 1], q.remembered.shape[0] > 0 and follows[j] != 0
+        if goes_on:
+            before = starts[j - 1]
+            remember(q, w, U[before:a], sample_times[j - 1], holds[j - 1], p, columns, memory)
         w.s[:] = 0.0
         w.m[:] = 0.0
         start(q, w, U[a:b], sample_times[j], holds[j], p, X0[j])
         start_slopes(q, w, columns)
+        if goes_on:
+            recall(q, w, memory)
         last, h = b - a - 1, sample_times[j]
         integrate(q, w, U[a:b], 0, last, h, substeps[j], holds[j], p, columns, X[a:b], Y[a:b], dY[a:b])
     return X, Y, dY

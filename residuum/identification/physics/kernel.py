@@ -27,6 +27,7 @@ from residuum.identification.physics.machine_code import FUNCTIONS, STEPPING
 from residuum.identification.physics.model import PhysicalModel
 
 _LOADED = (*FUNCTIONS, *STEPPING)
+_COUNTED = ("sizes", "surfaces", "delays", "own", "remembered")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     header, _, code = path.read_bytes().partition(b"\n")
     told = json.loads(header)
     functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
-    numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in ("sizes", "surfaces", "delays", "own")}
+    numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in _COUNTED}
     names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
     return Kernel(**names, system=System(**functions, **numbers))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -182,8 +183,8 @@ class Simulator:
     def _simulated(
         self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
-        system, at = self.kernel.system, joined
-        return integration.simulate(system, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, columns)
+        q, at = self.kernel.system, joined
+        return integration.simulate(q, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, at.follows, columns)
 
     def look(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> dict[str, Array]:
         """Every signal (defined variables, `balance.term`, `storage:balance`, `drive:balance`) along the states X."""
@@ -279,13 +280,14 @@ class Simulator:
 @dataclass(frozen=True, eq=False)
 class _Joined:
     """Experiments laid end to end, as the integrator takes them: inputs U, first rows (and the last one's end), and of each
-    its sample time and hold.
+    its sample time, its hold, and whether it follows the one before in time.
     """
 
     U: Array
     starts: Integers
     sample_times: Array
     holds: Array
+    follows: Integers
 
     @classmethod
     def of(cls, experiments: Sequence[Experiment], most: int | None = None) -> _Joined:
@@ -296,6 +298,7 @@ class _Joined:
             np.concatenate([[0], np.cumsum([len(u) for u in inputs])]).astype(np.int64),
             np.array([e.sample_time for e in experiments]),
             np.array([e.hold for e in experiments]),
+            np.array([0] + [b.follows(a) for a, b in pairwise(experiments)], dtype=np.int64),
         )
 
     def cut(self, values: Array) -> list[Array]:

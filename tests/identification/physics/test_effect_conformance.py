@@ -8,6 +8,7 @@ from residuum.identification.physics import (
     Simulator,
     balance_variables,
     conditions_at,
+    load_model,
     read_model,
     write_model,
 )
@@ -119,3 +120,38 @@ def test_a_general_effect_gives_values_of_the_one_that_it_generalises(id):
     assert set(values) <= {parameter.name for parameter in plain.parameters(model.site(target, plain))}
     if id == "directional-friction":
         assert effect.specialised({"tau_plus": 2.0, "tau_minus": 1.0}) == {"tau_c": 1.5}
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (("load-friction", "shaft"), ("supply-sag", "winding")),
+        (("load-friction", "shaft"), ("brush-drop", "winding")),
+        (("brush-drop", "winding"), ("input-dead-zone", "voltage")),
+        (("supply-sag", "winding"), ("output-absolute", "current")),
+        (("output-quantisation", "speed"), ("output-absolute", "speed")),
+    ],
+    ids=lambda pair: "+".join(id for id, _ in pair),
+)
+def test_effects_of_a_current_that_flows_by_cases_go_together(pair):
+    """A current that brushes, sag or a dead zone define by cases has a size, a sign and slopes as any other real number."""
+    model = load_model("gate-drive")
+    t = np.arange(2000) * 1e-3
+    U = (12.0 * np.sin(2 * np.pi * 1.5 * t))[:, None]
+    experiment = Experiment(U, np.full((len(U), 2), np.nan), np.ones(1), 1e-3)
+    X = Simulator(model).run(experiment).X
+    for id, target in pair:
+        conditions = conditions_at(model, EFFECTS[id], target, experiment, X)
+        model = model.with_effect(id, target, dict(EFFECTS[id].starts(conditions)[0]))
+    simulator = Simulator(model)
+    names = [
+        name for name in ("R", "K", *model.all_parameters) if name in model.free and not name.startswith("output-quantisation")
+    ]
+    exact = simulator.run(experiment, slopes=names, substeps=4).dY
+    for column, name in enumerate(names):
+        step = 1e-6 * (abs(model.values[name]) or 1e-3)
+        up, down = (simulator.run(experiment, values={name: model.values[name] + s}, substeps=4).Y for s in (step, -step))
+        error = np.abs(exact[:, :, column] - (up - down) / (2 * step))
+        if any(id == "output-quantisation" for id, _ in pair):
+            error = error[:, 1:]  # the differences of what is read in steps are steps
+        assert np.quantile(error, 0.95) <= 1e-3 * np.max(np.abs(exact[:, :, column])), name

@@ -1,8 +1,10 @@
 """What the integrator errs must stay below what a record can show, or it passes for physics that is missing."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from residuum.identification.physics import Experiment, Simulator, load_model
+from residuum.identification.physics import Experiment, Simulator, load_model, windows
 
 
 def stiff_drive(noise, n=3000, sample_time=0.002, seed=5):
@@ -68,3 +70,31 @@ def test_sensitivities_that_have_decayed_are_zero():
     seen = np.abs(found[found != 0.0])
     assert seen.max() > 0.1
     assert seen.min() > 1e-200 * seen.max()
+
+
+def test_what_an_effect_remembers_goes_on_from_window_to_window():
+    """A mass on a strained guideway, cut into windows that begin where the whole run was, and its slopes by what strains it."""
+    model = load_model("linear-axis").with_effect("hysteresis", "axis", {"f_c": 30.0, "x_0": 0.05})
+    simulator = Simulator(model)
+    t = np.arange(3000) * 2e-3
+    U = (60.0 * np.sin(2 * np.pi * 0.7 * t) + 25.0 * np.sin(2 * np.pi * 2.3 * t))[:, None]
+    whole = Experiment(U, np.full((3000, 2), np.nan), np.ones(1), 2e-3, source="a.csv")
+    names = ["hysteresis@axis.f_c", "hysteresis@axis.x_0"]
+    run = simulator.run(whole, slopes=names, substeps=2)
+    parts = windows(whole, 150)
+    starts = [np.r_[run.X[150 * k, :2], 0.0] for k in range(len(parts))]
+    pieces = simulator.run_each(parts, starts, simulator.p(), slopes=names, substeps=[2] * len(parts))
+    joined = np.concatenate([piece.X for piece in pieces])
+    assert np.max(np.abs(joined[:, 2] - run.X[:, 2])) < 0.02
+    forgotten = [simulator.run_vectors(e, x, simulator.p(), substeps=2).X for e, x in zip(parts, starts, strict=True)]
+    assert np.max(np.abs(np.concatenate(forgotten)[:, 2] - run.X[:, 2])) > 0.5  # each alone begins without strain
+    apart = [replace(e, source=str(k)) for k, e in enumerate(parts)]  # records of their own remember nothing of each other
+    alone = simulator.run_each(apart, starts, simulator.p(), substeps=[2] * len(parts))
+    np.testing.assert_array_equal(np.concatenate([a.X for a in alone]), np.concatenate(forgotten))
+    x_0 = model.values[names[1]]
+    up, down = (
+        simulator.run_each(parts, starts, simulator.p({names[1]: x_0 + s}), substeps=[2] * len(parts)) for s in (1e-6, -1e-6)
+    )
+    numeric = np.concatenate([a.Y - b.Y for a, b in zip(up, down, strict=True)]) / 2e-6
+    exact = np.concatenate([piece.dY[:, :, 1] for piece in pieces])
+    assert np.max(np.abs(exact - numeric)) < 0.03 * np.max(np.abs(numeric))
