@@ -80,24 +80,34 @@ class Explanation:
         return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}
 
 
-def at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list[Experiment], Structure] | None:
-    """Experiments with the other input timing, and the base on them, where a model with a shift in time is likelier there.
+def _at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list[Experiment], Structure] | None:
+    """Experiments with the other input timing, and the base on them, where what was found is likelier there, or needs no shift.
 
-    The timing was chosen with a model that lacked the shift, which then makes up for half a sample; and so may effects that were
-    found beside it.
+    The timing was chosen with a model that lacked something. A delay or lag that is missing then makes up for half a sample, and
+    so may effects that were found beside it; one by less than a sample may be no more than the wrong choice.
     """
-    if not any(id in SHIFTS for id, _ in found.accepted):
+    late = [key for key in found.accepted if key[0] in SHIFTS]
+    if not late and not found.timing:
         return None
     best, turned = found.best, turned_timing(experiments)
-    alone = best.model
-    for key in found.accepted:
-        alone = alone if key[0] in SHIFTS else alone.without_effect(best.label_of(key))
-    for model in (alone, best.model):
+    tried = [(_without(best, found.timing), -ALIKE)] if found.timing else []
+    if late:
+        others = [key for key in found.accepted if key not in late]
+        tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
+    for model, more in tried:
         complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
-        if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + ALIKE:
-            base = fit_structure(found.base.model, turned, found.base.initial)
+        if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + more:
+            base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
             return None if base is None else (turned, base)
     return None
+
+
+def _without(structure: Structure, keys: Sequence[tuple[str, str]]) -> PhysicalModel:
+    """A structure's model without those of these effects that it has."""
+    model = structure.model
+    for use in model.effects:
+        model = model.without_effect(use.label) if (use.id, use.target) in keys else model
+    return model
 
 
 def _searched(
@@ -115,21 +125,27 @@ def _searched(
     wanted = None if effects is None else tuple(effects)
 
     def found_on(
-        base: Structure, experiments: list[Experiment], begin: float, end: float, *, thorough: bool = True
+        base: Structure, experiments: list[Experiment], begin: float, end: float, limit: float = np.inf
     ) -> tuple[Search, list[Experiment]]:
         def told(share: float, doing: str) -> None:
             tell(begin + (end - begin) * share, doing)
 
-        found = search(base, experiments, nominal=model, effects=wanted, thorough=thorough, tell=told)
-        if turned := at_turned_timing(found, experiments):
+        def astray(found: Search) -> bool:
+            return times_its_innovations(found.best) > limit
+
+        def leave(found: Search) -> bool:
+            return astray(found) or _at_turned_timing(found, experiments) is not None
+
+        found = search(base, experiments, nominal=model, effects=wanted, leave=leave, tell=told)
+        if turned := _at_turned_timing(found, experiments):
             experiments, base = turned
-            found = search(base, experiments, nominal=model, effects=wanted, thorough=thorough, tell=told)
+            found = search(base, experiments, nominal=model, effects=wanted, leave=astray, tell=told)
         return found, experiments
 
     tell(0.0, "estimating the model as it is")
     usual, base = experiments_and_base(model, records, mapping, MOST_SAMPLES)
     cut = any(after.follows(before) for before, after in pairwise(usual))
-    found, experiments = found_on(base, usual, 0.27, 0.6, thorough=not cut)
+    found, experiments = found_on(base, usual, 0.27, 0.6, limit=SLOW if cut else np.inf)
     left = times_its_innovations(found.best)
     if cut and left > SLOW:
         tell(0.6, "estimating the model over shorter windows")

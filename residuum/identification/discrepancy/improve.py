@@ -11,11 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
-from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
-from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
+from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
@@ -138,9 +136,6 @@ def _improved(
             experiments = explanation.experiments
             base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
-        if turned := _turned(explanation.search, experiments, base):
-            experiments, base = turned
-            chosen = list(explanation.search.accepted)
     finer = 1 if explanation is None else explanation.finer
     judge = _HeldOut(parts, experiments, base, mapping, finer)
     history = [Step(None, judge.error(base))]
@@ -172,25 +167,6 @@ def _improved(
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused, history, kept)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
-
-
-def _turned(found: Search, experiments: Sequence[Experiment], base: Structure) -> tuple[list[Experiment], Structure] | None:
-    """Experiments with the other input timing, and the base on them, where the complete model then needs no shift in time.
-
-    The timing was chosen with a model that lacked something; a delay of half a sample that the search found may be no more than
-    the wrong choice.
-    """
-    if not found.timing:
-        return None
-    turned = turned_timing(experiments)
-    model = found.best.model
-    for key in found.timing:
-        model = model.without_effect(found.best.label_of(key))
-    complete = fit_structure(model, turned, found.best.initial, drifting=found.best.drifting)
-    if complete is None or complete.log_likelihood < found.best.log_likelihood - found.best.penalty(complete) - ALIKE:
-        return None
-    again = fit_structure(base.model, turned, base.initial)
-    return None if again is None else (turned, again)
 
 
 def added(

@@ -20,9 +20,8 @@ _SAME = 0.5
 class Task:
     """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
 
-    What is not `thorough` grows one structure, whatever that leaves. `tell` hears of every look at the catalogue; `looks` are
-    those that were taken, by the effects in the model; `shot` are structures that were found over short stretches, for the looks
-    from which one effect leads there.
+    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model; `shot` are
+    structures that were found over short stretches, for the looks from which one effect leads there.
     """
 
     experiments: Sequence[Experiment]
@@ -30,7 +29,6 @@ class Task:
     wanted: tuple[str, ...] | None
     refits: int
     most_effects: int
-    thorough: bool = True
     tell: Callable[[str], None] = field(default=lambda _doing: None)
     looks: dict[frozenset[str], Look] = field(default_factory=dict)
     shot: list[Structure] = field(default_factory=list)

@@ -64,6 +64,11 @@ def untold(_share: float, _doing: str) -> None:
     """For those who do not ask how far the work is."""
 
 
+def never(_found: Search) -> bool:
+    """For those who know of no fault in the experiments."""
+    return False
+
+
 def search(
     base: Structure,
     experiments: Sequence[Experiment],
@@ -72,7 +77,7 @@ def search(
     effects: Iterable[str] | None = None,
     refits: int = FEWEST_REFITS,
     most_effects: int = MOST_EFFECTS,
-    thorough: bool = True,
+    leave: Callable[[Search], bool] = never,
     tell: Tell = untold,
 ) -> Search:
     """Add the best effect, again and again while the evidence wants one more.
@@ -88,25 +93,25 @@ def search(
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
 
-    A structure that leaves much is sought from other beginnings too, and over short stretches, where the search is `thorough`.
+    What has grown is judged again, and where it leaves much sought from other beginnings and over short stretches, unless `leave`
+    says to leave it: who asked may know that the experiments are to blame.
 
     How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
     """
     wanted, looks = None if effects is None else tuple(effects), count()
-    telling = lambda doing: tell(1.0 - 0.8 ** next(looks), doing)  # noqa: E731
-    task = Task(experiments, nominal, wanted, refits, most_effects, thorough, telling)
+    task = Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
-        found = _forward(near, task)
+        found = _forward(near, task, leave)
         if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
             return found
-    found = _forward(base, task)
+    found = _forward(base, task, leave)
     if found.accepted or found.refuted:
         drift = fit_structure(base.model, experiments, base.initial, drifting=True)
         if drift is not None and _does_as_well(drift, found, experiments):
-            return _forward(drift, task)
+            return _forward(drift, task, leave)
     load = likeliest_drifting_load(base, experiments)
-    return _forward(load, task) if load is not None and _outdoes(load, found) else found
+    return _forward(load, task, leave) if load is not None and _outdoes(load, found) else found
 
 
 def _does_as_well(drift: Structure, found: Search, experiments: Sequence[Experiment]) -> bool:
@@ -144,13 +149,13 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
         return None
 
 
-def _forward(base: Structure, task: Task) -> Search:
+def _forward(base: Structure, task: Task, leave: Callable[[Search], bool]) -> Search:
     found = Search(base, base, len(task.candidates(base)))
     grow(found, task)
+    if leave(found):
+        return found
     first = dict(found.alternatives[0]) if found.alternatives else {}
     settle(found, task)
-    if not task.thorough:
-        return found
     for _ in range(task.most_effects):
         if not _shot_besides(found, task):
             break
