@@ -23,7 +23,7 @@ from residuum.identification.discrepancy.structures import (
     times_each_its_innovations,
     times_its_innovations,
 )
-from residuum.identification.discrepancy.trials import SHIFTS, SLOW
+from residuum.identification.discrepancy.trials import NOTHING_LEFT, SHIFTS, SLOW
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
@@ -80,7 +80,7 @@ class Explanation:
         return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}
 
 
-def _at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list[Experiment], Structure] | None:
+def at_turned_timing(found: Search, experiments: list[Experiment]) -> tuple[list[Experiment], Structure] | None:
     """Experiments with the other input timing, and the base on them, where what was found is likelier there, or needs no shift.
 
     The timing was chosen with a model that lacked something. A delay or lag that is missing then makes up for half a sample, and
@@ -133,12 +133,17 @@ def _searched(
         def astray(found: Search) -> bool:
             return times_its_innovations(found.best) > limit
 
+        def turned(found: Search) -> tuple[list[Experiment], Structure] | None:
+            shifted = any(id in SHIFTS for id, _ in found.accepted)
+            doubtful = shifted or times_its_innovations(found.best) > NOTHING_LEFT  # noise alone: the answer stands
+            return at_turned_timing(found, experiments) if doubtful else None
+
         def leave(found: Search) -> bool:
-            return astray(found) or _at_turned_timing(found, experiments) is not None
+            return astray(found) or turned(found) is not None
 
         found = search(base, experiments, nominal=model, effects=wanted, leave=leave, tell=told)
-        if turned := _at_turned_timing(found, experiments):
-            experiments, base = turned
+        if again := turned(found):
+            experiments, base = again
             found = search(base, experiments, nominal=model, effects=wanted, leave=astray, tell=told)
         return found, experiments
 

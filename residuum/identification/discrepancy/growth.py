@@ -274,8 +274,12 @@ def _moved(structure: Structure, before: Structure) -> bool:
 
 
 def _without(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> Structure | None:
-    """The structure re-estimated without one of its effects; None when it diverges."""
-    less = structure.model.without_effect(structure.label_of(key))
+    """The structure re-estimated without one of its effects, whose part one that generalises it takes; None when it diverges."""
+    label, values = structure.label_of(key), structure.model.values
+    others = [use for use in structure.model.effects if use.target == key[1] and use.label != label]
+    heirs = [use for use in others if use.effect.generalises == key[0]]
+    parts = {f"{use.label}.{n}": values[f"{label}.{n}"] for use in heirs for n in use.effect.sizes if f"{label}.{n}" in values}
+    less = structure.model.without_effect(label).with_values({n: values[n] + part for n, part in parts.items()})
     return refit(structure, less, experiments)
 
 

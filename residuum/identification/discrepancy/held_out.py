@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -77,18 +78,17 @@ def split_experiments(
 def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
     """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
 
-    Initial states come from the samples before those that count, or where all count from the experiment itself.
+    Initial states come from the samples before those that count, or where all count from the experiment itself. One of which none
+    counts (the first that would is its end) lends what its effects remember to the one that follows it.
     """
-    simulator, errors = Simulator(structure.model), []
-    for e, first in testing:
-        seen = e if first == 0 else replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan))
-        try:
-            start = estimate(structure.model, [seen], free=(), settings=_STATES_ONLY)
-        except NotIdentifiable:
-            return np.full(len(structure.model.outputs), np.inf)
-        run = simulator.run_vectors(e, start.initial[0], simulator.p(), substeps=start.substeps[0])
-        errors.append((e.Y - run.Y)[first:])
-    joined = np.concatenate(errors)
+    simulator, experiments = Simulator(structure.model), [e for e, _ in testing]
+    seen = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
+    try:
+        start = estimate(structure.model, seen, free=(), settings=_STATES_ONLY)
+    except NotIdentifiable:
+        return np.full(len(structure.model.outputs), np.inf)
+    runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
+    joined = np.concatenate([(e.Y - run.Y)[first:] for (e, first), run in zip(testing, runs, strict=True)])
     count = np.isfinite(joined).sum(axis=0)
     return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)
 
@@ -98,6 +98,17 @@ def cross_checked(structure: Structure, experiments: Sequence[Experiment], *, en
     training, testing, kept = split_experiments(experiments, end=end)
     if not training:
         return None
+    if Simulator(structure.model).remembers and any(b.follows(a) for a, b in pairwise(experiments)):
+        training, testing, kept = _in_sequence(experiments, kept)
     initial = [structure.initial[k] for k in kept]
     again = fit_structure(structure.model, training, initial, iterations=4, second_start=False)
     return None if again is None else held_out_rmse(again, testing)
+
+
+def _in_sequence(
+    experiments: Sequence[Experiment], kept: Sequence[int]
+) -> tuple[list[Experiment], list[tuple[Experiment, int]], list[int]]:
+    """As `split_experiments`, of windows through which effects remember: those kept aside are there, unmeasured."""
+    training = [e if k in kept else replace(e, Y=np.full_like(e.Y, np.nan)) for k, e in enumerate(experiments)]
+    testing = [(e, e.n if k in kept else 0) for k, e in enumerate(experiments)]
+    return training, testing, list(range(len(experiments)))

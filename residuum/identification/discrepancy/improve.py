@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, explain
+from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, at_turned_timing, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
@@ -136,6 +136,9 @@ def _improved(
             experiments = explanation.experiments
             base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
+        if turned := at_turned_timing(explanation.search, experiments):
+            experiments, base = turned
+            chosen = list(explanation.search.accepted)
     finer = 1 if explanation is None else explanation.finer
     judge = _HeldOut(parts, experiments, base, mapping, finer)
     history = [Step(None, judge.error(base))]

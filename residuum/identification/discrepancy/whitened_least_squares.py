@@ -81,7 +81,7 @@ class NormalEquations:
         seen = (scale > 0) & np.all(np.isfinite(H), axis=0)
         found = np.full(len(scale), np.inf)
         if seen.any():
-            values, vectors = np.linalg.eigh(H[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen]))
+            values, vectors = np.linalg.eigh(H[np.ix_(seen, seen)] / scale[seen, None] / scale[seen])
             flat = values < 1e-9 * values[-1]
             inverse = np.sum(vectors[:, ~flat] ** 2 / values[~flat], axis=1)
             inverse[np.any(np.abs(vectors[:, flat]) > 1e-2, axis=1)] = np.inf

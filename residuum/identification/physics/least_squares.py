@@ -52,7 +52,10 @@ def _solved(H, right, ridge):  # type: ignore[no-untyped-def]
             continue
         scale = np.sqrt(np.maximum(np.diag(H[k]), 0.0))
         scale = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh(H[k] / np.outer(scale, scale))
+        scaled = H[k] / scale.reshape(-1, 1) / scale
+        if not np.isfinite(scaled).all():
+            continue
+        values, vectors = np.linalg.eigh(scaled)
         for i in range(values.shape[0]):
             if values[i] > ridge * max(values[-1], 1e-300):
                 direction = vectors[:, i] / scale
@@ -70,7 +73,11 @@ def covariance_of(H: Array, variance: float, names: tuple[str, ...], theta: Arra
     size = np.where(theta != 0, np.abs(theta), 1.0)
     diagonal = np.sqrt(np.maximum(np.diag(H), 0.0))
     scale = np.where(diagonal > 0, 1.0 / np.where(diagonal > 0, diagonal, 1.0), size)
-    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = H * scale[:, None] * scale
+    if not np.all(np.isfinite(scaled)):  # curvatures that underflow: nothing is known either
+        return np.full(H.shape, np.inf), ()
+    values, vectors = np.linalg.eigh(scaled)
     flat = values < FLAT * max(float(values[-1]), 1e-300)
     variances = np.where(flat, np.inf, variance / np.where(flat, 1.0, values))
     parts = vectors * scale[:, None]

@@ -99,6 +99,11 @@ class Simulator:
         return (*(name for name in self.model.states if name not in self.model.initial), *self.kernel.deviating)
 
     @property
+    def remembers(self) -> bool:
+        """Whether effects have states that go on in an experiment which follows another one in time."""
+        return bool(self.kernel.system.remembered.size)
+
+    @property
     def signals(self) -> tuple[str, ...]:
         """Names of what `look` returns: variables that balances define, and `balance.term`."""
         return self.kernel.signals

@@ -19,7 +19,7 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
-from residuum.identification.physics.least_squares import covariance_of
+from residuum.identification.physics.least_squares import covariance_of, solve_scaled
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[4] / "shared/data/silverbox/SNLS80mV.mat"
@@ -217,3 +217,13 @@ def test_a_drive_switched_on_with_its_record_begins_without_current():
     found = estimate(truth.with_values({"inductance@winding.L": 3e-3, "R": 0.7}), [e])
     assert abs(found.model.values["inductance@winding.L"] - 8e-3) < 4 * found.std[found.parameters.index("inductance@winding.L")]
     np.testing.assert_allclose(found.rmse, [0.3, 0.05], rtol=0.1)
+
+
+def test_curvature_that_underflows_is_scaled_without_overflow():
+    H = np.diag([4.0, 1e-320])
+    covariance, _ = covariance_of(H, 1.0, ("a", "b"), np.ones(2))
+    assert covariance[0, 0] == pytest.approx(0.25)
+    np.testing.assert_allclose(solve_scaled(H, np.array([[8.0], [1e-320]]))[:, 0], [2.0, 1.0], rtol=1e-3)
+    alike = np.array([[4.0, 1e300], [1e300, 1e-320]])  # no Gram matrix has it; a sum that overflowed may
+    assert np.all(np.isinf(np.diag(covariance_of(alike, 1.0, ("a", "b"), np.ones(2))[0])))
+    assert not solve_scaled(alike, np.ones((2, 1))).any()
