@@ -23,6 +23,7 @@ from residuum.identification.discrepancy.structures import (
 )
 from residuum.identification.discrepancy.trials import (
     ACCEPT,
+    LOWER_TOP,
     SLOW,
     followed,
     mean_ratio,
@@ -40,8 +41,8 @@ RISE, FALL = 1.005, 0.99
 """Factors of the outputs' errors, in the mean of their logarithms: by which they may rise with the first effect, and to which
 they have to fall with a later one or where they are slow; less is enough where the gain is plain.
 """
-MORE_THAN_A_TOP, HIGHER = 100.0, 2.0
-"""Log-likelihood by which a first effect gains more than a lower top can lie behind; and by which another top is higher."""
+HIGHER = 2.0
+"""Log-likelihood by which another top is higher."""
 PLAIN_FALL, _OF_READING = 0.95, 3.0
 """Factor to which the error has to fall at least with an effect of the reading alone, or where the mean square error is less than
 so many times what the steps of the reading hide."""
@@ -153,7 +154,7 @@ def _climbed_without(
     missing. The first effect is believed where it gains more than that; a later one may have found the place of those before.
     """
     before = found.best.log_likelihood
-    if not found.accepted and structure.log_likelihood > before + MORE_THAN_A_TOP:
+    if not found.accepted and structure.log_likelihood > before + LOWER_TOP:
         return None
     less = _without(structure, key, experiments)
     return less if less is not None and less.log_likelihood > before + HIGHER else None

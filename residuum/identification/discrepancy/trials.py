@@ -36,6 +36,8 @@ ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins a structure: odds of 20 to 1."""
 NOTHING_LEFT = 1.5
 """Times its innovations up to which an error is all noise."""
+LOWER_TOP = 100.0
+"""Log-likelihood by which a lower top can lie behind."""
 SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
 """Effects that shift signals in time, and their parameters that say by how much."""
 
@@ -57,7 +59,25 @@ def trials(
     refitted = _likelier(refitted, _refitted(screen, _overlooked(screen, doubted, refitted), _rival(refitted.values())))
     refitted = _likelier(refitted, _grown(screen, pairs, refitted))
     refitted |= _simplified(screen, refitted)
-    return _settled(refitted, best, experiments), tested
+    return that_say_more(_settled(refitted, best, experiments)), tested
+
+
+def that_say_more(refitted: dict[tuple[str, str], Structure]) -> dict[tuple[str, str], Structure]:
+    """All but effects whose estimate is that of a special one that lies near: where a machine sticks and slides the likelihood
+    has steps, and a top is higher by chance alone.
+    """
+    found = dict(refitted)
+    for (id, target), general in refitted.items():
+        special = refitted.get((EFFECTS[id].generalises, target))
+        if special is None or special is general or special.log_likelihood < general.log_likelihood - LOWER_TOP:
+            continue
+        label = f"{general.label_of((id, target))}."
+        values = {n.removeprefix(label): v for n, v in general.model.values.items() if n.startswith(label)}
+        std = dict.fromkeys(values, 0.0)
+        std |= {n.removeprefix(label): s for n, s in zip(general.parameters, general.std.tolist(), strict=True) if label in n}
+        if not EFFECTS[id].says_more(values, std):
+            del found[id, target]
+    return found
 
 
 def _settled(

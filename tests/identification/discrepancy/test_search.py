@@ -5,11 +5,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.growth import Search, _climbed_without, _leave_to_the_noise, _winner
 from residuum.identification.discrepancy.structures import base_structure, refit
+from residuum.identification.discrepancy.trials import that_say_more
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
@@ -234,3 +236,16 @@ def test_a_limit_that_acts_seldom_is_looked_at_though_no_first_order_test_can_se
     found = explain(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
     assert found.search.accepted == [("input-saturation", "voltage")]
     assert abs(found.candidates[0].parameters["u_max"].value - 20.0) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("asymmetry", "kept"), [(0.0, {"coulomb-friction"}), (0.004, {"coulomb-friction", "directional-friction"})]
+)
+def test_friction_in_two_directions_that_are_equal_is_friction(asymmetry, kept):
+    truth = {"directional-friction": {"tau_c": 0.02, "asymmetry": asymmetry}}
+    signals = MACHINES["gate-drive"](seed=4, effects=truth, profile="rich", rate=200.0).simulate(20.0)
+    model, experiments = match(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
+    base = base_structure(model, experiments)
+    starts = {"coulomb-friction": {"tau_c": 0.02}, "directional-friction": {"tau_plus": 0.02, "tau_minus": 0.021}}
+    fitted = {(id, "shaft"): refit(base, model.with_effect(id, "shaft", values), experiments) for id, values in starts.items()}
+    assert {id for id, _ in that_say_more(fitted)} == kept

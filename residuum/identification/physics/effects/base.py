@@ -251,6 +251,10 @@ class Effect(ABC):
         """Values of the effect that it `generalises` at an estimate of its own; empty where they do not follow."""
         return {}
 
+    def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
+        """Whether an estimate of its own differs from the effect that it `generalises` by more than twice its doubt."""
+        return True
+
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
         """Whether the effect can be told, where it has these values and within the conditions' duration, from an unknown load."""
         return True

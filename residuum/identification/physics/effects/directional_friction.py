@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.friction import Friction
 
@@ -39,3 +41,7 @@ class DirectionalFriction(Friction):
     def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
         """Their mean."""
         return {"tau_c": 0.5 * (general["tau_plus"] + general["tau_minus"])}
+
+    def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
+        """Not where both sides are equal."""
+        return abs(general["tau_plus"] - general["tau_minus"]) > 2.0 * float(np.hypot(std["tau_plus"], std["tau_minus"]))

@@ -42,6 +42,10 @@ class StribeckFriction(Friction):
         """The friction while sliding."""
         return {"tau_c": general["tau_c"]}
 
+    def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
+        """Not without a rise at rest."""
+        return general["tau_s"] > 2.0 * std["tau_s"]
+
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """Dry friction that was too large at speed and too small at rest."""
         tau, fastest = special["tau_c"], conditions.largest("velocity")
