@@ -123,13 +123,16 @@ def explanation_text(explanation: Explanation) -> str:
         )
         if (formula := suggestion(free)) is not None:
             lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
-    if explanation.verdict == "unknown-effect":
-        lines += [
-            f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: "
-            "something slow that no candidate explains, or that drifts"
-            for output, (rms, unit, times) in explanation.left.items()
-            if times > SLOW
-        ]
+    incomplete = (
+        "something slow that no candidate explains, or that drifts"
+        if explanation.verdict == "unknown-effect"
+        else "what is named is not all, or was not followed to its end"
+    )
+    lines += [
+        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {incomplete}"
+        for output, (rms, unit, times) in explanation.left.items()
+        if times > SLOW
+    ]
     if explanation.search.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
     lines += [
