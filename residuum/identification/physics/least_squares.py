@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg.cython_lapack  # noqa: F401  what compiled linear algebra calls: else looked for in the first step of a search
 from numba import njit
 
 Array = npt.NDArray[np.float64]
