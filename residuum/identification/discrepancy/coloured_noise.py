@@ -48,23 +48,14 @@ class ColouredNoise:
         """A(z) x along axis 0 with the first p samples too: each has its own predictor from those before it, and is scaled to
         the innovations' variance. Shape of x; NaN spreads over p samples.
         """
-        return np.asarray(self.innovations_of_rows(np.reshape(x, (len(x), -1)).T).T.reshape(x.shape))
-
-    def innovations_of_rows(self, rows: FloatArray) -> FloatArray:
-        """`innovations` of each of several signals, which lie along axis 1."""
-        known = min(self.order, rows.shape[1])
-        first = rows[:, :known] @ self.first[0][:known, :known].T
-        return np.concatenate([first, whitened(np.ascontiguousarray(rows, dtype=float), self.a)], axis=1)
-
-    def log_spreads(self, n: int) -> FloatArray:
-        """log of the prediction errors' standard deviation over that of the innovations, at each of n samples."""
-        spreads = np.zeros(n)
-        spreads[: self.order] = self.first[1][:n]
-        return spreads
+        known = min(self.order, len(x))
+        return np.concatenate([np.tensordot(self.first[0][:known, :known], x[:known], 1), self.whiten(x)])
 
     @cached_property
     def first(self) -> tuple[FloatArray, FloatArray]:
-        """Rows of the scaled predictors of the first p samples, and the logarithms of their spreads (Levinson's recursion)."""
+        """Rows of the scaled predictors of the first p samples (Levinson's recursion), and the logarithms of how far their errors
+        spread, over the innovations.
+        """
         rows, spreads = first_predictors(self.a, _STABLE)
         return np.asarray(rows), np.asarray(spreads)
 

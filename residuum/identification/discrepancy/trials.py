@@ -73,8 +73,8 @@ def that_say_more(refitted: dict[tuple[str, str], Structure]) -> dict[tuple[str,
             continue
         label = f"{general.label_of((id, target))}."
         values = {n.removeprefix(label): v for n, v in general.model.values.items() if n.startswith(label)}
-        std = dict.fromkeys(values, 0.0)
-        std |= {n.removeprefix(label): s for n, s in zip(general.parameters, general.std.tolist(), strict=True) if label in n}
+        doubts = dict(zip(general.parameters, general.std.tolist(), strict=True))
+        std = {n: doubts.get(f"{label}{n}", 0.0) for n in values}
         if not EFFECTS[id].says_more(values, std):
             del found[id, target]
     return found

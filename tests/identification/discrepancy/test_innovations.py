@@ -62,7 +62,7 @@ def test_the_first_samples_have_the_density_of_the_noise_itself():
     factor = np.linalg.cholesky(covariance) / np.sqrt(2.0)
     x = np.random.default_rng(3).standard_normal(n)
     np.testing.assert_allclose(noise.innovations(x), np.linalg.solve(factor, x), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(noise.log_spreads(n), np.log(np.diag(factor)), atol=1e-12)
+    np.testing.assert_allclose(np.pad(noise.first[1], (0, n - noise.order)), np.log(np.diag(factor)), atol=1e-12)
     np.testing.assert_allclose(noise.innovations(x[:2]), noise.innovations(x)[:2], rtol=1e-12)
 
 
