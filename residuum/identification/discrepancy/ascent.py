@@ -10,17 +10,19 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.coarse_reading import reading_variances
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
+from residuum.identification.discrepancy.whitened_least_squares import SCORING, NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 
 FloatArray = npt.NDArray[np.float64]
 
 _HARDEST = 1e4
 _DONE = 0.02
-"""Stop when a step gains less log-likelihood than this."""
+"""Stop when a step gains less log-likelihood than this, or promises half of it."""
+_SMALL = 0.01
+"""A step is small that promises less log-likelihood than this for every innovation: it moves none far, and weights stay."""
 _SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
 """Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
-_OPTIMISM, _CLOSE = 3.0, 20.0
+_OPTIMISM, CLOSE = 3.0, 20.0
 """A climb that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
 
 
@@ -116,24 +118,29 @@ class Ascent:
     def climb(self, here: Point, iterations: int, rival: float = -np.inf) -> Point:
         """Walk up until a step gains nothing, or is not promised to come near a rival's log-likelihood.
 
-        A step takes the noise for known, and is too short where the noise changes with it: along a ridge, on which three steps on
-        end point the same way, it is stretched.
+        A small step is Fisher's, whose curvature is less than that of the weighted squares (`SCORING`); a large one takes the
+        weights as they are, and ends where a residual linear in the parameters vanishes. Both take the noise for known, and are
+        too short where the noise changes with them: along a ridge, on which three steps on end point the same way, they are
+        stretched.
         """
         damping, refused, stretch, last, on = 1e-4, False, 1.0, np.zeros(len(self.names)), 0
         for _ in range(iterations):
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
-            if here.log_likelihood + _OPTIMISM * equations.decrement() + _CLOSE < rival:
+            promised = equations.decrement()
+            if here.log_likelihood + _OPTIMISM * promised + CLOSE < rival or (stretch == 1.0 and promised < 0.5 * _DONE):
                 break
             before, first = here, damping
+            scoring = SCORING if promised < _SMALL * here.pointwise.size else 1.0
             while damping < _HARDEST:
-                trial = self._trial(here, equations, damping, stretch)
+                trial = self._trial(here, equations, damping, stretch * scoring)
                 if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
                     there = self.point(*trial)
                     if there is not None and there.log_likelihood > here.log_likelihood:
                         refused = damping > first
                         here, damping = there, max(damping / 10.0, 1e-9)
                         break
-                damping, refused, stretch = damping if stretch > 1.0 else damping * 8.0, True, 1.0
+                damping = damping if stretch * scoring > 1.0 else damping * 8.0
+                refused, stretch, scoring = True, 1.0, 1.0
             done, plain = here.log_likelihood - before.log_likelihood < _DONE, stretch == 1.0
             if done and plain:
                 break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from residuum.identification.discrepancy.structures import (
 from residuum.identification.discrepancy.trials import (
     ACCEPT,
     LOWER_TOP,
+    SHIFTS,
     SLOW,
     followed,
     mean_ratio,
@@ -114,8 +115,11 @@ class Search:
         return [key, *sorted(others, key=lambda k: -scores[k])]
 
 
-def grow(found: Search, task: Task) -> None:
-    """Add effects while the evidence wants one more; what the last step tried stands after those of the accepted ones."""
+def grow(found: Search, task: Task, late: Callable[[Search], bool] | None = None) -> None:
+    """Add effects while the evidence wants one more; what the last step tried stands after those of the accepted ones.
+
+    Where a shift in time was accepted it ends if that is too `late`: at the other input timing fewer effects may do.
+    """
     del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
     while len(found.accepted) < task.most_effects:
         refitted, screen = _step(found, task)
@@ -143,6 +147,8 @@ def grow(found: Search, task: Task) -> None:
         refitted[key] = in_likelier_order(followed(screen, key, refitted[key]), key, task.experiments)
         found.best = refitted[key]
         found.accepted.append(key)
+        if late is not None and key[0] in SHIFTS and late(found):
+            break
 
 
 def _climbed_without(

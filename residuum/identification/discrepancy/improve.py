@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.explain import MOST_SAMPLES, Explanation, at_turned_timing, explain
+from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
+from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
@@ -126,7 +127,7 @@ def _improved(
 ) -> _Attempt:
     chosen = [] if add is None else [_resolved(model, id) for id in add]
     tell(0.0, "estimating the model as it is")
-    experiments, base = experiments_and_base(model, parts.training, mapping, MOST_SAMPLES)
+    experiments, base = experiments_and_base(model, parts.training, mapping)
     explanation = None
     if add is None:
         explanation = explain(
@@ -344,7 +345,7 @@ def _on_everything(
 ) -> Structure:
     """The structure re-estimated on all records, at the likeliest innovations or at the least simulation error."""
     try:
-        experiments, result = experiments_and_base(kept.model, records, mapping, MOST_SAMPLES, finer)
+        experiments, result = experiments_and_base(kept.model, records, mapping, finer)
     except NotIdentifiable:  # with the values of the training part it diverges on the rest
         return kept
     likelier = fit_structure(kept.model, experiments, result.initial)

@@ -19,6 +19,7 @@ from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
+MOST_SAMPLES = 6_000
 _NORMAL_MEDIAN = 0.6745
 OUTLYING = 30.0
 """Spreads of an output's error beyond which its first one is not of their kind."""
@@ -60,9 +61,9 @@ def _spread(experiments: Sequence[Experiment]) -> FloatArray:
 
 
 def experiments_and_base(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, most: int, finer: int = 1
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, finer: int = 1
 ) -> tuple[list[Experiment], Structure]:
-    """Experiments of at most about `most` samples, and the model re-estimated on them, at the likelier input timing.
+    """Experiments of at most about `MOST_SAMPLES`, and the model re-estimated on them, at the likelier input timing.
 
     Those of a plant that is judged in windows are cut so many times `finer`.
 
@@ -80,7 +81,7 @@ def experiments_and_base(
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
 
     def fitted(turned: list[Experiment]) -> tuple[list[Experiment], Structure] | NotIdentifiable:
-        reduced = in_windows(model, averaged(turned, most), finer)
+        reduced = in_windows(model, averaged(turned, MOST_SAMPLES), finer)
         try:
             plain = plain_estimate(model, reduced)
             settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]

@@ -24,7 +24,7 @@ from residuum.identification.discrepancy.growth import (
 from residuum.identification.discrepancy.looks import NEAR, Task, strayed
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.shooting import effects_by_shooting, pairs_by_shooting
-from residuum.identification.discrepancy.side_by_side import side_by_side
+from residuum.identification.discrepancy.side_by_side import beside, side_by_side
 from residuum.identification.discrepancy.structures import (
     Structure,
     base_structure,
@@ -44,6 +44,7 @@ from residuum.identification.physics import Experiment, PhysicalModel
 
 FloatArray = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]
+Asked = Callable[[Search], bool]
 """Told how far the work is: share done 0 … 1, and what is done now."""
 
 FEWEST_REFITS = 6
@@ -77,7 +78,8 @@ def search(
     effects: Iterable[str] | None = None,
     refits: int = FEWEST_REFITS,
     most_effects: int = MOST_EFFECTS,
-    leave: Callable[[Search], bool] = never,
+    leave: Asked = never,
+    late: Asked = never,
     tell: Tell = untold,
 ) -> Search:
     """Add the best effect, again and again while the evidence wants one more.
@@ -93,25 +95,26 @@ def search(
     Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
     a large term does nothing), nothing can be added there; the search is first done from near those values.
 
-    What has grown is judged again, and where it leaves much sought from other beginnings and over short stretches, unless `leave`
-    says to leave it: who asked may know that the experiments are to blame.
+    What has grown is judged again, and where it leaves much sought from other beginnings and over short stretches, unless who
+    asked knows that the experiments are to blame: `leave` is asked of what has grown, `late` of every shift in time besides.
 
     How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
     """
     wanted, looks = None if effects is None else tuple(effects), count()
     task = Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
+    drifting = beside(lambda: fit_structure(base.model, experiments, base.initial, drifting=True))
     near = None if nominal is None else _near(nominal, base, experiments)
     if near is not None:
-        found = _forward(near, task, leave)
+        found = _forward(near, task, leave, late)
         if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
             return found
-    found = _forward(base, task, leave)
+    found = _forward(base, task, leave, late)
     if found.accepted or found.refuted:
-        drift = fit_structure(base.model, experiments, base.initial, drifting=True)
+        drift = drifting()
         if drift is not None and _does_as_well(drift, found, experiments):
-            return _forward(drift, task, leave)
+            return _forward(drift, task, leave, late)
     load = likeliest_drifting_load(base, experiments)
-    return _forward(load, task, leave) if load is not None and _outdoes(load, found) else found
+    return _forward(load, task, leave, late) if load is not None and _outdoes(load, found) else found
 
 
 def _does_as_well(drift: Structure, found: Search, experiments: Sequence[Experiment]) -> bool:
@@ -149,10 +152,10 @@ def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experim
         return None
 
 
-def _forward(base: Structure, task: Task, leave: Callable[[Search], bool]) -> Search:
+def _forward(base: Structure, task: Task, leave: Asked, late: Asked) -> Search:
     found = Search(base, base, len(task.candidates(base)))
-    grow(found, task)
-    if leave(found):
+    grow(found, task, late)
+    if leave(found) or late(found):
         return found
     first = dict(found.alternatives[0]) if found.alternatives else {}
     settle(found, task)

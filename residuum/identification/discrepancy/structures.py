@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.ascent import Ascent, Point
+from residuum.identification.discrepancy.ascent import CLOSE, Ascent, Point
 from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
@@ -30,7 +30,7 @@ COARSER = 2
 """Factor by which an integration may be coarser where it serves a first look alone (a Runge–Kutta step errs by 3e-4)."""
 _EARLIER = 2.0
 """Log-likelihood from which on an effect is put before the others of its path."""
-_NOISE_ALONE = 1.2
+NOISE_ALONE = 1.2
 """Times its innovations (1.12 where both are white and normal) up to which an error is noise that swallowed nothing."""
 _MUCH_WORSE = 4.0
 """A mean square simulation error that is not promised to come within this factor of its rival's is not followed further."""
@@ -161,7 +161,7 @@ def fit_structure(
         return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival.log_likelihood)
-    if second_start and noises is None and not (found is not None and times_its_innovations(found) < _NOISE_ALONE):
+    if second_start and noises is None and not (found is not None and times_its_innovations(found) < NOISE_ALONE):
         plain = _least_simulation_error(ascent, model, start, None if found is None else found.residuals, rival)
         other = None if plain is None else ascent.point(ascent.simulator.p(plain.model.values), plain.initial)
         if other is not None and found is not None:
@@ -202,16 +202,25 @@ def refit(
 ) -> Structure | None:
     """A model with one effect more or less re-estimated from where the structure `before` was, its noise drifting as there.
 
-    None where it diverges, and where it is too fast to be seen.
+    None where it diverges, and where it is too fast to be seen. Where nothing but noise was left, what will not be worth its
+    parameters is not followed further.
     """
     return fit_structure(
         model,
         experiments,
         before.initial if initial is None else initial,
-        rival=rival,
+        rival=replace(rival, log_likelihood=max(rival.log_likelihood, _worth_its_parameters(before, model))),
         drifting=before.drifting,
         most_substeps=visible(before),
     )
+
+
+def _worth_its_parameters(before: Structure, model: PhysicalModel) -> float:
+    """Log-likelihood that a model with more parameters has to come near where the structure `before` leaves nothing but noise."""
+    more = len(model.free) - len(before.parameters)
+    if more <= 0 or times_its_innovations(before) > NOISE_ALONE:
+        return -np.inf
+    return before.log_likelihood + CLOSE + 0.5 * more * float(np.log(before.samples))
 
 
 def visible(before: Structure) -> int:

@@ -15,7 +15,6 @@ from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
-MOST_SAMPLES = 6_000
 SIGNIFICANT = 3.0
 """Slope over its standard deviation from which a parameter counts as changing."""
 
@@ -53,7 +52,7 @@ def trends(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str
     BadRecord, BadUnit, NotIdentifiable
         As `explain` does, for any of the records.
     """
-    fitted = [experiments_and_base(model, [record], mapping, MOST_SAMPLES)[1] for record in records]
+    fitted = [experiments_and_base(model, [record], mapping)[1] for record in records]
     known = model.all_parameters
     return [
         _line(name, known[name].unit, np.array([s.model.values[name] for s in fitted]), np.array([s.std[k] for s in fitted]))

@@ -36,6 +36,8 @@ ACCEPT = 3.0
 """Evidence above the number of candidates' logarithm at which an effect joins a structure: odds of 20 to 1."""
 NOTHING_LEFT = 1.5
 """Times its innovations up to which an error is all noise."""
+_WELL = 0.01
+"""Share of the likeliest effect's gain from which on an effect fits well enough to be generalised."""
 LOWER_TOP = 100.0
 """Log-likelihood by which a lower top can lie behind."""
 SHIFTS = {"input-delay": "delay", "output-lag": "tau"}
@@ -179,10 +181,11 @@ def _grown(
 ) -> dict[tuple[str, str], Structure]:
     """Effects that generalise one that fits well, refitted from its estimate: from nothing they may not be reached."""
     best, experiments, rival = screen.base, screen.experiments, _rival(refitted.values())
+    well = max(ACCEPT, _WELL * (rival.log_likelihood - best.log_likelihood))
     starts: list[tuple[PhysicalModel, Sequence[FloatArray]]] = []
     for id, target in pairs:
         special = refitted.get((EFFECTS[id].generalises, target))
-        if special is None or special.log_likelihood - best.log_likelihood < ACCEPT:
+        if special is None or special.log_likelihood - best.log_likelihood < well:
             continue
         known = best.model.with_values({n: v for n, v in special.model.values.items() if n in best.model.all_parameters})
         initial = special.initial if EFFECTS[id].generalises == id else best.initial

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovation_sums import normal_equations
+from residuum.identification.discrepancy.innovation_sums import FREEDOM, normal_equations
 from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.physics.least_squares import damped, solve_scaled
 
@@ -16,6 +16,8 @@ FloatArray = npt.NDArray[np.float64]
 
 RIDGE = 1e-11
 """Directions whose scaled curvature is below this fraction of the largest are left alone."""
+SCORING = (FREEDOM + 3.0) / (FREEDOM + 1.0)
+"""Curvature of the weighted squares over the expected one of the likelihood, whose weights fall as an innovation grows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +64,17 @@ class NormalEquations:
         return theta, [K[:, -1] - K[:, :-1] @ theta for K in eliminated]
 
     def decrement(self) -> float:
-        """Log-likelihood that the full step promises: ½·(step · gradient)."""
+        """Log-likelihood that the full step of Fisher's scoring promises: ½·(step · gradient)."""
         theta, own = self.step()
-        return 0.5 * float(theta @ self.g + sum(z @ b for z, b in zip(own, self.own_gradient, strict=True)))
+        return 0.5 * SCORING * float(theta @ self.g + sum(z @ b for z, b in zip(own, self.own_gradient, strict=True)))
 
     def reduced(self) -> tuple[FloatArray, FloatArray]:
         """H (q, q) and g (q,) of the parameters once the experiments' own unknowns are free."""
         return self._eliminated(0.0)[1:]
 
     def information(self) -> FloatArray:
-        """Information on the parameters once the experiments' own unknowns are free, shape (q, q)."""
-        return self.reduced()[0]
+        """Fisher's information on the parameters once the experiments' own unknowns are free, shape (q, q)."""
+        return self.reduced()[0] / SCORING
 
     def std(self) -> FloatArray:
         """Standard deviations of the parameters (infinite along directions without information), shape (q,)."""

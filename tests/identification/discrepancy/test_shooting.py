@@ -50,7 +50,7 @@ def record():
 
 
 def test_shooting_finds_the_friction_and_the_cog_where_simulations_go_astray(record):
-    experiments, base = experiments_and_base(read_model(MIXER), [record], None, 6000)
+    experiments, base = experiments_and_base(read_model(MIXER), [record], None)
     assert times_its_innovations(base) > SLOW
     best, *_ = pairs_by_shooting(Screen(base, experiments), candidates(base.model))
     assert {use.id for use in best.effects} == {"coulomb-friction", "tooth-ripple"}

@@ -1,0 +1,123 @@
+"""What is missing, where the way in which the records were cut, or their inputs taken between samples, may be to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from residuum.identification.discrepancy.evidence import ALIKE
+from residuum.identification.discrepancy.growth import Search
+from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
+from residuum.identification.discrepancy.search import Tell, search
+from residuum.identification.discrepancy.structures import Structure, fit_structure, times_its_innovations
+from residuum.identification.discrepancy.trials import NOTHING_LEFT, SHIFTS, SLOW
+from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.record import Record
+
+Turned = tuple[list[Experiment], Structure]
+"""Experiments with the other input timing, and the base on them."""
+_FINER, _FAR_LESS = 4, 0.3
+"""How many times shorter windows are tried where the usual ones leave a slow error; and the share of it, in units of what its own
+past cannot predict, to which it has to fall for them to be believed.
+"""
+_TURNS = 2
+
+
+def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | None:
+    """The other input timing, where what was found is likelier there, or needs no shift.
+
+    The timing was chosen with a model that lacked something. A delay or lag that is missing then makes up for half a sample, and
+    so may effects that were found beside it; one by less than a sample may be no more than the wrong choice.
+    """
+    late = [key for key in found.accepted if key[0] in SHIFTS]
+    if not late and not found.timing:
+        return None
+    best, turned = found.best, turned_timing(experiments)
+    tried = [(_without(best, found.timing), -ALIKE)] if found.timing else []
+    if late:
+        others = [key for key in found.accepted if key not in late]
+        tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
+    for model, more in tried:
+        complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
+        if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + more:
+            base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
+            return None if base is None else (turned, base)
+    return None
+
+
+def _without(structure: Structure, keys: Sequence[tuple[str, str]]) -> PhysicalModel:
+    """A structure's model without those of these effects that it has."""
+    model = structure.model
+    for use in model.effects:
+        model = model.without_effect(use.label) if (use.id, use.target) in keys else model
+    return model
+
+
+class _Timing:
+    """Whether the other input timing is to be taken, asked once of what was found last."""
+
+    def __init__(self, experiments: list[Experiment]) -> None:
+        self._experiments = experiments
+        self._asked: Structure | None = None
+        self._answer: Turned | None = None
+
+    def turned(self, found: Search) -> Turned | None:
+        """The other timing; None where this one stands, as it does where noise alone is left and no shift was found."""
+        if self._asked is not found.best:
+            shifted = any(id in SHIFTS for id, _ in found.accepted)
+            doubtful = shifted or times_its_innovations(found.best) > NOTHING_LEFT
+            self._asked, self._answer = found.best, at_turned_timing(found, self._experiments) if doubtful else None
+        return self._answer
+
+    def late(self, found: Search) -> bool:
+        """Whether the other timing is to be taken now: little is left, and more effects would only make up for it."""
+        return times_its_innovations(found.best) < NOTHING_LEFT and self.turned(found) is not None
+
+
+def searched(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    effects: Iterable[str] | None,
+    tell: Tell,
+) -> tuple[Search, list[Experiment], int]:
+    """What is missing, the experiments that say so, and how many times finer than usual they are cut.
+
+    Over a window a machine that holds on what it lacks (a cog, a friction) takes another course at the least difference of its
+    first state, and no structure reaches the top of its likelihood. Over a shorter one it does not.
+    """
+    wanted = None if effects is None else tuple(effects)
+
+    def found_on(
+        base: Structure, experiments: list[Experiment], begin: float, end: float, limit: float = np.inf
+    ) -> tuple[Search, list[Experiment]]:
+        def told(share: float, doing: str) -> None:
+            tell(begin + (end - begin) * share, doing)
+
+        def astray(found: Search) -> bool:
+            return times_its_innovations(found.best) > limit
+
+        for _ in range(_TURNS):
+            timing = _Timing(experiments)
+            found = search(base, experiments, nominal=model, effects=wanted, leave=astray, late=timing.late, tell=told)
+            again = timing.turned(found)
+            if again is None:
+                return found, experiments
+            experiments, base = again
+        return search(base, experiments, nominal=model, effects=wanted, leave=astray, tell=told), experiments
+
+    tell(0.0, "estimating the model as it is")
+    usual, base = experiments_and_base(model, records, mapping)
+    cut = any(after.follows(before) for before, after in pairwise(usual))
+    found, experiments = found_on(base, usual, 0.27, 0.6, limit=SLOW if cut else np.inf)
+    left = times_its_innovations(found.best)
+    if cut and left > SLOW:
+        tell(0.6, "estimating the model over shorter windows")
+        finely, finely_base = experiments_and_base(model, records, mapping, _FINER)
+        other, finely = found_on(finely_base, finely, 0.65, 0.9)
+        if times_its_innovations(other.best) < _FAR_LESS * left:
+            return other, finely, _FINER
+        found, experiments = found_on(base, usual, 0.9, 1.0)
+    return found, experiments, 1
