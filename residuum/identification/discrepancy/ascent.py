@@ -70,18 +70,12 @@ class Ascent:
 
     def point(self, p: FloatArray, initial: list[FloatArray]) -> Point | None:
         """Simulate with derivatives; None when that diverges."""
-        q = len(self.names)
-        residuals, by_parameters, by_states = [], [], []
-        power = np.zeros(self.count.size)
         runs = self.simulator.run_each(self.experiments, initial, p, slopes=self.slopes, substeps=self.substeps)
-        for e, run in zip(self.experiments, runs, strict=True):
-            if run.dY is None or not run.bounded:
-                return None
-            error, slopes = e.Y - run.Y, e.means(run.dY)
-            power += np.nansum(error**2, axis=0)
-            residuals.append(e.means(error))
-            by_parameters.append(slopes[:, :, :q])
-            by_states.append(slopes[:, :, q:])
+        if runs.dY is None or not runs.bounded:
+            return None
+        q, power = len(self.names), np.nansum(runs.errors**2, axis=0)
+        residuals, slopes = runs.means(runs.errors), runs.means(runs.dY)
+        by_parameters, by_states = [J[:, :, :q] for J in slopes], [J[:, :, q:] for J in slopes]
         noises = self._noises(residuals)
         rmse = np.sqrt(power / np.where(self.count > 0, self.count, np.nan))
         pointwise = pointwise_log_likelihood(residuals, noises)
@@ -89,12 +83,10 @@ class Ascent:
 
     def log_likelihood(self, p: FloatArray, initial: list[FloatArray]) -> float:
         """At a point, without derivatives; −∞ where the simulation diverges."""
-        residuals = []
         runs = self.simulator.run_each(self.experiments, initial, p, substeps=self.substeps)
-        for e, run in zip(self.experiments, runs, strict=True):
-            if not run.bounded:
-                return -np.inf
-            residuals.append(e.means(e.Y - run.Y))
+        if not runs.bounded:
+            return -np.inf
+        residuals = runs.means(runs.errors)
         return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
 
     def _noises(self, residuals: list[FloatArray]) -> Noises:

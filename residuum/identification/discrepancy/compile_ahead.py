@@ -12,7 +12,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.physics import PhysicalModel, Simulator, load_model, match
+from residuum.identification.physics import PhysicalModel, Simulator, block_means, load_model, match
 from residuum.identification.record import Record
 
 _SAMPLES, _SAMPLE_TIME = 600, 5e-3
@@ -24,6 +24,7 @@ def compile_ahead() -> None:
     record = _record(model.with_effect("coulomb-friction", "shaft", {"tau_c": 0.02}))
     compare(model, [record])
     explain(model, [record])
+    block_means(np.zeros((2, 1)), 2)  # so short a record is not averaged
 
 
 def _record(truth: PhysicalModel) -> Record:

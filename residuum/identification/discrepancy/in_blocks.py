@@ -54,7 +54,7 @@ def in_blocks(every: Sampled) -> Sampled:
     steps = simulator.modal_substeps(coarse, initial, p)
     slopes = [*base.parameters, *(f"initial:{name}" for name in simulator.free_states)]
     runs = simulator.run_each(coarse, initial, p, slopes=slopes, substeps=steps)
-    if not all(run.bounded for run in runs):
+    if not runs.bounded:
         return every
     q = len(base.parameters)
     found = replace(

@@ -61,34 +61,62 @@ def innovate(x, a, first, e):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-def normal_equations(r, J, o, a, first, variance):
-    """G = Σ w·φφᵀ and b = Σ w·φ·e of output o, e and φ the innovations of r (n, outputs) and of the columns of J (n, outputs,
-    columns), w the likelihood's weights.
+def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, own, own_gradient):
+    """Add those of output o of several experiments, laid out as in `scale_of`: Σ w·φφᵀ and Σ w·φ·e, e and φ the innovations of
+    r (n, outputs), of the columns of J (n, outputs, q), common to all, and of Z (n, outputs, m), each experiment's own; w the
+    likelihood's weights.
 
     w = (ν + 1)/(ν + e²/s²)/s², and 0 where a sample is missing. The first sample is no innovation but a sum of many, and normal:
     without its stationary density an initial state that decays as the noise does would cost nothing, whatever its size.
     """
-    n, columns = J.shape[0], J.shape[2]
-    e, w, x, weighted, phi = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty((columns, n))
-    x[:] = r[:, o]
-    innovate(x, a, first, e)
-    for t in range(n):
-        complete = np.isfinite(e[t])
-        w[t] = (FREEDOM + 1.0) / (FREEDOM + e[t] * e[t] / variance) / variance if complete else 0.0
-        e[t] = e[t] if complete else 0.0
-    if n and w[0] != 0.0:
-        w[0] = 1.0 / (NORMAL * variance)
-    G, b = np.empty((columns, columns)), np.empty(columns)
-    for i in range(columns):
-        x[:] = J[:, o, i]
-        innovate(x, a, first, phi[i])
+    q, m, most = J.shape[2], Z.shape[2], 0
+    for k in range(starts.shape[0] - 1):
+        most = max(most, starts[k + 1] - starts[k])
+    e, w, x, weighted, phi = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty((q + m, most))
+    for k in range(starts.shape[0] - 1):
+        begin, n = starts[k], starts[k + 1] - starts[k]
+        x[:n] = r[begin : begin + n, o]
+        innovate(x[:n], a, first, e[:n])
         for t in range(n):
-            weighted[t] = w[t] * phi[i, t] if w[t] != 0.0 else 0.0
-        b[i] = product(weighted, e, n)
-        for j in range(i + 1):
-            G[i, j] = product(weighted, phi[j], n)
-            G[j, i] = G[i, j]
-    return G, b
+            complete = np.isfinite(e[t])
+            w[t] = (FREEDOM + 1.0) / (FREEDOM + e[t] * e[t] / variance) / variance if complete else 0.0
+            e[t] = e[t] if complete else 0.0
+        if n and w[0] != 0.0:
+            w[0] = 1.0 / (NORMAL * variance)
+        for i in range(q + m):
+            x[:n] = J[begin : begin + n, o, i] if i < q else Z[begin : begin + n, o, i - q]
+            innovate(x[:n], a, first, phi[i, :n])
+            for t in range(n):
+                weighted[t] = w[t] * phi[i, t] if w[t] != 0.0 else 0.0
+            gradient = product(weighted, e, n)
+            if i < q:
+                g[i] += gradient
+            else:
+                own_gradient[k, i - q] += gradient
+            for j in range(i + 1):
+                curvature = product(weighted, phi[j], n)
+                if i < q:
+                    H[i, j] += curvature
+                    H[j, i] = H[i, j]
+                elif j < q:
+                    cross[k, j, i - q] += curvature
+                else:
+                    own[k, i - q, j - q] += curvature
+                    own[k, j - q, i - q] = own[k, i - q, j - q]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def after_step(r, J, Z, starts, step, own):
+    """r − J·step − Z·z, z the row of `own` of the experiment, laid out as in `scale_of`."""
+    rest = r.copy()
+    for k in range(starts.shape[0] - 1):
+        for t in range(starts[k], starts[k + 1]):
+            for o in range(r.shape[1]):
+                for i in range(step.shape[0]):
+                    rest[t, o] -= J[t, o, i] * step[i]
+                for i in range(own.shape[1]):
+                    rest[t, o] -= Z[t, o, i] * own[k, i]
+    return rest
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)

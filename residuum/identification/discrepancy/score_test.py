@@ -14,7 +14,7 @@ from residuum.identification.discrepancy.innovations import Noises, fit_noises, 
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import COARSER, Structure
 from residuum.identification.discrepancy.track import regressed, track
-from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
+from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations, Stacked
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
 from residuum.identification.physics.effects import EFFECTS
@@ -242,17 +242,13 @@ class Screen:
             simulator = Simulator(model)
         except (BadInput, NotImplementedError):
             return np.inf
-        power, count = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
         there = self.where(model)
         base, experiments = there.base, there.experiments
         initial = _beside(base.initial, simulator)
         runs = simulator.run_each(experiments, initial, simulator.p(), substeps=base.substeps)
-        for e, run in zip(experiments, runs, strict=True):
-            if not run.bounded:
-                return np.inf
-            r = e.Y - run.Y
-            power += np.nansum(r**2, axis=0)
-            count += np.isfinite(e.Y).sum(axis=0)
+        if not runs.bounded:
+            return np.inf
+        power, count = np.nansum(runs.errors**2, axis=0), np.isfinite(runs.errors).sum(axis=0)
         return float(np.sum(np.log(np.maximum(power[count > 0] / count[count > 0], 1e-300))))
 
     def _at_rest(self, model: PhysicalModel, own: list[str]) -> _Linear | None:
@@ -268,13 +264,14 @@ class Screen:
             return None
         if len(simulator.states) > len(base.initial[0]):
             return None
-        by_parameters = []
         runs = simulator.run_each(experiments, base.initial, simulator.p(), slopes=own, substeps=base.substeps)
-        for e, run, before, slopes in zip(experiments, runs, base.residuals, base.by_parameters, strict=True):
-            moved = np.abs(e.means(e.Y - run.Y) - before)
-            if run.dY is None or not run.bounded or np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
-                return None
-            by_parameters.append(np.concatenate([slopes, e.means(run.dY)], axis=2))
+        if runs.dY is None or not runs.bounded:
+            return None
+        moved = np.abs(np.concatenate(runs.means(runs.errors)) - np.concatenate(base.residuals))
+        if np.nanmax(moved / base.rmse, initial=0.0) > _MOVED:
+            return None
+        each = zip(base.by_parameters, runs.means(runs.dY), strict=True)
+        by_parameters = [np.concatenate(slopes, axis=2) for slopes in each]
         return base.residuals, by_parameters, base.by_states
 
     def _linearised(self, model: PhysicalModel, names: list[str]) -> _Linear | None:
@@ -283,7 +280,6 @@ class Screen:
         except (BadInput, NotImplementedError):  # this combination of effects has no explicit equations
             return None
         states = [f"initial:{name}" for name in simulator.free_states]
-        residuals, by_parameters, by_states = [], [], []
         there, p = self.where(model), simulator.p()
         base, experiments = there.base, there.experiments
         initial, steps = _beside(base.initial, simulator), list(base.substeps)
@@ -293,19 +289,16 @@ class Screen:
         if max(steps) > there.most_substeps:
             return None
         runs = simulator.run_each(experiments, initial, p, slopes=[*names, *states], substeps=steps)
-        for e, run in zip(experiments, runs, strict=True):
-            if run.dY is None or not run.bounded:
-                return None
-            slopes_there = e.means(run.dY)
-            residuals.append(e.means(e.Y - run.Y))
-            by_parameters.append(slopes_there[:, :, : len(names)])
-            by_states.append(slopes_there[:, :, len(names) :])
-        return residuals, by_parameters, by_states
+        if runs.dY is None or not runs.bounded:
+            return None
+        q, slopes = len(names), runs.means(runs.dY)
+        return runs.means(runs.errors), [J[:, :, :q] for J in slopes], [J[:, :, q:] for J in slopes]
 
 
 def _beside(states: Sequence[FloatArray], simulator: Simulator) -> list[FloatArray]:
     """The base's states with an effect's own beside them, which its kernel sets first."""
-    return [np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(simulator.states) - x.shape[-1])]) for x in states]
+    more = len(simulator.states) - states[0].shape[-1]
+    return [np.concatenate([x, np.zeros((*x.shape[:-1], more))], axis=-1) for x in states] if more else list(states)
 
 
 def _repeated(means: FloatArray, experiment: Experiment) -> FloatArray:
@@ -321,29 +314,29 @@ def first_order_fit(
     equations: NormalEquations | None = None,
     *,
     may_fall: bool = True,
+    ridge: float = RIDGE,
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
 
     The better of two beginnings: the base's noise (its normal `equations`, where they are known), and white noise where that
     takes the errors below the base's (not tried where they cannot fall). Where neither comes near the base, and where neither
-    gains anything, the noise is left as it was: no colour makes up for that, and the base's was the best.
+    gains anything, the noise is left as it was: no colour makes up for that, and the base's was the best. Directions with less
+    than `ridge` of the largest scaled curvature are left alone.
     """
 
-    def solved(equations: NormalEquations) -> tuple[FloatArray, list[FloatArray]]:
-        step, initial = equations.step()
-        each = zip(residuals, by_parameters, by_states, initial, strict=True)
-        return step, [r - np.tensordot(J, step, 1) - np.tensordot(Z, z, 1) for r, J, Z, z in each]
+    stacked = Stacked.of(residuals, by_parameters, by_states)
 
-    def under(noises: Noises) -> NormalEquations:
-        return NormalEquations.of(residuals, by_parameters, by_states, noises)
+    def solved(equations: NormalEquations) -> tuple[FloatArray, list[FloatArray]]:
+        step, initial = equations.step(ridge=ridge)
+        return step, stacked.after(step, initial)
 
     def judged(step: FloatArray, rest: list[FloatArray], near: Noises | None) -> _Fitted:
         colour = fit_noises(rest, drifting=base.drifting, near=near, reading=base.reading)
         return step, pointwise_log_likelihood(rest, colour), rest, colour
 
-    step, rest = solved(under(base.noises) if equations is None else equations)
+    step, rest = solved(stacked.normal_equations(base.noises) if equations is None else equations)
     white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
-    step_in_white, rest_in_white = solved(under(white)) if may_fall else (step, rest)
+    step_in_white, rest_in_white = solved(stacked.normal_equations(white)) if may_fall else (step, rest)
     fallen = may_fall and _error_ratio(rest_in_white, base.residuals) < _FALLEN
     if not fallen:
         pointwise = pointwise_log_likelihood(rest, base.noises)
@@ -354,7 +347,7 @@ def first_order_fit(
     if fallen:
         best = max(best, judged(step_in_white, rest_in_white, None), key=lambda found: found[1].sum())
     if abs(best[1].sum() - base.log_likelihood) > _WORTH_A_PASS:
-        best = max(best, judged(*solved(under(best[3])), best[3]), key=lambda found: found[1].sum())
+        best = max(best, judged(*solved(stacked.normal_equations(best[3])), best[3]), key=lambda found: found[1].sum())
     return best[:3]
 
 

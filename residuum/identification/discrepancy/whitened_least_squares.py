@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovation_sums import FREEDOM, normal_equations
+from residuum.identification.discrepancy.innovation_sums import FREEDOM, add_normal_equations, after_step
 from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.physics.least_squares import damped, solve_scaled
 
@@ -18,6 +19,45 @@ RIDGE = 1e-11
 """Directions whose scaled curvature is below this fraction of the largest are left alone."""
 SCORING = (FREEDOM + 3.0) / (FREEDOM + 1.0)
 """Curvature of the weighted squares over the expected one of the likelihood, whose weights fall as an innovation grows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Residuals r (n, outputs) of several experiments one after the other, their slopes by parameters J and by first states Z
+    (n, outputs, columns), and where each experiment starts and the last one ends.
+    """
+
+    r: FloatArray
+    J: FloatArray
+    Z: FloatArray
+    starts: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, residuals: Sequence[FloatArray], by_parameters: Sequence[FloatArray], by_states: Sequence[FloatArray]) -> Stacked:
+        """Of one array an experiment; in one piece each, since for strided ones it would be compiled once more."""
+        r, J, Z = (
+            np.ascontiguousarray(each[0]) if len(each) == 1 else np.concatenate(each)
+            for each in (residuals, by_parameters, by_states)
+        )
+        return cls(r, J, Z, np.cumsum([0, *map(len, residuals)]))
+
+    def normal_equations(self, noises: Noises) -> NormalEquations:
+        """Under these noises."""
+        count, q, m = len(self.starts) - 1, self.J.shape[2], self.Z.shape[2]
+        found = NormalEquations(
+            np.zeros((q, q)), np.zeros(q), np.zeros((count, q, m)), np.zeros((count, m, m)), np.zeros((count, m))
+        )
+        sums = found.H, found.g, found.cross, found.own, found.own_gradient
+        for o, noise in enumerate(noises):
+            if noise is not None:
+                whiten = noise.a, noise.first[0], noise.innovation_variance
+                add_normal_equations(self.r, self.J, self.Z, self.starts, o, *whiten, *sums)
+        return found
+
+    def after(self, step: FloatArray, own: Sequence[FloatArray]) -> list[FloatArray]:
+        """Residuals of each experiment after a step of the parameters and of its own first states."""
+        rest = after_step(self.r, self.J, self.Z, self.starts, step, np.array(own))
+        return [rest[a:b] for a, b in pairwise(self.starts.tolist())]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,25 +83,17 @@ class NormalEquations:
         noises: Noises,
     ) -> NormalEquations:
         """From residuals (n, outputs) and their derivatives (n, outputs, columns), weighted as t-distributed innovations."""
-        q = by_parameters[0].shape[2]
-        H, g = np.zeros((q, q)), np.zeros(q)
-        cross, own, own_gradient = [], [], []
-        for r, J, Z in zip(residuals, by_parameters, by_states, strict=True):
-            G, b = _gram(r, np.concatenate([J, Z], axis=2), noises)
-            H += G[:q, :q]
-            g += b[:q]
-            cross.append(G[:q, q:])
-            own.append(G[q:, q:])
-            own_gradient.append(b[q:])
-        return cls(H, g, np.array(cross), np.array(own), np.array(own_gradient))
+        return Stacked.of(residuals, by_parameters, by_states).normal_equations(noises)
 
-    def step(self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None) -> tuple[FloatArray, list[FloatArray]]:
-        """Damped solution (θ, z of each experiment); `held` parameters stay where they are."""
+    def step(
+        self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None, ridge: float = RIDGE
+    ) -> tuple[FloatArray, list[FloatArray]]:
+        """Damped solution (θ, z of each experiment); `held` parameters stay where they are, as do directions below `ridge`."""
         eliminated, H, g = self._eliminated(damping)
         free = np.ones(len(g), dtype=bool) if held is None else ~held
         theta = np.zeros(len(g))
-        theta[free] = solve_scaled(H[np.ix_(free, free)], g[free, None], RIDGE)[:, 0]
-        return theta, [K[:, -1] - K[:, :-1] @ theta for K in eliminated]
+        theta[free] = solve_scaled(H[np.ix_(free, free)], g[free, None], ridge)[:, 0]
+        return theta, list(eliminated[:, :, -1] - eliminated[:, :, :-1] @ theta)
 
     def decrement(self) -> float:
         """Log-likelihood that the full step of Fisher's scoring promises: ½·(step · gradient)."""
@@ -96,14 +128,3 @@ class NormalEquations:
         K = solve_scaled(damped(self.own, damping), wanted, RIDGE)
         absorbed = np.einsum("kqm,kmc->qc", self.cross, K)
         return K, damped(self.H, damping) - absorbed[:, :-1], self.g - absorbed[:, -1]
-
-
-def _gram(r: FloatArray, J: FloatArray, noises: Noises) -> tuple[FloatArray, FloatArray]:
-    G, b = np.zeros((J.shape[2], J.shape[2])), np.zeros(J.shape[2])
-    whole = np.ascontiguousarray(r), np.ascontiguousarray(J)  # for strided ones it would be compiled once more
-    for o, noise in enumerate(noises):
-        if noise is not None:
-            of_output = normal_equations(*whole, o, noise.a, noise.first[0], noise.innovation_variance)
-            G += of_output[0]
-            b += of_output[1]
-    return G, b

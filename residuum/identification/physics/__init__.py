@@ -18,9 +18,10 @@ missing term of each balance (`missing@balance`). Modules: `expression`, `dimens
 `likelihood_estimation` (using), `effects/` (the catalogue).
 """
 
+from residuum.identification.physics.block_means import block_means
 from residuum.identification.physics.coloured_covariance import with_coloured_noise
 from residuum.identification.physics.estimation import Estimate, Settings, estimate, windows
-from residuum.identification.physics.experiment import Experiment, block_means, match
+from residuum.identification.physics.experiment import Experiment, match
 from residuum.identification.physics.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
 from residuum.identification.physics.least_squares import FlatDirection
 from residuum.identification.physics.likelihood_estimation import estimate_by_likelihood

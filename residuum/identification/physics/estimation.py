@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.least_squares import FlatDirection, covariance_of, damped, solve_scaled
 from residuum.identification.physics.model import PhysicalModel
-from residuum.identification.physics.simulation import Simulation, Simulator
+from residuum.identification.physics.simulation import Runs, Simulator
 
 Array = npt.NDArray[np.float64]
 
@@ -194,11 +195,10 @@ class _Problem:
         known = all(name in e.known for e in self.experiments for name in states)
         return known and settings.filters is None and not (settings.blocks and any(e.block > 1 for e in self.experiments))
 
-    def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> list[Simulation]:
+    def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> Runs:
         """Simulations of the experiments that are summed over."""
-        if self.summed is self.experiments:
-            return self.simulator.run_each(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)
-        return [self.simulator.run_end_to_end(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)]
+        runs = self.simulator.run_each(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)
+        return runs if self.summed is self.experiments else replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
 
     def first_states(self) -> list[Array]:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
@@ -222,22 +222,26 @@ class _Problem:
 
     def _fit_states(self, number: int, x0: Array, p: Array) -> Array:
         """One Gauss–Newton step of the initial states alone, over the whole record, kept when it helps."""
-        experiment = self.experiments[number]
         if not self.states:
             return x0
-        slopes = self.slopes[len(self.names) :]
-        here = self.simulator.run_vectors(experiment, x0, p, slopes=slopes, substeps=self.substeps[number])
-        if here.dY is None or not here.finite:
+
+        def run(x: Array, slopes: Sequence[str]) -> Runs:
+            return self.simulator.run_each([self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]])
+
+        here = run(x0, self.slopes[len(self.names) :])
+        if not here.bounded:
             return x0
-        r, J = self._weighted(experiment, here.Y, here.dY)
+        ((r, J),) = self._weighted(here)
         if J is None:
             return x0
         step = solve_scaled(J.T @ J, (J.T @ r)[:, None])[:, 0]
         trial = x0.copy()
         trial[self.state_index] += step
-        there = self.simulator.run_vectors(experiment, trial, p, substeps=self.substeps[number])
-        r_there, _ = self._weighted(experiment, there.Y, None)
-        return trial if there.finite and r_there @ r_there < r @ r else x0
+        there = run(trial, ())
+        if not there.bounded:
+            return x0
+        ((r_there, _),) = self._weighted(there)
+        return trial if r_there @ r_there < r @ r else x0
 
     def _scales(self) -> Array:
         spread = np.nanstd(np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0)
@@ -339,14 +343,13 @@ class _Problem:
         return theta, initial
 
     def _evaluate(self, theta: Array, initial: list[Array]) -> _Point:
-        q, p = len(self.names), self.p(theta)
+        q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
         point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
-        for experiment, run in zip(self.summed, self._runs(initial, p, self.slopes), strict=True):
-            if not run.bounded:
-                point.cost = np.inf
-                return point
-            point.predicted.append(run.Y)
-            r, J = self._weighted(experiment, run.Y, run.dY)
+        if not runs.bounded:
+            point.cost = np.inf
+            return point
+        point.predicted = [run.Y for run in runs]
+        for r, J in self._weighted(runs):
             point.cost += float(r @ r)
             if J is not None:
                 H, g = J.T @ J, J.T @ r
@@ -359,35 +362,35 @@ class _Problem:
 
     def _cost(self, theta: Array, initial: list[Array]) -> float:
         """The cost alone, which needs no sensitivities."""
-        cost = 0.0
-        for experiment, run in zip(self.summed, self._runs(initial, self.p(theta)), strict=True):
-            if not run.bounded:
-                return np.inf
-            r, _ = self._weighted(experiment, run.Y, None)
-            cost += float(r @ r)
-        return cost
+        runs = self._runs(initial, self.p(theta))
+        return float(sum(r @ r for r, _ in self._weighted(runs))) if runs.bounded else np.inf
 
-    def _weighted(self, experiment: Experiment, Y: Array, dY: Array | None) -> tuple[Array, Array | None]:
-        """Weighted, filtered residuals stacked over the measured outputs, and their Jacobian."""
-        residuals, rows = [], []
-        errors = experiment.Y - Y
-        if self.settings.blocks:
-            errors, dY = experiment.means(errors), None if dY is None else experiment.means(dY)
-        for o in map(int, np.flatnonzero(self.measured)):
-            r = errors[:, o]
-            there = np.isfinite(r)
-            kept = slice(None) if there.all() else there
-            r = np.where(there, r, 0.0) * self.weights[o]
-            residuals.append(self._filtered(r, o)[kept])
-            if dY is not None:
-                J = dY[:, o] if there.all() else np.where(there[:, None], dY[:, o], 0.0)
-                rows.append(self._filtered(J * self.weights[o], o)[kept])
-        return np.concatenate(residuals), np.concatenate(rows) if rows else None
+    def _weighted(self, runs: Runs) -> list[tuple[Array, Array | None]]:
+        """Weighted, filtered residuals of each experiment, those of all outputs in one, and their Jacobian; 0 where missing."""
+        blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
+        errors, starts = blocks(runs.errors)
+        there = np.isfinite(errors)
+        there[:, ~self.measured] = False
+        r = np.where(there, errors, 0.0) * self.weights
+        J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
+        if J is not None and not there.all():
+            J[~there] = 0.0
+        found: list[tuple[Array, Array | None]] = []
+        for a, b in pairwise(starts.tolist()):
+            kept = there[a:b]
+            rows = self._filtered(r[a:b], kept), None if J is None else self._filtered(J[a:b], kept)
+            found.append((rows[0].ravel(), None if rows[1] is None else rows[1].reshape(rows[0].size, -1)))
+        return found
 
-    def _filtered(self, signal: Array, o: int) -> Array:
+    def _filtered(self, signals: Array, there: npt.NDArray[np.bool_]) -> Array:
+        """Signals (n, outputs, …), each output through its filter."""
         if self.settings.filters is None:
-            return signal
-        return np.asarray(scipy.signal.lfilter(self.settings.filters[o], [1.0], signal, axis=0))
+            return signals
+        filtered = np.zeros_like(signals)
+        for o in map(int, np.flatnonzero(self.measured)):
+            filtered[:, o] = scipy.signal.lfilter(self.settings.filters[o], [1.0], signals[:, o], axis=0)
+        filtered[~there] = 0.0
+        return filtered
 
     def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
         cross = np.array(point.cross)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.physics.block_means import block_means
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.record import Record
 
@@ -68,19 +69,6 @@ class Experiment:
         """Samples start … stop − 1."""
         known = self.known if start == 0 else {}
         return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=self.t0 + start * self.sample_time, known=known)
-
-
-def block_means(values: Array, block: int) -> Array:
-    """Means of consecutive blocks of samples along axis 0 (the last, incomplete one is left out); one that lacks a sample is
-    missing.
-    """
-    if block == 1:
-        return values
-    whole = values.shape[0] // block * block
-    sums = values[0:whole:block].copy()
-    for k in range(1, block):
-        sums += values[k:whole:block]
-    return np.asarray(sums / block)
 
 
 def match(

@@ -115,6 +115,18 @@ def new_memory(q, count):
     )
 
 
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def interpolated(U, j, position, delayed):
+    """Input j at a position in samples, and its step from the sample before that to the one after."""
+    last = U.shape[0] - 1
+    position = min(max(position, 0.0), float(last))
+    i = min(int(position), max(last - 1, 0))
+    if delayed and position == i and i > 0:
+        i = i - 1
+    step = U[min(i + 1, last), j] - U[i, j]
+    return U[i, j] + (position - i) * step, step
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
     """Inputs at time (k + c) samples: held (`hold` 0) or linear between samples (1); delayed ones interpolated.
@@ -122,30 +134,26 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
     A held signal delayed by a fraction of a sample takes, over the sample, its mean: the same interpolation. Before the record
     began, its first sample is taken to have lasted.
     """
-    last = U.shape[0] - 1
     for j in range(U.shape[1]):
         position = k + c * hold[j]
         delayed = delays[j] >= 0
         if delayed:
             position = position - p[delays[j]] / sample_time
-        before = position <= 0.0
-        position = min(max(position, 0.0), float(last))
-        i = min(int(position), max(last - 1, 0))
-        if delayed and position == i and i > 0:
-            i = i - 1
-        step = U[min(i + 1, last), j] - U[i, j]
-        u[j] = U[i, j] + (position - i) * step
-        ur[j] = 0.0 if before else step / sample_time
+        u[j], step = interpolated(U, j, position, delayed)
+        ur[j] = 0.0 if position <= 0.0 else step / sample_time
     u[U.shape[1]] = (k + c) * sample_time
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def some_delayed(delays):
-    """Whether some input is delayed."""
-    found = False
+def lags_of(delays, sample_time, p):
+    """Delay of each input in samples; none where one is not delayed, −1 of each that is not where others are."""
+    found = np.full(delays.shape[0], -1.0)
+    some = False
     for j in range(delays.shape[0]):
-        found = found or delays[j] >= 0
-    return found
+        if delays[j] >= 0:
+            found[j] = p[delays[j]] / sample_time
+            some = True
+    return found if some else found[:0]
 
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
@@ -159,15 +167,17 @@ def set_stages(inputs, U, k, c, ch, sample_time, hold):
         inputs[i, U.shape[1]] = (k + at) * sample_time
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p):
-    """Inputs of a step where some are delayed, with their slopes."""
-    width = w.u.shape[0]
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold):
+    """Inputs of a step where some are delayed, with their slopes, as `set_inputs` has them."""
+    width = U.shape[1] + 1
     for i in range(3):
-        set_inputs(q.delays, w.u, w.ur, U, k, c + 0.5 * i * ch, sample_time, hold, p)
-        for j in range(width):
-            w.inputs[i, j] = w.u[j]
-            w.inputs[i, width + j] = w.ur[j]
+        at = c + 0.5 * i * ch
+        for j in range(U.shape[1]):
+            position = k + at * hold[j] - max(lags[j], 0.0)
+            inputs[i, j], step = interpolated(U, j, position, lags[j] >= 0.0)
+            inputs[i, width + j] = 0.0 if position <= 0.0 else step / sample_time
+        inputs[i, U.shape[1]] = (k + at) * sample_time
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -280,7 +290,8 @@ def integrate(  # noqa: PLR0912
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
     at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
     at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
-    kept, ch, delayed = X.shape[0] > 0, 1.0 / substeps, some_delayed(q.delays)
+    kept, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
+    delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
     inputs[:] = 0.0
     for k in range(first, last + 1):
@@ -301,7 +312,7 @@ def integrate(  # noqa: PLR0912
             if set_directions(x, surfaces, s, m):
                 stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
             if delayed:
-                set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p)
+                set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold)
             else:
                 set_stages(inputs, U, k, c, ch, sample_time, hold)
             if count > 0:

@@ -11,6 +11,7 @@ from residuum.identification.physics.integration import (
     crossed,
     forget,
     integrate,
+    lags_of,
     land,
     new_memory,
     observe,
@@ -18,7 +19,6 @@ from residuum.identification.physics.integration import (
     set_directions,
     set_inputs,
     set_stages,
-    some_delayed,
     stand,
 )
 
@@ -90,7 +90,8 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
     at_0, at_1, at_2, at_y, at_H = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes, y.ctypes, Hk.ctypes
     at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
-    ch, delayed = 1.0 / substeps, some_delayed(q.delays)
+    ch, lags = 1.0 / substeps, lags_of(q.delays, sample_time, p)
+    delayed = lags.shape[0] > 0
     w.step[0] = sample_time / substeps
     for k in range(n):
         z[k], P[k] = zk, Pk
@@ -110,7 +111,7 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
             if set_directions(x, surfaces, s, m):
                 stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
             if delayed:
-                set_delayed_stages(q, w, U, k, c, ch, sample_time, hold, p)
+                set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold)
             else:
                 set_stages(inputs, U, k, c, ch, sample_time, hold)
             q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, nz)

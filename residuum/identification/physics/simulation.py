@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import integration
+from residuum.identification.physics.block_means import means_in_blocks
 from residuum.identification.physics.experiment import Experiment
 from residuum.identification.physics.kernel import Kernel, kernel_of
 from residuum.identification.physics.model import PhysicalModel
@@ -24,7 +26,7 @@ _OSCILLATING, _DECAYING = 0.25, 0.8
 _EXACT, _LEAST = 0.02, 1e-4
 """Parts of a record's noise and of an output's spread, by whose sum finer steps may still change the outputs."""
 _DIVERGED = 1e60
-_LOOKED_AT, _LOOKS = 20_000, 60
+_LOOKED_AT, _LOOKS, _ALL_LOOKS = 20_000, 15, 60
 """First samples of an experiment, and points along them, at which its eigenvalues are looked at."""
 _CHECKED, _DOUBLINGS, _SETTLING = 5000, 3, 0.7
 """Samples on which that is tried, how often steps are halved for it, and the factor by which the change has to fall each time: a
@@ -55,11 +57,55 @@ class Simulation:
         """False when the model diverged."""
         return bool(np.all(np.isfinite(self.Y)))
 
-    @property
+
+@dataclass(frozen=True, eq=False)
+class Runs(Sequence[Simulation]):
+    """Simulations of several experiments, one after the other in X, Y and dY; experiment k begins at row starts[k].
+
+    Taken apart they are a `Simulation` each; what is done with all of them is done at one go, for windows are many and short.
+    """
+
+    experiments: Sequence[Experiment]
+    X: Array
+    Y: Array
+    dY: Array | None
+    columns: tuple[str, ...]
+    starts: Integers
+
+    def __len__(self) -> int:
+        return len(self.experiments)
+
+    @overload
+    def __getitem__(self, at: int) -> Simulation: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Simulation]: ...
+    def __getitem__(self, at: int | slice) -> Simulation | list[Simulation]:
+        if isinstance(at, slice):
+            return [self[k] for k in range(len(self))[at]]
+        k = range(len(self))[at]
+        rows = slice(self.starts[k], self.starts[k + 1])
+        return Simulation(self.X[rows], self.Y[rows], None if self.dY is None else self.dY[rows], self.columns)
+
+    @cached_property
     def bounded(self) -> bool:
         """Outputs and sensitivities are finite, and so far from overflow that sums of squares are finite too."""
         kept = [values for values in (self.Y, self.dY) if values is not None and values.size]
         return all(bool(values.max() < _DIVERGED and values.min() > -_DIVERGED) for values in kept)
+
+    @cached_property
+    def errors(self) -> Array:
+        """What was measured less what was simulated, one experiment after the other."""
+        measured = [e.Y for e in self.experiments]
+        return (measured[0] if len(measured) == 1 else np.concatenate(measured)) - self.Y
+
+    def in_blocks(self, values: Array) -> tuple[Array, Integers]:
+        """Means of such rows over the blocks of each experiment, and where each begins and the last one ends."""
+        return means_in_blocks(values, self.starts, [e.block for e in self.experiments])
+
+    def means(self, values: Array) -> list[Array]:
+        """The same, an array an experiment."""
+        means, starts = self.in_blocks(values)
+        return [means[a:b] for a, b in pairwise(starts.tolist())]
 
 
 class Simulator:
@@ -160,30 +206,15 @@ class Simulator:
         *,
         slopes: Sequence[str] = (),
         substeps: Sequence[int],
-    ) -> list[Simulation]:
+    ) -> Runs:
         """`run_vectors` of several experiments, each from its own first states and with its own steps a sample, at one go."""
         joined = _Joined.of(experiments)
-        runs = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
-        found = []
-        for e, X, Y, dY in zip(experiments, *map(joined.cut, runs), strict=True):
-            if e.known:
-                dY[:, :, [name.removeprefix("initial:") in e.known for name in slopes]] = 0.0
-            found.append(Simulation(X, Y, dY if slopes else None, tuple(slopes)))
-        return found
-
-    def run_end_to_end(
-        self,
-        experiments: Sequence[Experiment],
-        initial: Sequence[Array],
-        p: Array,
-        *,
-        slopes: Sequence[str] = (),
-        substeps: Sequence[int],
-    ) -> Simulation:
-        """`run_each` with the rows of all experiments, one after the other, in one; `slopes` by parameters only."""
-        joined = _Joined.of(experiments)
         X, Y, dY = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
-        return Simulation(X, Y, dY if slopes else None, tuple(slopes))
+        for k, e in enumerate(experiments):
+            if e.known and slopes:
+                of_known = [name.removeprefix("initial:") in e.known for name in slopes]
+                dY[joined.starts[k] : joined.starts[k + 1], :, of_known] = 0.0
+        return Runs(experiments, X, Y, dY if slopes else None, tuple(slopes), joined.starts)
 
     def _simulated(
         self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
@@ -270,7 +301,7 @@ class Simulator:
     def _needed_along(self, joined: _Joined, X: Array, p: Array) -> Integers:
         """Those of each of several experiments, at most 64."""
         lengths = np.diff(joined.starts)
-        samples = np.linspace(0, lengths - 1, _LOOKS, axis=1).astype(np.int64)
+        samples = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(np.int64)
         at = joined.starts[:-1, None] + samples
         finite = np.all(np.isfinite(X[at]), axis=2)
         A = integration.rate_slopes(
