@@ -28,14 +28,18 @@ def averaged(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
 
     Of experiments that together have more than three times `most` samples the liveliest stretches are taken.
     """
+    experiments = liveliest(experiments, _LONGEST * most)
     total = sum(e.n for e in experiments)
-    if total > _LONGEST * most:
-        experiments = [_liveliest(e, max(64, e.n * _LONGEST * most // total)) for e in experiments]
-        total = sum(e.n for e in experiments)
     block = max(1, min(-(-total // most), min(e.n for e in experiments) // 64))
     while block > 1 and any(_too_coarse(e, block) for e in experiments):
         block -= 1
     return [replace(e, block=block) for e in experiments]
+
+
+def liveliest(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
+    """The stretches over which the outputs vary most, of at most so many samples together."""
+    total = sum(e.n for e in experiments)
+    return [_liveliest(e, max(64, e.n * most // total)) for e in experiments] if total > most else list(experiments)
 
 
 def _too_coarse(experiment: Experiment, block: int) -> bool:

@@ -6,16 +6,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.discrepancy.evidence import ALIKE
+from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.search import Tell, search
 from residuum.identification.discrepancy.structures import Structure, fit_structure, times_its_innovations
 from residuum.identification.discrepancy.trials import NOTHING_LEFT, SHIFTS, SLOW
-from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.record import Record
 
+FloatArray = npt.NDArray[np.float64]
 Turned = tuple[list[Experiment], Structure]
 """Experiments with the other input timing, and the base on them."""
 _FINER, _FAR_LESS = 4, 0.3
@@ -35,6 +38,8 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     if not late and not found.timing:
         return None
     best, turned = found.best, turned_timing(experiments)
+    if any(e.hold.any() for e in turned) and feeds_back(best.model, experiments, _errors(best, experiments)):
+        return None
     tried = [(_without(best, found.timing), -ALIKE)] if found.timing else []
     if late:
         others = [key for key in found.accepted if key not in late]
@@ -45,6 +50,13 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
             base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
             return None if base is None else (turned, base)
     return None
+
+
+def _errors(structure: Structure, experiments: Sequence[Experiment]) -> list[FloatArray]:
+    """What the structure leaves of the outputs at every sample, an array an experiment."""
+    simulator = Simulator(structure.model)
+    runs = simulator.run_each(experiments, structure.initial, simulator.p(), substeps=structure.substeps)
+    return [e.Y - run.Y for e, run in zip(experiments, runs, strict=True)]
 
 
 def _without(structure: Structure, keys: Sequence[tuple[str, str]]) -> PhysicalModel:

@@ -33,6 +33,10 @@ KNOTS: Mapping[str, tuple[int, ...]] = {
     "time": (17,),
 }
 """Axes of the free term, and how many hat functions are tried on each."""
+_ALIKE = 1e-5
+"""Share of the largest scaled curvature up to which a term is what the parameters do (a voltage linear in the current, a
+resistance): their responses differ by how they are computed alone.
+"""
 CHANGES = 5
 """Hat functions by which an effect that was found may change."""
 
@@ -78,7 +82,7 @@ def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTe
         balance, axis, knots, terms = term
         columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
         by_parameters = [np.concatenate([J, c], axis=2) for J, c in zip(structure.by_parameters, columns, strict=True)]
-        step, pointwise, rest = first_order_fit(structure, structure.residuals, by_parameters, structure.by_states)
+        step, pointwise, rest = first_order_fit(structure, structure.residuals, by_parameters, structure.by_states, ridge=_ALIKE)
         price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
         d = pointwise - structure.pointwise
         unit = model.balances[balance].unit if axis in KNOTS else ""  # a factor has none

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.averaged import averaged
+from residuum.identification.discrepancy.averaged import averaged, liveliest
+from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.discrepancy.innovations import ORDER
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.side_by_side import side_by_side
@@ -19,10 +20,20 @@ from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
-MOST_SAMPLES = 6_000
+MOST_SAMPLES, _ANSWERED = 6_000, 2
+"""Innovations that are judged; and how many times as many samples where no means of them may be taken."""
 _NORMAL_MEDIAN = 0.6745
 OUTLYING = 30.0
 """Spreads of an output's error beyond which its first one is not of their kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """One timing: experiments, the model re-estimated on them, and whether an input answers the outputs' noise."""
+
+    experiments: list[Experiment]
+    base: Structure
+    answered: bool
 
 
 def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
@@ -67,7 +78,8 @@ def experiments_and_base(
 
     Those of a plant that is judged in windows are cut so many times `finer`.
 
-    The two conventions differ by half a sample; the wrong one looks like a delay or a lag of that size.
+    The two conventions differ by half a sample; the wrong one looks like a delay or a lag of that size. Where a controller
+    answers the noise, inputs were held, and no means are taken (`feedback`).
 
     Raises
     ------
@@ -80,20 +92,26 @@ def experiments_and_base(
     if not any(map(_changes, experiments)):
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
 
-    def fitted(turned: list[Experiment]) -> tuple[list[Experiment], Structure] | NotIdentifiable:
+    def fitted(turned: list[Experiment]) -> _Tried | NotIdentifiable:
         reduced = in_windows(model, averaged(turned, MOST_SAMPLES), finer)
         try:
             plain = plain_estimate(model, reduced)
+            answered = feeds_back(plain.model, reduced, plain.residuals)
+            if answered and any(e.block > 1 for e in reduced):
+                reduced = in_windows(model, liveliest(turned, _ANSWERED * MOST_SAMPLES), finer)
+                plain = plain_estimate(plain.model, reduced)
             settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]
-            return settled, base_structure(model, settled, plain)
+            return _Tried(settled, base_structure(model, settled, plain), answered)
         except NotIdentifiable as diverges:
             return diverges
 
     tried = side_by_side(fitted, [experiments, turned_timing(experiments)])
-    found = [pair for pair in tried if not isinstance(pair, NotIdentifiable)]
+    found = [one for one in tried if not isinstance(one, NotIdentifiable)]
     if not found:
         raise next(diverges for diverges in tried if isinstance(diverges, NotIdentifiable))
-    return max(found, key=lambda pair: pair[1].log_likelihood)
+    held = [one for one in found if one.answered and not any(e.hold.any() for e in one.experiments)]
+    best = max(held or found, key=lambda one: one.base.log_likelihood)
+    return best.experiments, best.base
 
 
 def _changes(experiment: Experiment) -> bool:

@@ -145,18 +145,19 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     """
     with np.errstate(invalid="ignore"):
         fell = float(np.nanmin(found.best.rmse / found.base.rmse))
-    plain = None if fell < _MOSTLY else _plain(found.best, experiments)
-    if plain is None:
+    if fell < _MOSTLY:
         return False
     if times_its_innovations(found.best) > SLOW:
         return True
-    columns = list(zip(*(r.T for r in plain.residuals), strict=True))
+    least = _plain(found.best, experiments) or found.best  # where that leads to where the model diverges: as it is likeliest
+    simulator = Simulator(least.model)
+    runs = simulator.run_each(experiments, least.initial, simulator.p(), substeps=least.substeps)
+    residuals = [e.Y - run.Y for e, run in zip(experiments, runs, strict=True)]
+    columns = list(zip(*(r.T for r in residuals), strict=True))
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True
-    simulator = Simulator(plain.model)
-    runs = simulator.run_each(experiments, plain.initial, simulator.p(), substeps=plain.substeps)
-    axes = [signal_axes(plain.model, e, run.X) for e, run in zip(experiments, runs, strict=True)]
-    tests = structured_errors(experiments, plain.residuals, axes, plain.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
+    axes = [signal_axes(least.model, e, run.X) for e, run in zip(experiments, runs, strict=True)]
+    tests = structured_errors(experiments, residuals, axes, least.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
     return any(test.present and test.share > _SHARE for test in tests.values())
 
 
