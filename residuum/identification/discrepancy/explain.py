@@ -12,6 +12,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.growth import Search
+from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
 from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Tell, untold
@@ -19,6 +20,9 @@ from residuum.identification.discrepancy.structures import times_each_its_innova
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
+
+_MOST_HELD = 2
+"""Values that are doubted at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,8 @@ class Explanation:
         What this experiment cannot show, and what would.
     finer : int
         How many times shorter than usual the windows of `experiments` are.
+    held : tuple of HeldValue
+        Parameters that the model holds fixed and that were freed, for another value does more than any effect.
     """
 
     verdict: str
@@ -54,6 +60,7 @@ class Explanation:
     search: Search
     experiments: list[Experiment]
     finer: int
+    held: tuple[HeldValue, ...]
     seconds: float
 
     @property
@@ -80,7 +87,7 @@ def explain(
     Parameters
     ----------
     model : PhysicalModel
-        Its free parameters are re-estimated; its structure is what is judged.
+        Its free parameters are re-estimated; its structure is what is judged, and whether a fixed value explains more.
     records : sequence of Record
         Each is an experiment with its own initial states.
     mapping : mapping of model name to column
@@ -102,7 +109,13 @@ def explain(
     then named as a group).
     """
     began = time.perf_counter()
-    found, experiments, finer = searched(model, records, mapping, effects, lambda share, doing: tell(0.75 * share, doing))
+    wanted = None if effects is None else tuple(effects)
+    doubted: list[list[str]] = []
+    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.7 * share, doing))
+    while len(doubted) < _MOST_HELD and (names := wrongly_held(found, experiments)):
+        doubted.append(names)
+        again = freed(model, [names[0] for names in doubted])
+        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.72, doing))
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
@@ -119,5 +132,6 @@ def explain(
         search=found,
         experiments=experiments,
         finer=finer,
+        held=held_values(model, doubted, found.best),
         seconds=time.perf_counter() - began,
     )

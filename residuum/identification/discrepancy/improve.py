@@ -14,6 +14,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
+from residuum.identification.discrepancy.held_values import freed
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
 from residuum.identification.discrepancy.prediction_windows import in_windows
@@ -143,6 +144,10 @@ def _improved(
     finer = 1 if explanation is None else explanation.finer
     judge = _HeldOut(parts, experiments, base, mapping, finer)
     history = [Step(None, judge.error(base))]
+    if explanation is not None and explanation.held:
+        names = [held.name for held in explanation.held]
+        base = fit_structure(freed(base.model, names), experiments, base.initial) or base
+        history += [Step(f"{name} freed", judge.error(base)) for name in names]
     kept, waiting, tried = base, chosen, len(chosen) + 1
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
         tried = len(waiting)

@@ -63,6 +63,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         },
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
+        "held_values": [asdict(held) for held in explanation.held],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
         "drifting": explanation.search.drifting,
         "seconds": explanation.seconds,
@@ -114,6 +115,12 @@ def _candidate_text(candidate: Candidate) -> str:
 def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
+    lines += [
+        f"  {h.name} is fixed at {h.held:.4g} {h.unit} in the model; the records ask for {h.value:.4g} ± {h.std:.1g} {h.unit}, "
+        f"which explains more than an effect would: freed for this answer"
+        + (f" ({', '.join(h.indistinguishable_from)} would do as well)" if h.indistinguishable_from else "")
+        for h in explanation.held
+    ]
     lines += map(_candidate_text, explanation.candidates[:6])
     if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
         free = explanation.free

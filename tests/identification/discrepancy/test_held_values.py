@@ -1,0 +1,66 @@
+"""A value that the model holds fixed, and that is wrong, is told as that, and not as physics that is missing."""
+
+import numpy as np
+from numba import njit
+
+from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.improve import improve
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+
+DRIVE = """name: drive
+inputs: {u: V}
+states: {w: {unit: rad/s}}
+parameters:
+  R: {value: 1.6, unit: ohm, lower: 0}
+  K: {value: KNOWN, unit: V*s/rad, fixed: true}
+  J: {value: 0.0013, unit: kg*m**2, lower: 0}
+  b: {value: 0.0005, unit: N*m*s/rad, lower: 0}
+balances:
+  rotor: {kind: torque, storage: J * der(w), terms: {motor: K * i, bearing: -b * w}, velocity: w}
+  armature: {kind: voltage, storage: 0, terms: {supply: u, resistance: -R * i, back_emf: -K * w}, current: i}
+outputs: {speed: {value: w, unit: rad/s}, current: {value: i, unit: A}}
+"""
+R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
+SAMPLE_TIME, STEPS = 0.005, 40
+
+
+@njit
+def driven(u, drag):
+    """Speed and current of the drive with a drag that grows with the square of the speed; voltages are held over samples."""
+    speed, current, w = np.empty(u.size), np.empty(u.size), 0.0
+    for t in range(u.size):
+        speed[t], current[t] = w, (u[t] - K * w) / R
+        for _ in range(STEPS):
+            w += SAMPLE_TIME / STEPS * (K * (u[t] - K * w) / R - B * w - drag * w * abs(w)) / J
+    return speed, current
+
+
+def record(drag=0.0, n=6000):
+    rng = np.random.default_rng(2)
+    u = np.repeat(9.0 * rng.standard_normal(n // 40), 40)
+    speed, current = driven(u, drag)
+    noisy = {"speed": speed + 0.2 * rng.standard_normal(n), "current": current + 0.02 * rng.standard_normal(n)}
+    return Record({"u": u} | noisy, {"u": "V", "speed": "rad/s", "current": "A"}, SAMPLE_TIME)
+
+
+def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
+    found = explain(read_model(DRIVE.replace("KNOWN", "0.135")), [record()])
+    (held,) = found.held
+    assert (found.verdict, found.search.accepted) == ("adequate", [])
+    assert (held.name, held.held, held.unit, held.indistinguishable_from) == ("K", 0.135, "V*s/rad", ())
+    assert abs(held.value - K) < 4.0 * held.std < 0.01 * K
+
+
+def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both():
+    model = read_model(DRIVE.replace("KNOWN", "0.135"))
+    found = explain(model, [record(drag=4e-6)])
+    assert ([held.name for held in found.held], found.search.accepted) == (["K"], [("quadratic-drag", "rotor")])
+    improved = improve(model, [record(drag=4e-6)])
+    assert [step.added for step in improved.history] == [None, "K freed", "quadratic-drag"]
+    assert abs(improved.model.values["K"] / K - 1.0) < 0.002
+
+
+def test_a_right_value_stays_where_it_is_held():
+    found = explain(read_model(DRIVE.replace("KNOWN", str(K))), [record(drag=4e-6)])
+    assert (found.held, found.search.accepted) == ((), [("quadratic-drag", "rotor")])
