@@ -111,11 +111,11 @@ def explain(
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
     doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.7 * share, doing))
+    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
     while len(doubted) < _MOST_HELD and (names := wrongly_held(found, experiments)):
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])
-        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.72, doing))
+        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     judgement = judge(found, free, incomplete=is_incomplete(found, experiments))

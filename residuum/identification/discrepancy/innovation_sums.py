@@ -19,6 +19,8 @@ _SCALINGS = 12
 _STRETCH = 1024
 _LOW = 0.53
 """Median of e²/s² for t-distributed e of scale s."""
+_ZERO, _SPREAD = 1e-12, 1.0 / 30.0
+"""Part of their mean square up to which innovations are zero, and least part that their squared scale is where most are."""
 NORMAL = FREEDOM / (FREEDOM - 2.0)
 """Variance of t-distributed innovations over their squared scale."""
 _AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
@@ -160,17 +162,26 @@ def product(x, y, count):
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
 def squared_scale(e, near):
-    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere)."""
+    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere).
+
+    Where most of them are zero (a reading in steps that the model follows exactly, a machine that stands) the likelihood has no
+    top; the scale then is at least a part of their spread.
+    """
     n = e.shape[0]
     square = e * e
+    mean, zeros = np.mean(square), 0
+    for one in square:
+        zeros += one <= _ZERO * mean
+    least = max(_SPREAD * mean if 2 * zeros > n else 0.0, 1e-300)
     variance = near
     if near == 0.0:
-        variance = max(np.median(square) / _LOW, 1e-24 * np.mean(square), 1e-300)
+        variance = max(np.median(square) / _LOW, 1e-24 * mean)
+    variance = max(variance, least)
     for _ in range(_SCALINGS):
         sum_ = 0.0
         for t in range(n):
             sum_ += (FREEDOM + 1.0) * square[t] / (FREEDOM + square[t] / variance)
-        before, variance = variance, max(sum_ / n, 1e-300)
+        before, variance = variance, max(sum_ / n, least)
         if abs(variance - before) < 1e-6 * before:
             break
     return variance

@@ -35,6 +35,15 @@ def test_scale_maximises_the_likelihood():
     assert log_density(e, s).sum() > max(log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum())
 
 
+def test_innovations_that_are_mostly_zero_keep_a_scale():
+    """A reading in steps that the model follows: without it nothing would be left between noise and no noise at all."""
+    e = np.zeros(6000)
+    e[::20] = np.random.default_rng(3).choice([-4.0, 4.0], 300)
+    (noise,) = fit_noises([e[:, None]])
+    assert 0.1 < np.std(e) / np.sqrt(noise.innovation_variance) < 6.0
+    assert np.all(np.isfinite(pointwise_log_likelihood([e[:, None]], (noise,))))
+
+
 def test_an_unmeasured_output_has_no_noise_and_a_gap_no_likelihood():
     v = coloured(400, 0.5)[:, None]
     v[100:110] = np.nan

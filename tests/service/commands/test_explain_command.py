@@ -4,10 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from residuum.identification.discrepancy.held_values import HeldValue
 from residuum.service.commands.explain import explanation_text
 
 
-def explanation(verdict, times):
+def explanation(verdict, times, held=()):
     return SimpleNamespace(
         verdict=verdict,
         candidates=(),
@@ -17,6 +18,7 @@ def explanation(verdict, times):
         left={"angle": (0.014, "rad", times), "speed": (0.02, "rad/s", 1.1)},
         search=SimpleNamespace(drifting=False, timing=[]),
         next_experiment=(),
+        held=held,
     )
 
 
@@ -28,3 +30,9 @@ def test_what_remains_far_above_the_noise_is_said_whatever_the_verdict(verdict, 
     assert "angle: 0.014 rad RMS remain, 36 times what their own past cannot predict" in text and says in text
     assert "speed" not in text
     assert "RMS remain" not in explanation_text(explanation(verdict, 1.2))
+
+
+def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
+    held = HeldValue("m", 6195.0, 5894.3, 0.2, "kg", ("S",))
+    text = explanation_text(explanation("adequate", 1.0, (held,)))
+    assert "m is fixed at 6195 kg in the model; the records ask for 5894 ± 0.2 kg" in text and "(S would do as well)" in text
