@@ -18,8 +18,8 @@ from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 
 FloatArray = npt.NDArray[np.float64]
 
-_LAGS = 3
-"""Samples after which a controller answers at most."""
+_LAGS, _ENOUGH = 3, 6_000
+"""Samples after which a controller answers at most, and of how many that is asked."""
 _SHARE, _CERTAIN = 0.05, 30.0
 """Share of an input's innovations that answers an output's, and that share times their number, from which on it is feedback."""
 _OUTLYING, _NORMAL_MEDIAN = 4.0, 0.6745
@@ -30,9 +30,9 @@ def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residual
 
     What an output feels at once (a current its voltage) may correlate with it for other reasons; there only later answers count.
     """
-    at_once = _felt_at_once(model, experiments[0])
-    inputs = _innovations([e.U for e in experiments])
-    for o, e in enumerate(_innovations(residuals)):
+    at_once, most = _felt_at_once(model, experiments[0]), -(-_ENOUGH // len(experiments))
+    inputs = _innovations([e.U[:most] for e in experiments])
+    for o, e in enumerate(_innovations([r[:most] for r in residuals])):
         for u in inputs:
             for lag in range(1 if at_once[o] else 0, _LAGS):
                 if e is not None and u is not None and _answers(e[: len(e) - lag], u[lag:]):

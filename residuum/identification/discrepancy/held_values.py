@@ -14,7 +14,7 @@ import numpy as np
 from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.growth import Search, evidence_asked
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, refit
+from residuum.identification.discrepancy.structures import NO_RIVAL, NOISE_ALONE, Rival, Structure, refit, times_its_innovations
 from residuum.identification.discrepancy.trials import ACCEPT, schwarz, simulates_no_worse
 from residuum.identification.physics import Experiment, PhysicalModel
 
@@ -53,9 +53,11 @@ def wrongly_held(found: Search, experiments: Sequence[Experiment]) -> list[str]:
     """Fixed parameters of which each does more, freed, than the last effects that were found, or is wanted beside them: the
     likeliest, and those that cannot be told from it.
 
-    It takes the place of effects where it is likelier, its own price paid, than all of them; a tie is an effect's.
+    It takes the place of effects where it is likelier, its own price paid, than all of them; a tie is an effect's. Beside them it
+    is wanted only where more than noise is left.
     """
-    steps = [*found.before[: len(found.accepted)], found.best]
+    steps = found.before[: len(found.accepted)]
+    steps += [found.best] if times_its_innovations(found.best) > NOISE_ALONE else []
     names = [n for n, p in found.base.model.parameters.items() if p.fixed and p.value != 0.0]
     tried = side_by_side(lambda one: _with_free(one[0], one[1], found, experiments), [(s, n) for s in steps for n in names])
     likelier = sorted((one for one in tried if one is not None), reverse=True)
