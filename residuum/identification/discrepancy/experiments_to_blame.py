@@ -55,8 +55,7 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
 def _errors(structure: Structure, experiments: Sequence[Experiment]) -> list[FloatArray]:
     """What the structure leaves of the outputs at every sample, an array an experiment."""
     simulator = Simulator(structure.model)
-    runs = simulator.run_each(experiments, structure.initial, simulator.p(), substeps=structure.substeps)
-    return [e.Y - run.Y for e, run in zip(experiments, runs, strict=True)]
+    return simulator.run_each(experiments, structure.initial, simulator.p(), substeps=structure.substeps).errors_of_each
 
 
 def _without(structure: Structure, keys: Sequence[tuple[str, str]]) -> PhysicalModel:

@@ -152,7 +152,7 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     least = _plain(found.best, experiments) or found.best  # where that leads to where the model diverges: as it is likeliest
     simulator = Simulator(least.model)
     runs = simulator.run_each(experiments, least.initial, simulator.p(), substeps=least.substeps)
-    residuals = [e.Y - run.Y for e, run in zip(experiments, runs, strict=True)]
+    residuals = runs.errors_of_each
     columns = list(zip(*(r.T for r in residuals), strict=True))
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True

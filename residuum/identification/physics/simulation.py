@@ -98,6 +98,11 @@ class Runs(Sequence[Simulation]):
         measured = [e.Y for e in self.experiments]
         return (measured[0] if len(measured) == 1 else np.concatenate(measured)) - self.Y
 
+    @property
+    def errors_of_each(self) -> list[Array]:
+        """The same, an array an experiment."""
+        return [self.errors[a:b] for a, b in pairwise(self.starts.tolist())]
+
     def in_blocks(self, values: Array) -> tuple[Array, Integers]:
         """Means of such rows over the blocks of each experiment, and where each begins and the last one ends."""
         return means_in_blocks(values, self.starts, [e.block for e in self.experiments])

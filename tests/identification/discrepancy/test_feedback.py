@@ -1,5 +1,7 @@
 """A drive in a sampled speed loop: its controller answers the noise of the measurement, and nothing is missing."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numba import njit
@@ -10,19 +12,7 @@ from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
 
-DRIVE = """name: drive
-inputs: {u: V}
-states: {w: {unit: rad/s}}
-parameters:
-  R: {value: 1.6, unit: ohm, lower: 0}
-  K: {value: 0.13, unit: V*s/rad, lower: 0}
-  J: {value: 0.0013, unit: kg*m**2, lower: 0}
-  b: {value: 0.0005, unit: N*m*s/rad, lower: 0}
-balances:
-  rotor: {kind: torque, storage: J * der(w), terms: {motor: K * i, bearing: -b * w}, velocity: w}
-  armature: {kind: voltage, storage: 0, terms: {supply: u, resistance: -R * i, back_emf: -K * w}, current: i}
-outputs: {speed: {value: w, unit: rad/s}, current: {value: i, unit: A}}
-"""
+DRIVE = Path(__file__).with_name("drive.yaml").read_text()
 R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
 SAMPLE_TIME, STEPS = 0.002, 20
 

@@ -1,5 +1,8 @@
 """A value that the model holds fixed, and that is wrong, is told as that, and not as physics that is missing."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from numba import njit
 
@@ -8,19 +11,7 @@ from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 
-DRIVE = """name: drive
-inputs: {u: V}
-states: {w: {unit: rad/s}}
-parameters:
-  R: {value: 1.6, unit: ohm, lower: 0}
-  K: {value: KNOWN, unit: V*s/rad, fixed: true}
-  J: {value: 0.0013, unit: kg*m**2, lower: 0}
-  b: {value: 0.0005, unit: N*m*s/rad, lower: 0}
-balances:
-  rotor: {kind: torque, storage: J * der(w), terms: {motor: K * i, bearing: -b * w}, velocity: w}
-  armature: {kind: voltage, storage: 0, terms: {supply: u, resistance: -R * i, back_emf: -K * w}, current: i}
-outputs: {speed: {value: w, unit: rad/s}, current: {value: i, unit: A}}
-"""
+DRIVE = Path(__file__).with_name("drive.yaml").read_text()
 R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
 SAMPLE_TIME, STEPS = 0.005, 40
 
@@ -44,8 +35,15 @@ def record(drag=0.0, n=6000):
     return Record({"u": u} | noisy, {"u": "V", "speed": "rad/s", "current": "A"}, SAMPLE_TIME)
 
 
+def held_at(value):
+    """The model with its torque constant fixed at a value."""
+    model = read_model(DRIVE)
+    known = replace(model.parameters["K"], value=value, fixed=True)
+    return replace(model, parameters={**model.parameters, "K": known})
+
+
 def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
-    found = explain(read_model(DRIVE.replace("KNOWN", "0.135")), [record()])
+    found = explain(held_at(0.135), [record()])
     (held,) = found.held
     assert (found.verdict, found.search.accepted) == ("adequate", [])
     assert (held.name, held.held, held.unit, held.indistinguishable_from) == ("K", 0.135, "V*s/rad", ())
@@ -53,7 +51,7 @@ def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
 
 
 def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both():
-    model = read_model(DRIVE.replace("KNOWN", "0.135"))
+    model = held_at(0.135)
     found = explain(model, [record(drag=4e-6)])
     assert ([held.name for held in found.held], found.search.accepted) == (["K"], [("quadratic-drag", "rotor")])
     improved = improve(model, [record(drag=4e-6)])
@@ -62,5 +60,5 @@ def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both()
 
 
 def test_a_right_value_stays_where_it_is_held():
-    found = explain(read_model(DRIVE.replace("KNOWN", str(K))), [record(drag=4e-6)])
+    found = explain(held_at(K), [record(drag=4e-6)])
     assert (found.held, found.search.accepted) == ((), [("quadratic-drag", "rotor")])
