@@ -54,37 +54,42 @@ def split(records: Sequence[Record], *, end: bool = True) -> Split:
 
 def split_experiments(
     experiments: Sequence[Experiment], *, end: bool = True
-) -> tuple[list[Experiment], list[tuple[Experiment, int]], list[int]]:
-    """Experiments to estimate from, those to judge by with the sample from which each counts, and the numbers of the former.
+) -> tuple[list[Experiment], list[tuple[Experiment, int]], list[int], list[int]]:
+    """Experiments to estimate from, those to judge by with the sample from which each counts, and the numbers of both.
 
     Of three or more every third is kept aside, the last of them or the first; of fewer 30 % of each, its end or its beginning.
     """
     if len(experiments) >= 3:
         left_out = 2 if end else 0
         kept = [k for k in range(len(experiments)) if k % 3 != left_out]
-        return [experiments[k] for k in kept], [(e, 0) for e in experiments[left_out::3]], kept
+        aside = list(range(left_out, len(experiments), 3))
+        return [experiments[k] for k in kept], [(experiments[k], 0) for k in aside], kept, aside
     kept = [k for k, e in enumerate(experiments) if e.n >= _FEWEST]
     long = [experiments[k] for k in kept]
     firsts = [int(TRAINING_SHARE * e.n) for e in long]
     if end:
-        return [e.window(0, first) for e, first in zip(long, firsts, strict=True)], list(zip(long, firsts, strict=True)), kept
+        testing = list(zip(long, firsts, strict=True))
+        return [e.window(0, first) for e, first in testing], testing, kept, kept
     asides = [e.n - first for e, first in zip(long, firsts, strict=True)]
     training = [
         replace(e, Y=np.where(np.arange(e.n)[:, None] < aside, np.nan, e.Y)) for e, aside in zip(long, asides, strict=True)
     ]
-    return training, [(e.window(0, aside), 0) for e, aside in zip(long, asides, strict=True)], kept
+    return training, [(e.window(0, aside), 0) for e, aside in zip(long, asides, strict=True)], kept, kept
 
 
-def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]]) -> FloatArray:
+def held_out_rmse(
+    structure: Structure, testing: Sequence[tuple[Experiment, int]], initial: Sequence[FloatArray] | None = None
+) -> FloatArray:
     """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
 
-    Initial states come from the samples before those that count, or where all count from the experiment itself. One of which none
-    counts (the first that would is its end) lends what its effects remember to the one that follows it.
+    Initial states come from the samples before those that count, or where all count from the experiment itself; they are sought
+    from `initial` on. One of which none counts (the first that would is its end) lends what its effects remember to the one that
+    follows it.
     """
     simulator, experiments = Simulator(structure.model), [e for e, _ in testing]
     seen = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
     try:
-        start = estimate(structure.model, seen, free=(), settings=_STATES_ONLY)
+        start = estimate(structure.model, seen, free=(), initial=initial, settings=_STATES_ONLY)
     except NotIdentifiable:
         return np.full(len(structure.model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
@@ -95,20 +100,19 @@ def held_out_rmse(structure: Structure, testing: Sequence[tuple[Experiment, int]
 
 def cross_checked(structure: Structure, experiments: Sequence[Experiment], *, end: bool = True) -> FloatArray | None:
     """`held_out_rmse` of a structure re-estimated on the other part of its experiments; None when that cannot be done."""
-    training, testing, kept = split_experiments(experiments, end=end)
+    training, testing, kept, aside = split_experiments(experiments, end=end)
     if not training:
         return None
     if Simulator(structure.model).remembers and any(b.follows(a) for a, b in pairwise(experiments)):
-        training, testing, kept = _in_sequence(experiments, kept)
+        training, testing = _in_sequence(experiments, kept)
+        kept = aside = list(range(len(experiments)))
     initial = [structure.initial[k] for k in kept]
     again = fit_structure(structure.model, training, initial, iterations=4, second_start=False)
-    return None if again is None else held_out_rmse(again, testing)
+    return None if again is None else held_out_rmse(again, testing, [structure.initial[k] for k in aside])
 
 
-def _in_sequence(
-    experiments: Sequence[Experiment], kept: Sequence[int]
-) -> tuple[list[Experiment], list[tuple[Experiment, int]], list[int]]:
+def _in_sequence(experiments: Sequence[Experiment], kept: Sequence[int]) -> tuple[list[Experiment], list[tuple[Experiment, int]]]:
     """As `split_experiments`, of windows through which effects remember: those kept aside are there, unmeasured."""
     training = [e if k in kept else replace(e, Y=np.full_like(e.Y, np.nan)) for k, e in enumerate(experiments)]
     testing = [(e, e.n if k in kept else 0) for k, e in enumerate(experiments)]
-    return training, testing, list(range(len(experiments)))
+    return training, testing

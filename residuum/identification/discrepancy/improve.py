@@ -31,9 +31,9 @@ _PLAIN_SHIFT = 4.0
 """Standard deviations from zero at which a shift in time must lie to stay in a model."""
 _MOST_TOGETHER = 8
 """Choices among effects that cannot be told apart that are tried together at most."""
-_RISE, _TIMING, _STRANGE = 1.002, 0.9, 2.0
+_RISE, _TIMING, _STRANGE = 1.002, 0.9, 1.25
 """Factors of the held-out error above which an effect is not kept, and a shift in time by less than a sample is not; and times
-the error of the rest above which something happens there that the rest does not know.
+the error of the rest above which, at any output, something happens there that the rest does not know.
 """
 _ERROR_AFTER, _STD = "error_after", "std_"
 """Keys of an effect's provenance: the held-out error with it, and the standard deviation of a parameter."""
@@ -158,7 +158,7 @@ def _improved(
         together, steps = _joined_together(base, chosen, experiments, judge, history[-1].error, explanation)
         if together is not None:
             kept, refused, history = together, False, [history[0], *steps]
-    strange = refused or bool(history[-1].error > _STRANGE * kept.rmse[judge.o])
+    strange = refused or bool(np.any(judge.errors(kept) > _STRANGE * kept.rmse))
     tell(0.8, "estimating on everything")
     if add is None:
         kept, dropped = _without_needless(kept, experiments, judge, history[-1].error)
@@ -295,7 +295,11 @@ class _HeldOut:
 
     def error(self, structure: Structure) -> float:
         """RMS over the held-out samples; their records' first states come from what precedes them, or from themselves."""
-        return float(held_out_rmse(structure, self.testing)[self.o])
+        return float(self.errors(structure)[self.o])
+
+    def errors(self, structure: Structure) -> FloatArray:
+        """The same of every output; NaN where one is never measured."""
+        return held_out_rmse(structure, self.testing)
 
 
 def _reduced(

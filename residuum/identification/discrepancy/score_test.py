@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.in_blocks import Sampled, at_every_sample, in_blocks
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import COARSER, Structure
+from residuum.identification.discrepancy.structures import COARSER, NOISE_ALONE, Structure, times_its_innovations
 from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations, Stacked
 from residuum.identification.errors import BadInput
@@ -27,8 +27,10 @@ _WORTH_A_PASS = 2.0
 """Gain or loss of log-likelihood from which on a second pass, with the noise of the first, may matter."""
 _HOPELESS = 100.0
 """Log-likelihood below the base's, under its noise, from which on no other noise is tried."""
-_NOTHING = 0.5
+_NOTHING = 2.0
 """Gain of log-likelihood under the base's noise up to which it is left."""
+FAR_BEHIND = 20.0
+"""Log-likelihood below the base's, after its first-order step, from which on an effect is hopeless beside noise alone."""
 _FRACTIONS = (1.0, 0.3, 0.1, 0.03)
 _MOVED = 1e-6
 """Part of the errors by which an effect at rest may change the outputs, by rounding."""
@@ -96,7 +98,7 @@ class Screen:
         self.coarse = in_blocks(self.every)
         self.track = track(self.origin, base, self.experiments, self.every.X)
         self.refitted: list[PhysicalModel] = []
-        self._may_fall = _may_fall(base)
+        self._may_fall, self._noise_alone = _may_fall(base), times_its_innovations(base) < NOISE_ALONE
         self._conditions: dict[tuple[str, str], Conditions] = {}
         self._tested: dict[tuple[str, str], list[Screened]] = {}
 
@@ -152,12 +154,25 @@ class Screen:
     def test_all(self, pairs: Sequence[tuple[str, str]]) -> None:
         """Test several candidates side by side at every start of theirs."""
         new = [pair for pair in pairs if pair not in self._tested]
-        starts = [(pair, start) for pair in new for start in self.starts(*pair)]
-        tried = side_by_side(lambda one: self.test(*one[0], one[1]), starts)
+        starts = {pair: self.starts(*pair) for pair in new}
+        in_turn = [pair for pair in new if self._noise_alone and not (EFFECTS[pair[0]].vanishes and EFFECTS[pair[0]].rest == 0.0)]
+        pieces = [(pair, starts[pair]) for pair in in_turn]
+        pieces += [(pair, [start]) for pair in new if pair not in in_turn for start in starts[pair]]
         self._tested |= {pair: [] for pair in new}
-        for (pair, _), screened in zip(starts, tried, strict=True):
-            if screened is not None:
-                self._tested[pair].append(screened)
+        for (pair, _), tested in zip(pieces, side_by_side(lambda piece: self._in_turn(*piece), pieces), strict=True):
+            self._tested[pair] += tested
+
+    def _in_turn(self, pair: tuple[str, str], starts: Sequence[dict[str, float]]) -> list[Screened]:
+        """The candidate at those of several starts where it does not diverge, that which simulates best first, until one is
+        hopeless: beside noise alone those that simulate worse are too.
+        """
+        found = []
+        for start in sorted(starts, key=lambda start: self.error(self._at(*pair, start))) if len(starts) > 1 else starts:
+            screened = self.test(*pair, start)
+            found += [] if screened is None else [screened]
+            if len(starts) > 1 and screened is not None and screened.gain < -FAR_BEHIND:
+                break
+        return found
 
     def not_refitted(self, starts: Sequence[PhysicalModel]) -> list[PhysicalModel]:
         """Those of the starts that were not re-estimated in full yet."""
@@ -227,9 +242,13 @@ class Screen:
         step[free] = part
         return step, pointwise
 
+    def _at(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
+        """The model with the effect at its start, within bounds."""
+        return self.base.model.with_effect(id, target, _inside(self.base.model, id, target, start))
+
     def _nearest(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
         """The model with the effect at that fraction of its start which simulates best: where it acts about as it should."""
-        full = self.base.model.with_effect(id, target, _inside(self.base.model, id, target, start))
+        full = self._at(id, target, start)
         label, sizes = full.effects[-1].label, [n for n in EFFECTS[id].sizes if n in start]
         tried = [_inside(self.base.model, id, target, {n: f * start[n] for n in sizes}) for f in _FRACTIONS]
         models = [full.with_values({f"{label}.{n}": value for n, value in values.items()}) for values in tried]

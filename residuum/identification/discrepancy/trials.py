@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.evidence import ALIKE
-from residuum.identification.discrepancy.score_test import Screen, Screened
+from residuum.identification.discrepancy.score_test import FAR_BEHIND, Screen, Screened
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import (
     NO_RIVAL,
+    NOISE_ALONE,
     Rival,
     Structure,
     glimpse,
@@ -52,8 +53,9 @@ def trials(
     screen.test_all(pairs)
     tested = [screened for screened in (screen.best(*pair) for pair in pairs) if screened is not None]
     tested.sort(key=lambda s: -s.gain)
+    lowest = -FAR_BEHIND if times_its_innovations(best) < NOISE_ALONE else -np.inf
     refitted = _refitted(screen, [s.start for s in tested if s.gain > 2.0][:refits])
-    negative = [s for s in tested if s.gain < 0.0]
+    negative = [s for s in tested if lowest < s.gain < 0.0]
     without_zero = [s for s in negative[MOST_GLIMPSES:] if not EFFECTS[s.effect].vanishes or _has_states(best.model, s.key)]
     doubted = [[s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)]]
     if times_its_innovations(best) > SLOW:
@@ -269,11 +271,11 @@ def _overlooked(
         there = screen.where(start)
         return glimpse(start, there.experiments, there.base, there.most_substeps, rival) - there.base.log_likelihood
 
-    new = [screen.not_refitted(one) for one in doubted]
-    starts = [(which, start) for which, one in enumerate(new) for start in one if _key(start) not in done]
-    gains = side_by_side(lambda each: gain(each[1]), starts)
-    ranked = sorted((k for k in range(len(starts)) if gains[k] > 2.0), key=lambda k: -gains[k])
-    return [starts[k][1] for n in range(len(doubted)) for k in [k for k in ranked if starts[k][0] == n][:SECOND_LOOKS]]
+    new = [[start for start in screen.not_refitted(one) if _key(start) not in done] for one in doubted]
+    starts = {id(start): start for one in new for start in one}
+    gains = dict(zip(starts, side_by_side(gain, list(starts.values())), strict=True))
+    found = [sorted((s for s in one if gains[id(s)] > 2.0), key=lambda s: -gains[id(s)])[:SECOND_LOOKS] for one in new]
+    return list({id(start): start for one in found for start in one}.values())
 
 
 def _from_the_track(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[PhysicalModel]:

@@ -180,20 +180,18 @@ def set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold):
         inputs[i, U.shape[1]] = (k + at) * sample_time
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def resolve_standstill(q, w, p, j):
-    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state is zero (f⁺ = f⁻: no friction, no sticking).
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def slip_or_stick(rates, at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B, s, m, k, i, j):
+    """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state i is zero (f⁺ = f⁻: no friction, no sticking).
 
     Returns f⁺ and f⁻, the state's rates on both sides.
     """
-    x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
-    i = q.surfaces[j]
     m[j] = 1.0
     s[j] = 1.0
-    q.rates(x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes)
+    rates(at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B)
     forward = k[i]
     s[j] = -1.0
-    q.rates(x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes)
+    rates(at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B)
     backward = k[i]
     if forward > 0.0 and forward + backward >= 0.0:
         s[j] = 1.0
@@ -203,6 +201,16 @@ def resolve_standstill(q, w, p, j):
         s[j] = 0.0
         m[j] = 1.0 if forward == backward else 0.0
     return forward, backward
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def resolve_standstill(q, w, p, j):
+    """`slip_or_stick` by the inputs in `w`."""
+    x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
+    i = q.surfaces[j]
+    return slip_or_stick(
+        q.rates, x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes, k.ctypes, A.ctypes, B.ctypes, s, m, k, i, j
+    )
 
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
@@ -289,6 +297,7 @@ def integrate(  # noqa: PLR0912
     x, u, ur, s, m, S, inputs, surfaces, count = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, columns.shape[0]
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
     at_0, at_1, at_2 = inputs[0].ctypes, inputs[1].ctypes, inputs[2].ctypes
+    at_1r, at_k, at_A, at_B = inputs[1, U.shape[1] + 1 :].ctypes, w.k.ctypes, w.A.ctypes, w.B.ctypes
     at_S, at_columns, at_step, at_work, at_seen = S.ctypes, columns.ctypes, w.step.ctypes, w.work.ctypes, w.seen.ctypes
     kept, ch, lags = X.shape[0] > 0, 1.0 / substeps, lags_of(q.delays, sample_time, p)
     delayed = lags.shape[0] > 0
@@ -309,12 +318,14 @@ def integrate(  # noqa: PLR0912
             return
         for step in range(substeps):
             c = step * ch
-            if set_directions(x, surfaces, s, m):
-                stand(q, w, U, k, c + 0.5 * ch, sample_time, hold, p)
             if delayed:
                 set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold)
             else:
                 set_stages(inputs, U, k, c, ch, sample_time, hold)
+            if set_directions(x, surfaces, s, m):  # by the forces in the middle of the step
+                for j in range(surfaces.shape[0]):
+                    if s[j] == 0.0:
+                        slip_or_stick(q.rates, at_x, at_1, at_1r, at_p, at_s, at_m, at_k, at_A, at_B, s, m, w.k, surfaces[j], j)
             if count > 0:
                 q.advance_slopes(at_x, at_0, at_1, at_2, at_p, at_s, at_m, at_work, at_step, at_S, at_columns, count)
             else:

@@ -94,7 +94,7 @@ def test_either_end_of_a_record_can_be_kept_aside():
     assert (parts.training[0].t0, parts.training[0].n, parts.testing[0][0].n, parts.testing[0][1]) == (30.0, 70, 30, 0)
     assert (parts.aside, split([record]).aside) == ("0 to 30 s of the record", "70 to 100 s of the record")
     _, experiments = match(read_model(VESSEL), [record])
-    training, testing, kept = split_experiments(experiments, end=False)
+    training, testing, kept, _ = split_experiments(experiments, end=False)
     assert kept == [0]
     assert (np.flatnonzero(np.isfinite(training[0].Y[:, 0]))[0], training[0].n) == (30, 100)
     assert (testing[0][0].n, testing[0][1]) == (30, 0)
