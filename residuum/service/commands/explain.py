@@ -13,12 +13,15 @@ from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.discrepancy.trials import SLOW
 from residuum.identification.physics import load_model
 from residuum.service.commands.compare import comparison_json, comparison_text
-from residuum.service.commands.quantities import quantities_json, sizes_text
+from residuum.service.commands.quantities import quantities_json, sizes_text, value_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
+
+_RULED_OUT = 0.005
+"""Candidates that are less probable are only named."""
 
 
 @app.command(name="explain")
@@ -116,12 +119,16 @@ def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
     lines += [
-        f"  {h.name} is fixed at {h.held:.4g} {h.unit} in the model; the records ask for {h.value:.4g} ± {h.std:.1g} {h.unit}, "
+        f"  {h.name} is fixed at {h.held:.4g} {h.unit} in the model; the records ask for {value_text(h.value, h.std, h.unit)}, "
         f"which explains more than an effect would: freed for this answer"
         + (f" ({', '.join(h.indistinguishable_from)} would do as well)" if h.indistinguishable_from else "")
         for h in explanation.held
     ]
-    lines += map(_candidate_text, explanation.candidates[:6])
+    likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
+    ruled_out = [c for c in explanation.candidates if c not in likely]
+    lines += map(_candidate_text, likely[:6])
+    if ruled_out:
+        lines.append(f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}")
     if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
         free = explanation.free
         lines.append(

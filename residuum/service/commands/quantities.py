@@ -1,5 +1,6 @@
 """Numbers with their standard deviations and units, as the commands show them."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,6 +18,12 @@ def sizes_text(quantities: Mapping[str, Quantity]) -> str:
 
 
 def _size(name: str, quantity: Quantity) -> str:
-    if quantity.std == 0.0:
-        return f"{name} = {quantity.value:.4g} {quantity.unit}".rstrip() + " (held)"
-    return f"{name} = {quantity.value:.4g} ± {quantity.std:.1g} {quantity.unit}".rstrip()
+    return f"{name} = {value_text(quantity.value, quantity.std, quantity.unit)}" + (" (held)" if quantity.std == 0.0 else "")
+
+
+def value_text(value: float, std: float, unit: str) -> str:
+    """A value to the digit in which its standard deviation begins; without one, or a usable one, to four digits."""
+    if not 0.0 < std < math.inf:
+        return f"{value:.4g} {unit}".rstrip() + ("" if std == 0.0 else " (not determined)")
+    digits = -math.floor(math.log10(std))
+    return f"{round(value, digits) + 0.0:.12g} ± {round(std, digits):.12g} {unit}".rstrip()

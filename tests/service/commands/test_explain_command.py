@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from residuum.identification.discrepancy.held_values import HeldValue
+from residuum.identification.discrepancy.judgement import Quantity
 from residuum.service.commands.explain import explanation_text
+from residuum.service.commands.quantities import sizes_text
 
 
 def explanation(verdict, times, held=()):
@@ -35,4 +37,18 @@ def test_what_remains_far_above_the_noise_is_said_whatever_the_verdict(verdict, 
 def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
     held = HeldValue("m", 6195.0, 5894.3, 0.2, "kg", ("S",))
     text = explanation_text(explanation("adequate", 1.0, (held,)))
-    assert "m is fixed at 6195 kg in the model; the records ask for 5894 ± 0.2 kg" in text and "(S would do as well)" in text
+    assert "m is fixed at 6195 kg in the model; the records ask for 5894.3 ± 0.2 kg" in text and "(S would do as well)" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "says"),
+    [
+        (79970.4, 30.0, "k = 79970 ± 30 N/m"),
+        (0.103984, 1e-5, "k = 0.10398 ± 1e-05 N/m"),
+        (-0.3, 5.0, "k = 0 ± 5 N/m"),
+        (12.34567, 0.0, "k = 12.35 N/m (held)"),
+        (12.34567, float("inf"), "k = 12.35 N/m (not determined)"),
+    ],
+)
+def test_a_size_is_shown_to_the_digit_in_which_its_doubt_begins(value, std, says):
+    assert sizes_text({"k": Quantity(value, std, "N/m")}) == says
