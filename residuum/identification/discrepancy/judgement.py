@@ -18,6 +18,7 @@ from residuum.identification.discrepancy.structures import Structure, times_its_
 from residuum.identification.discrepancy.trials import ACCEPT, SLOW
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Settings, Simulator, estimate
+from residuum.identification.physics.effects import EFFECTS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -29,6 +30,8 @@ _MOSTLY = 0.7
 _MUCH, _NEARLY_ALL, _DOUBTED = 3.0, 100.0, 0.3
 """Times the noise floor that no error keeps with the right effect added (at most 2); beyond which no name stands; and how
 probable something else is between them."""
+_SAME = 0.5
+"""Log-likelihood within which the data do not prefer either of two."""
 _CERTAIN, _SHARE = 1e-4, 0.2
 """Level of the test, and share of the error's power, from which on a model errs by its own signals."""
 
@@ -216,7 +219,19 @@ def _groups(
     leader = max(scores, key=lambda k: scores[k])
     L = structures[leader].log_likelihood
     alike = [k for k, s in structures.items() if scores[leader] - scores[k] < ALIKE and abs(L - s.log_likelihood) < 2 * ALIKE]
+    alike += [k for k in structures if k not in alike and _is_open(k, structures[k], leader, L)]
     return groups | {key: sorted(alike, key=lambda k: -scores[k]) for key in alike}
+
+
+def _is_open(key: tuple[str, str], structure: Structure, leader: tuple[str, str], log_likelihood: float) -> bool:
+    """Whether an effect that generalises the leading one is as likely, and its sizes are left open: only its price is against it.
+
+    Beside a spring that is at rest anywhere nobody can tell how friction differs between the two directions.
+    """
+    if (EFFECTS[key[0]].generalises, key[1]) != leader or abs(structure.log_likelihood - log_likelihood) > _SAME:
+        return False
+    label, std = structure.label_of(key), dict(zip(structure.parameters, structure.std.tolist(), strict=True))
+    return all(std.get(f"{label}.{size}") == np.inf for size in EFFECTS[key[0]].sizes)
 
 
 def _candidate(

@@ -252,3 +252,14 @@ def test_friction_in_two_directions_that_are_equal_is_friction(asymmetry, kept):
     starts = {"coulomb-friction": {"tau_c": 0.02}, "directional-friction": {"tau_plus": 0.02, "tau_minus": 0.021}}
     fitted = {(id, "shaft"): refit(base, model.with_effect(id, "shaft", values), experiments) for id, values in starts.items()}
     assert {id for id, _ in that_say_more(fitted)} == kept
+
+
+def test_friction_whose_directions_a_spring_at_rest_anywhere_leaves_open_is_told_with_the_one_that_stands_for_it():
+    """The spring's place of rest and the difference of the two sides do the same: only the price of a parameter parts them."""
+    truth = {"directional-friction": "medium", "linear-spring": "medium"}
+    signals = MACHINES["gate-drive"](seed=4, effects=truth, profile="rich", rate=200.0).simulate(20.0)
+    record = Record(signals.channels, signals.units, signals.sample_time)
+    found = explain(load_model("gate-drive"), [record], effects=["coulomb-friction", "directional-friction", "linear-spring"])
+    friction = next(c for c in found.candidates if c.effect == "coulomb-friction")
+    assert set(found.search.accepted) == {("coulomb-friction", "shaft"), ("linear-spring", "shaft")}
+    assert friction.indistinguishable_from == ("directional-friction",)
