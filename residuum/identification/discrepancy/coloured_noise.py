@@ -29,10 +29,13 @@ class ColouredNoise:
         Coefficients of the whitening filter A(z) = 1 + a₁ z⁻¹ + …, all roots inside the unit circle.
     innovation_variance : float
         σ², in the square of the signal's unit.
+    floor : float
+        Least σ² that the reading allows (coarse steps).
     """
 
     a: FloatArray
     innovation_variance: float
+    floor: float = 0.0
 
     @property
     def order(self) -> int:

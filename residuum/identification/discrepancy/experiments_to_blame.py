@@ -25,17 +25,20 @@ _FINER, _FAR_LESS = 4, 0.3
 """How many times shorter windows are tried where the usual ones leave a slow error; and the share of it, in units of what its own
 past cannot predict, to which it has to fall for them to be believed.
 """
-_TURNS = 2
+_TURNS, _PLAINLY = 2, 20.0
+"""Times that the input timing is turned at most, and log-likelihood that asks for it where no shift was found."""
 
 
 def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | None:
     """The other input timing, where what was found is likelier there, or needs no shift.
 
     The timing was chosen with a model that lacked something. A delay or lag that is missing then makes up for half a sample, and
-    so may effects that were found beside it; one by less than a sample may be no more than the wrong choice.
+    so may effects that were found beside it; one by less than a sample may be no more than the wrong choice. Where more than
+    noise is left of whatever else was found, the wrong timing may be what is left (half a sample, to two bodies on a spring).
     """
     late = [key for key in found.accepted if key[0] in SHIFTS]
-    if not late and not found.timing:
+    more_than_noise = bool(found.accepted) and times_its_innovations(found.best) > NOTHING_LEFT
+    if not (late or found.timing or more_than_noise):
         return None
     best, turned = found.best, turned_timing(experiments)
     if any(e.hold.any() for e in turned) and feeds_back(best.model, experiments, _errors(best, experiments)):
@@ -44,6 +47,8 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     if late:
         others = [key for key in found.accepted if key not in late]
         tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
+    elif more_than_noise:
+        tried += [(best.model, _PLAINLY)]
     for model, more in tried:
         complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
         if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + more:
@@ -83,8 +88,11 @@ class _Timing:
         return self._answer
 
     def late(self, found: Search) -> bool:
-        """Whether the other timing is to be taken now: little is left, and more effects would only make up for it."""
-        return times_its_innovations(found.best) < NOTHING_LEFT and self.turned(found) is not None
+        """Whether the other timing is to be taken now, for more effects would only make up for it: little is left, or no shift
+        was found that might.
+        """
+        shifted = any(id in SHIFTS for id, _ in found.accepted) or bool(found.timing)
+        return not (shifted and times_its_innovations(found.best) > NOTHING_LEFT) and self.turned(found) is not None
 
 
 def searched(

@@ -161,18 +161,19 @@ def product(x, y, count):
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
-def squared_scale(e, near):
-    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere).
+def squared_scale(e, near, floor):
+    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere), and at
+    least `floor`.
 
-    Where most of them are zero (a reading in steps that the model follows exactly, a machine that stands) the likelihood has no
-    top; the scale then is at least a part of their spread.
+    Where most of them are zero (a machine that stands) the likelihood has no top; the scale then is at least a part of their
+    spread.
     """
     n = e.shape[0]
     square = e * e
     mean, zeros = np.mean(square), 0
     for one in square:
         zeros += one <= _ZERO * mean
-    least = max(_SPREAD * mean if 2 * zeros > n else 0.0, 1e-300)
+    least = max(_SPREAD * mean if 2 * zeros > n else 0.0, floor, 1e-300)
     variance = near
     if near == 0.0:
         variance = max(np.median(square) / _LOW, 1e-24 * mean)
@@ -188,7 +189,7 @@ def squared_scale(e, near):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def scale_of(x, starts, a, near):
+def scale_of(x, starts, a, near, floor):
     """`squared_scale` of the innovations A(z) x of several signals, signal j being x[starts[j]] … x[starts[j + 1] − 1]."""
     e, count = np.empty(x.shape[0]), 0
     for j in range(starts.shape[0] - 1):
@@ -199,14 +200,15 @@ def scale_of(x, starts, a, near):
             if np.isfinite(one):
                 e[count] = one
                 count += 1
-    return squared_scale(e[:count], near)
+    return squared_scale(e[:count], near, floor)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def reweighted(x, starts, a, variance, turns, floor):
     """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
 
-    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it. No coefficients where
+    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it, and no innovation is known
+    better (a reading's density is one over its step at most). No coefficients where
     missing samples leave too few complete rows for them.
     """
     order = a.shape[0]
@@ -215,7 +217,7 @@ def reweighted(x, starts, a, variance, turns, floor):
         for j in range(starts.shape[0] - 1):
             rows += add_lag_products(x[starts[j] : starts[j + 1]], a, variance, G, g)
         if rows < 3 * (order + 1):
-            return np.zeros(0), scale_of(x, starts, np.zeros(0), 0.0)
+            return np.zeros(0), scale_of(x, starts, np.zeros(0), 0.0, floor)
         if order:
             ridge = 1e-10 * (np.trace(G) + 1e-300) + floor * rows
             for i in range(order):
@@ -223,7 +225,7 @@ def reweighted(x, starts, a, variance, turns, floor):
                     G[j, i] = G[i, j]
                 G[i, i] += ridge
             a = -np.linalg.solve(G, g)
-        variance = scale_of(x, starts, a, variance)
+        variance = scale_of(x, starts, a, variance, floor)
     return a, variance
 
 
@@ -232,7 +234,7 @@ def autoregression(x, starts, a, variance, turns, floor, radius):
     """`reweighted`, its poles kept within the circle of this radius and the scale found again where that moved them."""
     a, variance = reweighted(x, starts, a, variance, turns, floor)
     a, moved = within(a, radius)
-    return a, scale_of(x, starts, a, variance) if moved else variance
+    return a, scale_of(x, starts, a, variance, floor) if moved else variance
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -260,8 +262,9 @@ def log_density(e, s):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def log_likelihoods(x, starts, a, first, spreads, variance):
-    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the scale that is best near `variance`.
+def log_likelihoods(x, starts, a, first, spreads, variance, floor):
+    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the best scale near `variance` that is
+    at least `floor`.
 
     The first samples of a signal have the stationary density of the noise; 0 where one is missing.
     """
@@ -274,7 +277,7 @@ def log_likelihoods(x, starts, a, first, spreads, variance):
             count += 1
     if count == 0:
         return np.zeros(0)
-    s = np.sqrt(squared_scale(known[:count], variance))
+    s = np.sqrt(squared_scale(known[:count], variance, floor))
     found = log_density(e, s)
     for j in range(starts.shape[0] - 1):
         begin, end = starts[j], starts[j + 1]

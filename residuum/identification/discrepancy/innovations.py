@@ -57,7 +57,7 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     if near is not None and near.order == a.size:
         a, variance, turns = near.a, near.innovation_variance, _REWEIGHTINGS - 1
     radius = pole_radius(_DRIFT if drifting else longest_memory(known, longest))
-    return ColouredNoise(*autoregression(x, starts, a, variance, turns, floor, radius))
+    return ColouredNoise(*autoregression(x, starts, a, variance, turns, floor, radius), floor)
 
 
 def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) -> FloatArray:
@@ -69,7 +69,7 @@ def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) ->
     for o, noise in enumerate(noises):
         if noise is not None:
             x, starts = _end_to_end([r[:, o] for r in residuals])
-            found.append(log_likelihoods(x, starts, noise.a, *noise.first, noise.innovation_variance))
+            found.append(log_likelihoods(x, starts, noise.a, *noise.first, noise.innovation_variance, noise.floor))
     return np.concatenate(found)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.coloured_noise import ColouredNoise
 from residuum.identification.discrepancy.in_blocks import Sampled, at_every_sample, in_blocks
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.side_by_side import side_by_side
@@ -354,7 +353,7 @@ def first_order_fit(
         return step, pointwise_log_likelihood(rest, colour), rest, colour
 
     step, rest = solved(stacked.normal_equations(base.noises) if equations is None else equations)
-    white = tuple(None if noise is None else ColouredNoise(np.zeros(0), noise.innovation_variance) for noise in base.noises)
+    white = tuple(None if noise is None else replace(noise, a=np.zeros(0)) for noise in base.noises)
     step_in_white, rest_in_white = solved(stacked.normal_equations(white)) if may_fall else (step, rest)
     fallen = may_fall and _error_ratio(rest_in_white, base.residuals) < _FALLEN
     if not fallen:

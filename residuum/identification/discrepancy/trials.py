@@ -227,7 +227,8 @@ def _simplified(screen: Screen, refitted: Mapping[tuple[str, str], Structure]) -
 
 
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
-    return EFFECTS[id].grown(*_at_estimate(special, (EFFECTS[id].generalises, target), experiments, EFFECTS[id]))
+    longest = int(np.argmax([e.n for e in experiments]))
+    return EFFECTS[id].grown(*_at_estimate(special, (EFFECTS[id].generalises, target), experiments, longest, EFFECTS[id]))
 
 
 def _is_sound(structure: Structure, key: tuple[str, str], screen: Screen) -> bool:
@@ -236,15 +237,18 @@ def _is_sound(structure: Structure, key: tuple[str, str], screen: Screen) -> boo
 
 
 def _shows(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
-    """Whether the experiments are long enough for the effect, as it was estimated, to be told from an unknown load."""
-    return not _has_states(structure.model, key) or EFFECTS[key[0]].shows(*_at_estimate(structure, key, experiments))
+    """Whether in one of the experiments the effect, as it was estimated, can be told from an unknown load."""
+    effect = EFFECTS[key[0]]
+    if type(effect).shows is Effect.shows:
+        return True
+    longest_first = sorted(range(len(experiments)), key=lambda k: -experiments[k].n)
+    return any(effect.shows(*_at_estimate(structure, key, experiments, k)) for k in longest_first)
 
 
 def _at_estimate(
-    structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment], beside: Effect | None = None
+    structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment], k: int, beside: Effect | None = None
 ) -> tuple[dict[str, float], Conditions]:
-    """An effect's values where it was estimated, and the conditions for it (or one `beside` it) in the longest experiment."""
-    k = int(np.argmax([e.n for e in experiments]))
+    """An effect's values where it was estimated, and the conditions for it (or one `beside` it) in the k-th experiment."""
     simulator = Simulator(structure.model)
     X = simulator.run_vectors(experiments[k], structure.initial[k], simulator.p(), substeps=structure.substeps[k]).X
     label = f"{structure.label_of(key)}."

@@ -30,7 +30,7 @@ def test_density_is_that_of_the_t_distribution():
 
 def test_scale_maximises_the_likelihood():
     e = 3.0 * np.random.default_rng(1).standard_t(FREEDOM, 20_000)
-    s = np.sqrt(squared_scale(e, 0.0))
+    s = np.sqrt(squared_scale(e, 0.0, 0.0))
     assert s == pytest.approx(3.0, rel=0.03)
     assert log_density(e, s).sum() > max(log_density(e, 0.97 * s).sum(), log_density(e, 1.03 * s).sum())
 
@@ -90,3 +90,15 @@ def test_a_noise_that_is_near_leads_to_the_same():
     (cold,), (warm,) = fit_noises([v]), fit_noises([v + 0.01], near=fit_noises([0.9 * v]))
     np.testing.assert_allclose(warm.a, cold.a, atol=0.005)
     assert warm.innovation_variance == pytest.approx(cold.innovation_variance, rel=0.01)
+
+
+def test_no_innovation_of_a_coarse_reading_is_known_better_than_its_steps_allow():
+    """A model that follows the stairs nearly always leaves next to nothing; without a floor its likelihood has no end."""
+    rng = np.random.default_rng(2)
+    residual = np.where(rng.random(4000) < 0.1, 2.0 * rng.choice([-1.0, 1.0], 4000), 1e-5)[:, None]
+    reading = np.array([4.0 / 12.0])
+    free, floored = (fit_noises([residual], 0, reading=r) for r in (None, reading))
+    assert free[0].innovation_variance < 1e-6
+    assert floored[0].innovation_variance == reading[0]
+    per_sample = pointwise_log_likelihood([residual], floored).mean()
+    assert per_sample < 0.0 < pointwise_log_likelihood([residual], free).mean()

@@ -58,6 +58,10 @@ class Backlash(TwoBodies):
         """The contact without play."""
         return {name: general[name] for name in ("k", "d", "share")}
 
+    def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
+        """Not without play."""
+        return general["gap"] > 2.0 * std["gap"]
+
     def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
         """A spring that is soft because part of its travel is play."""
         travel = 2.0 * float(np.max(np.abs(conditions.variables["twist"])))

@@ -43,6 +43,6 @@ class DirectionalFriction(Friction):
         return {"tau_c": 0.5 * (general["tau_plus"] + general["tau_minus"])}
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
-        """Not where both sides are equal; where the data cannot tell how they differ (beside a spring at rest anywhere), it may."""
+        """Not where both sides are equal; it may where the data leave that open, as beside a spring at rest anywhere."""
         doubt = float(np.hypot(std["tau_plus"], std["tau_minus"]))
         return not abs(general["tau_plus"] - general["tau_minus"]) <= 2.0 * doubt < np.inf

@@ -73,6 +73,11 @@ class EndStop(Effect):
         moves = [part * motion for part in (-0.3, -0.05, 0.05, 0.3)]
         return [dict(special) | {n: special[n] + move for n in ("q_max", "q_min")} for move in moves]
 
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether the machine leaves a stop within the record: one that it always touches is a spring, a load and a damping."""
+        q = conditions.variables["position"]
+        return bool(np.any((q <= values["q_max"]) & (q >= values["q_min"])))
+
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
         """Pushes inwards beyond the ends, does nothing between them."""
         q = variables["position"]
