@@ -57,7 +57,8 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     if near is not None and near.order == a.size:
         a, variance, turns = near.a, near.innovation_variance, _REWEIGHTINGS - 1
     radius = pole_radius(_DRIFT if drifting else longest_memory(known, longest))
-    return ColouredNoise(*autoregression(x, starts, a, variance, turns, floor, radius), floor)
+    a, variance = autoregression(x, starts, a, variance, turns, floor, radius)
+    return ColouredNoise(a, variance, floor)
 
 
 def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) -> FloatArray:
