@@ -13,9 +13,15 @@ from residuum.identification.discrepancy.compare import structured_errors
 from residuum.identification.discrepancy.evidence import ALIKE, relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
 from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
+from residuum.identification.discrepancy.noise_floor import (
+    PLAINLY,
+    STANDS_OUT,
+    fast_floor,
+    times_the_noise,
+    times_the_quiet_noise,
+)
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
-from residuum.identification.discrepancy.trials import ACCEPT, SLOW
+from residuum.identification.discrepancy.trials import ACCEPT, NOTHING_LEFT, SLOW
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Settings, Simulator, estimate
 from residuum.identification.physics.effects import EFFECTS
@@ -32,6 +38,8 @@ _MUCH, _NEARLY_ALL, _DOUBTED = 3.0, 100.0, 0.3
 probable something else is between them."""
 _SAME = 0.5
 """Log-likelihood within which the data do not prefer either of two."""
+_MOST_OF_IT = 0.8
+"""Share of what stands above the noise that the right effect takes away at least, where more than noise is left."""
 _CERTAIN, _SHARE = 1e-4, 0.2
 """Level of the test, and share of the error's power, from which on a model errs by its own signals."""
 
@@ -94,8 +102,10 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     if incomplete or ((found.refuted or found.drifting) and not found.accepted):
         unknown = max(unknown, _REFUTED)
     left = _times_left(found.best)
-    if found.accepted and left > _MUCH:
-        unknown = max(unknown, _DOUBTED if left < _NEARLY_ALL else _REFUTED)
+    if found.accepted and left > _NEARLY_ALL:
+        unknown = max(unknown, _REFUTED)
+    elif found.accepted and (left > _MUCH or _explains_a_part(found) or not _recorded(found)):
+        unknown = max(unknown, _DOUBTED)
     listed: list[Candidate] = []
     none = 1.0
     for step in range(min(max(1, len(found.accepted)), len(found.alternatives))):
@@ -117,6 +127,25 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
 
     leading = sorted(listed, key=place)
     return Judgement(verdict, tuple(leading), none * (1.0 - unknown) / total, unknown / total, share)
+
+
+def _explains_a_part(found: Search) -> bool:
+    """Whether more than noise is left of the error, and little of what stood above the noise went: the nearest shape in the
+    catalogue to something else does that.
+    """
+    if _times_left(found.best) < NOTHING_LEFT:
+        return False
+    before, after = (np.concatenate(s.residuals) ** 2 for s in (found.base, found.best))
+    floors = np.array([fast_floor(residuals) for residuals in zip(*(r.T for r in found.best.residuals), strict=True)])
+    known = floors > 0.0
+    stood, stands = (np.sum(np.nanmean(power[:, known], axis=0) / floors[known] ** 2 - 1.0) for power in (before, after))
+    return bool(stood - stands < _MOST_OF_IT * stood)
+
+
+def _recorded(found: Search) -> bool:
+    """Whether the records say when the effects act that were accepted."""
+    model = found.best.model
+    return all(EFFECTS[id].recorded(model.site(target, EFFECTS[id])) for id, target in found.accepted)
 
 
 def leaves_much(structure: Structure) -> bool:

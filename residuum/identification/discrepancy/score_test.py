@@ -108,13 +108,17 @@ class Screen:
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
         """First values of an effect's parameters in the conditions of the experiments."""
         effect, found = EFFECTS[id], []
+        for missing in self._lacks(effect, target):
+            conditions = replace(self.conditions(effect, target), missing=missing)
+            found += [dict(start) for start in effect.starts(conditions)]
+        return [start for k, start in enumerate(found) if start not in found[:k]]
+
+    def conditions(self, effect: Effect, target: str) -> Conditions:
+        """The conditions for an effect along the track."""
         if (effect.place, target) not in self._conditions:
             there = conditions_at(self.origin, effect, target, self.track.experiment, self.track.X)
             self._conditions[effect.place, target] = there
-        for missing in self._lacks(effect, target):
-            conditions = replace(self._conditions[effect.place, target], missing=missing)
-            found += [dict(start) for start in effect.starts(conditions)]
-        return [start for k, start in enumerate(found) if start not in found[:k]]
+        return self._conditions[effect.place, target]
 
     def _lacks(self, effect: Effect, target: str) -> Sequence[FloatArray | None]:
         """What is missing, at the samples of the track, in each way in which the effect's first values follow it."""

@@ -215,7 +215,7 @@ def _simplified(screen: Screen, refitted: Mapping[tuple[str, str], Structure]) -
         if key not in candidates(best.model, [key[0]] if key[0] else []) or schwarz(general, best) <= reached:
             continue
         own = {n.removeprefix(f"{label}."): v for n, v in general.model.values.items() if n.startswith(f"{label}.")}
-        values = EFFECTS[id].specialised(own)
+        values = EFFECTS[id].specialised(own, screen.conditions(EFFECTS[id], target))
         if not values:
             continue
         known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}

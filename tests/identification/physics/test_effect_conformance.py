@@ -111,15 +111,15 @@ def test_an_elasticity_has_first_values_where_nothing_rings():
     assert starts and all(np.isfinite(value) for start in starts for value in start.values())
 
 
-@pytest.mark.parametrize("id", ["directional-friction", "stribeck-friction", "backlash"])
+@pytest.mark.parametrize("id", ["directional-friction", "stribeck-friction", "backlash", "tooth-ripple"])
 def test_a_general_effect_gives_values_of_the_one_that_it_generalises(id):
     """At equal sides a directional friction is the plain one; names are those of the simpler effect's parameters."""
     effect, plain = EFFECTS[id], EFFECTS[EFFECTS[id].generalises]
     model, _, target, conditions = placed(effect, effect.examples()[0])
-    values = effect.specialised(effect.starts(conditions)[0])
+    values = effect.specialised(effect.starts(conditions)[0], conditions)
     assert set(values) <= {parameter.name for parameter in plain.parameters(model.site(target, plain))}
     if id == "directional-friction":
-        assert effect.specialised({"tau_plus": 2.0, "tau_minus": 1.0}) == {"tau_c": 1.5}
+        assert effect.specialised({"tau_plus": 2.0, "tau_minus": 1.0}, conditions) == {"tau_c": 1.5}
 
 
 @pytest.mark.parametrize(

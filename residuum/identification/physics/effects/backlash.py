@@ -54,7 +54,7 @@ class Backlash(TwoBodies):
             found.append({"gap": gap, "k": k, "d": 0.3 * k / omega, "share": share})
         return found
 
-    def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """The contact without play."""
         return {name: general[name] for name in ("k", "d", "share")}
 

@@ -247,12 +247,16 @@ class Effect(ABC):
         """Values to try near an estimate of the effect that it `generalises`, in the conditions of that estimate."""
         return []
 
-    def specialised(self, general: Mapping[str, float]) -> Mapping[str, float]:
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> Mapping[str, float]:
         """Values of the effect that it `generalises` at an estimate of its own; empty where they do not follow."""
         return {}
 
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
         """Whether an estimate of its own differs from the effect that it `generalises` by more than twice its doubt."""
+        return True
+
+    def recorded(self, site: Site) -> bool:
+        """Whether the record says when the effect acts; an event that nobody recorded may have been something else."""
         return True
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:

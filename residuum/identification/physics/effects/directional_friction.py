@@ -38,7 +38,7 @@ class DirectionalFriction(Friction):
         size = 0.1 * conditions.magnitude
         return [{"tau_plus": size, "tau_minus": 0.5 * size}]
 
-    def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """Their mean."""
         return {"tau_c": 0.5 * (general["tau_plus"] + general["tau_minus"])}
 

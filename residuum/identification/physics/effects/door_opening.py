@@ -39,6 +39,10 @@ class DoorOpening(HeatLoss):
         G = Parameter("G", 0.0, site.per("temperature"), lower=0.0, meaning="exchange while open")
         return (G, *(() if "door" in site.units else times), *self.surroundings(site))
 
+    def recorded(self, site: Site) -> bool:
+        """Where there is a door signal: else it is heat that was lost for a while, whoever took it."""
+        return "door" in site.units
+
     def contribution(self, scene: Scene) -> Contribution:
         p = scene.p
         if "door" in scene.variables:

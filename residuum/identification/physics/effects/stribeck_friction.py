@@ -38,7 +38,7 @@ class StribeckFriction(Friction):
         size, fastest = 0.1 * conditions.magnitude, conditions.largest("velocity")
         return [{"tau_c": size, "tau_s": size, "v_s": fraction * fastest} for fraction in (0.01, 0.05, 0.2)]
 
-    def specialised(self, general: Mapping[str, float]) -> dict[str, float]:
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
         """The friction while sliding."""
         return {"tau_c": general["tau_c"]}
 

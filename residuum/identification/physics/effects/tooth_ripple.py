@@ -18,11 +18,13 @@ from residuum.identification.physics.effects.base import (
 )
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
+_FEWEST, _MANY = 5.0, 12.0
+"""Periods over the travel from which on a wave may be a ripple, and up to which it may be a load that depends on the position."""
 _REFINED_ON = 10_000
 """Samples on which a wave number is refined."""
 
 
-def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewest_periods: float = 5.0) -> list[float]:
+def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewest_periods: float = _FEWEST) -> list[float]:
     """Wave numbers [rad / position unit] at which a signal varies most along the position.
 
     The signal is averaged in cells of position, a slow trend over the travel is taken out, and the highest separate peaks
@@ -74,6 +76,7 @@ class ToothRipple(Effect):
     needs = ("position",)
     sizes = ("a", "b")
     follows = ("innovations", "lack")
+    generalises = "position-load"
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (
@@ -98,6 +101,16 @@ class ToothRipple(Effect):
             if len(orders) > 1 and abs(orders[0] - orders[1]) < 24.0 * np.pi / travel:
                 orders.append(0.5 * (orders[0] + orders[1]))  # a response that lags differently both ways splits the peak
         return [{"a": size, "b": size, "n": float(order)} for order in orders]
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """The same wave, where it is short."""
+        short = special["kappa"] * conditions.span("position") > 2.0 * np.pi * _FEWEST
+        return [{"a": special["a"], "b": special["b"], "n": special["kappa"]}] if short else []
+
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
+        """The same wave, where it is long."""
+        long = general["n"] * conditions.span("position") < 2.0 * np.pi * _MANY
+        return {"a": general["a"], "b": general["b"], "kappa": general["n"]} if long else {}
 
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
         """Bounded by its amplitude."""
