@@ -13,6 +13,7 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.coloured_noise import forgetting, longest_memory
 from residuum.identification.discrepancy.features import features
+from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.discrepancy.locate import Axis, Region
 from residuum.identification.discrepancy.noise_floor import CHANCE, PLAINLY, fast_floor, noise_floor, times_the_noise
@@ -177,22 +178,25 @@ def structured_errors(
 ) -> dict[str, StructuredError]:
     """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
 
-    `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict the error;
-    the other arguments are those of `test_structured_error`.
+    Where a controller answers the noise (`feedback`), signals predict the error of the next block: in its own they know the
+    noise. `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict
+    the error; the other arguments are those of `test_structured_error`.
     """
     how: dict[str, Any] = {"level": level, "seed": seed, "drifting": drifting, "least_share": least_share}
     total = sum(e.n for e in experiments)
     block = max(1, total // TEST_SAMPLES)
     every = [features(record_axes) for record_axes in axes]
     alive = np.any([np.any(design, axis=0) for design in every], axis=0)
+    later = int(feeds_back(model, experiments, residuals))
     designs = [block_means(design[:, alive], block) for design in every]
     found = {}
     for k, name in enumerate(model.outputs):
         errors = [block_means(residual[:, k], block) for residual in residuals]
         changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
         own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
+        known = [np.vstack([np.full((later, X.shape[1]), np.nan), X[: len(X) - later]]) for X in own]
         try:
-            found[name] = test_structured_error(errors, own, **how)
+            found[name] = test_structured_error(errors, known, **how)
         except BadInput:  # not measured, or too short a record for the test: no claim is made
             continue
     return found
@@ -264,7 +268,7 @@ def _output_errors(
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
         floor = noise_floor(errors)
         if output.name in structured:
-            floor = min(floor, structured[output.name].noise_rms) if structured[output.name].present else rmse
+            floor = min(floor, _unstructured(rmse, structured[output.name])) if structured[output.name].present else rmse
         found[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,
@@ -274,6 +278,12 @@ def _output_errors(
             k_step={steps: float(errors_ahead[k]) for steps, errors_ahead in ahead.items()},
         )
     return found
+
+
+def _unstructured(rmse: float, test: StructuredError) -> float:
+    """RMS of an error without its structured part, which the test knows from means over blocks, with the noise that they keep."""
+    structured = test.noise_rms**2 * test.share / max(1.0 - test.share, 1e-300)
+    return float(np.sqrt(max(rmse**2 - structured, 0.0)))
 
 
 def _prediction_errors(kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[int, FloatArray]:

@@ -22,6 +22,12 @@ app = typer.Typer(add_completion=False)
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
+_OF_THE_REST = {
+    "adequate": ("noise that is slow, or something slow that no candidate explains", 3.0),
+    "missing-effect": ("what is named is not all, or was not followed to its end", SLOW),
+    "unknown-effect": ("something slow that no candidate explains, or that drifts", SLOW),
+}
+"""What is said of an error that stands so many times above its innovations."""
 
 
 @app.command(name="explain")
@@ -137,15 +143,11 @@ def explanation_text(explanation: Explanation) -> str:
         )
         if (formula := suggestion(free)) is not None:
             lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
-    incomplete = (
-        "something slow that no candidate explains, or that drifts"
-        if explanation.verdict == "unknown-effect"
-        else "what is named is not all, or was not followed to its end"
-    )
+    says, from_ = _OF_THE_REST[explanation.verdict]
     lines += [
-        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {incomplete}"
+        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {says}"
         for output, (rms, unit, times) in explanation.left.items()
-        if times > SLOW
+        if times > from_
     ]
     if explanation.search.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")

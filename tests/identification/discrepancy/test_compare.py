@@ -128,3 +128,34 @@ def test_a_signal_may_rest_in_one_record_of_several():
     coasting = Record({"voltage": np.zeros(3000), "speed": speed}, {"voltage": "V", "speed": "rad/s"}, 0.002)
     both = [Record({n: powered.channels[n] for n in ("voltage", "speed")}, coasting.units, powered.sample_time), coasting]
     assert compare(MODEL, both).structured
+
+
+STAGE = """name: stage
+inputs: {force: N}
+states: {q: {unit: m, rate: v}, v: {unit: m/s}}
+parameters: {M: {value: 8.9, unit: kg, fixed: true}, d: {value: 60, unit: N*s/m, fixed: true}}
+balances: {axis: {kind: force, storage: M * der(v), terms: {drive: force, guide: -d * v}, position: q, velocity: v}}
+outputs: {position: {value: q, unit: m}, velocity: {value: v, unit: m/s}}
+"""
+
+
+@pytest.mark.parametrize("damping", [60.0, 90.0])
+def test_a_controller_that_answers_the_noise_is_no_structure_and_does_not_hide_any(damping):
+    """What it does in a sample knows the noise of that sample; the model is right at 60 N·s/m."""
+    rng, n, h, sigma = np.random.default_rng(5), 12_000, 2e-3, np.array([6e-4, 5e-3])
+    course = np.cumsum(np.concatenate([np.full(400, rng.uniform(-0.25, 0.25)) for _ in range(n // 400)])) * h
+    q, v, force, shown = 0.0, 0.0, np.empty(n), np.empty((n, 2))
+    noise = sigma * rng.normal(size=(n, 2))
+    for k in range(n):
+        shown[k] = [q, v] + noise[k]
+        force[k] = 4000.0 * (course[k] - shown[k, 0]) - 250.0 * shown[k, 1]
+        for _ in range(20):
+            v += h / 20 * (force[k] - damping * v) / 8.9
+            q += h / 20 * v
+    record = Record(
+        {"force": force, "position": shown[:, 0], "velocity": shown[:, 1]}, {"force": "N", "position": "m", "velocity": "m/s"}, h
+    )
+    found = compare(read_model(STAGE), [record])
+    assert found.structured["velocity"].present == (damping != 60.0)
+    if damping == 60.0:
+        np.testing.assert_allclose([o.noise_floor for o in found.outputs.values()], sigma, rtol=0.05)

@@ -34,6 +34,10 @@ def test_what_remains_far_above_the_noise_is_said_whatever_the_verdict(verdict, 
     assert "RMS remain" not in explanation_text(explanation(verdict, 1.2))
 
 
+def test_a_model_that_is_called_adequate_though_much_is_left_is_told_with_what_that_may_be():
+    assert "6 times what their own past cannot predict: noise that is slow, or" in explanation_text(explanation("adequate", 6.0))
+
+
 def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
     held = HeldValue("m", 6195.0, 5894.3, 0.2, "kg", ("S",))
     text = explanation_text(explanation("adequate", 1.0, (held,)))
