@@ -30,7 +30,7 @@ class ColouredNoise:
     innovation_variance : float
         σ², in the square of the signal's unit.
     floor : float
-        Least σ² that the reading allows (coarse steps).
+        Variance that coarse steps of a reading hide; σ² is a part of it at least.
     """
 
     a: FloatArray

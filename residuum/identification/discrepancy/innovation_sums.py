@@ -20,7 +20,9 @@ _STRETCH = 1024
 _LOW = 0.53
 """Median of e²/s² for t-distributed e of scale s."""
 _ZERO, _SPREAD = 1e-12, 1.0 / 30.0
-"""Part of their mean square up to which innovations are zero, and least part that their squared scale is where most are."""
+"""Part of their mean square up to which innovations are zero; and least part that their squared scale is of that where most are,
+and of what coarse steps hide.
+"""
 NORMAL = FREEDOM / (FREEDOM - 2.0)
 """Variance of t-distributed innovations over their squared scale."""
 _AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
@@ -162,18 +164,17 @@ def product(x, y, count):
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
 def squared_scale(e, near, floor):
-    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere), and at
-    least `floor`.
+    """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere).
 
-    Where most of them are zero (a machine that stands) the likelihood has no top; the scale then is at least a part of their
-    spread.
+    It is at least a part of `floor`, the variance that coarse steps hide; and where most innovations are zero (a machine that
+    stands) a part of theirs. Otherwise the likelihood has no top.
     """
     n = e.shape[0]
     square = e * e
     mean, zeros = np.mean(square), 0
     for one in square:
         zeros += one <= _ZERO * mean
-    least = max(_SPREAD * mean if 2 * zeros > n else 0.0, floor, 1e-300)
+    least = max(_SPREAD * max(mean if 2 * zeros > n else 0.0, floor), 1e-300)
     variance = near
     if near == 0.0:
         variance = max(np.median(square) / _LOW, 1e-24 * mean)
@@ -207,8 +208,7 @@ def scale_of(x, starts, a, near, floor):
 def reweighted(x, starts, a, variance, turns, floor):
     """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
 
-    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it, and no innovation is known
-    better (a reading's density is one over its step at most). No coefficients where
+    White noise of the variance `floor` is taken to lie over the signals, beside what they show of it. No coefficients where
     missing samples leave too few complete rows for them.
     """
     order = a.shape[0]
@@ -263,8 +263,8 @@ def log_density(e, s):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def log_likelihoods(x, starts, a, first, spreads, variance, floor):
-    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the best scale near `variance` that is
-    at least `floor`.
+    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the best scale near `variance`, `floor` as
+    in `squared_scale`.
 
     The first samples of a signal have the stationary density of the noise; 0 where one is missing.
     """
