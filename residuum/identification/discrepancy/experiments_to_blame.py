@@ -91,7 +91,7 @@ class _Timing:
         """Whether the other timing is to be taken now, for more effects would only make up for it: little is left, or no shift
         was found that might.
         """
-        shifted = any(id in SHIFTS for id, _ in found.accepted) or bool(found.timing)
+        shifted = any(id in SHIFTS for id, _ in found.accepted)
         return not (shifted and times_its_innovations(found.best) > NOTHING_LEFT) and self.turned(found) is not None
 
 

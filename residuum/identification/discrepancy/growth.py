@@ -128,10 +128,12 @@ def grow(found: Search, task: Task, late: Callable[[Search], bool] | None = None
         if not wins and (plain := _rare_but_plain(found, refitted, task.experiments)):
             key, wins = plain, True
             found.plain.append(plain)
-        if key is not None and wins and _is_timing(refitted, relative_evidence(refitted, found.best)[0], task.experiments):
+        if key is not None and wins and _is_timing(key, refitted, found.best, task.experiments):
             found.timing.append(key)
             found.best = refitted[key]
             found.base = found.base if found.accepted else found.best
+            if late is not None and found.accepted and late(found):
+                break
             continue
         if key is not None and wins and (higher := _climbed_without(refitted[key], key, found, task.experiments)):
             found.best = higher
@@ -200,10 +202,11 @@ def _step(found: Search, task: Task) -> tuple[dict[tuple[str, str], Structure], 
 
 
 def _is_timing(
-    refitted: Mapping[tuple[str, str], Structure], evidence: Mapping[tuple[str, str], float], experiments: Sequence[Experiment]
+    winner: tuple[str, str], refitted: Mapping[tuple[str, str], Structure], before: Structure, experiments: Sequence[Experiment]
 ) -> bool:
     """Whether a shift in time by less than a sample wins, and no physics that would do the same lies close."""
-    close = [key for key, value in evidence.items() if value > -ALIKE]  # the winner, at 0, is among them
+    evidence, _ = relative_evidence(refitted, before)
+    close = [winner, *(key for key, value in evidence.items() if value > -ALIKE)]
     return all(within_a_sample(refitted[key], key, experiments) for key in close)
 
 
