@@ -173,16 +173,16 @@ def structured_errors(
     *,
     level: float = 0.01,
     seed: int = 0,
-    drifting: bool = True,
     least_share: float = 0.0,
 ) -> dict[str, StructuredError]:
     """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
 
-    Where a controller answers the noise (`feedback`), signals predict the error of the next block: in its own they know the
-    noise. `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may predict
-    the error; the other arguments are those of `test_structured_error`.
+    Noise forgets within the data, for noise that is integrated would explain every slow error. Where a controller answers the
+    noise (`feedback`), signals predict the error of the next block: in its own they know the noise. `refitted` (n, outputs) an
+    experiment is what other parameter values would change, one more signal that may predict the error; the other arguments are
+    those of `test_structured_error`.
     """
-    how: dict[str, Any] = {"level": level, "seed": seed, "drifting": drifting, "least_share": least_share}
+    how: dict[str, Any] = {"level": level, "seed": seed, "drifting": False, "least_share": least_share}
     total = sum(e.n for e in experiments)
     block = max(1, total // TEST_SAMPLES)
     every = [features(record_axes) for record_axes in axes]
@@ -266,9 +266,11 @@ def _output_errors(
         y = np.concatenate([e.Y[:, k] for e in experiments])[known]
         rmse = float(np.sqrt(np.mean(error[known] ** 2)))
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-        floor = noise_floor(errors)
-        if output.name in structured:
-            floor = min(floor, _unstructured(rmse, structured[output.name])) if structured[output.name].present else rmse
+        floor, test = noise_floor(errors), structured.get(output.name)
+        if test is not None and test.present:
+            floor = min(floor, _unstructured(rmse, test))
+        elif test is not None and rmse < PLAINLY * floor:
+            floor = rmse
         found[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,
@@ -281,9 +283,9 @@ def _output_errors(
 
 
 def _unstructured(rmse: float, test: StructuredError) -> float:
-    """RMS of an error without its structured part, which the test knows from means over blocks, with the noise that they keep."""
+    """RMS of an error without its structured part, which the test knows from means over blocks: `noise_rms` is what they keep."""
     structured = test.noise_rms**2 * test.share / max(1.0 - test.share, 1e-300)
-    return float(np.sqrt(max(rmse**2 - structured, 0.0)))
+    return float(np.sqrt(max(rmse**2 - structured, test.noise_rms**2)))
 
 
 def _prediction_errors(kalman: Filter, experiments: list[Experiment], smoothed: list[Smoothed]) -> dict[int, FloatArray]:

@@ -13,7 +13,7 @@ from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
 from residuum.identification.discrepancy.search import Tell, search
-from residuum.identification.discrepancy.structures import Structure, fit_structure, times_its_innovations
+from residuum.identification.discrepancy.structures import NOISE_ALONE, Structure, fit_structure, times_its_innovations
 from residuum.identification.discrepancy.trials import NOTHING_LEFT, SHIFTS, SLOW
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.record import Record
@@ -37,7 +37,7 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     noise is left of whatever else was found, the wrong timing may be what is left (half a sample, to two bodies on a spring).
     """
     late = [key for key in found.accepted if key[0] in SHIFTS]
-    more_than_noise = bool(found.accepted) and times_its_innovations(found.best) > NOTHING_LEFT
+    more_than_noise = bool(found.accepted) and times_its_innovations(found.best) > NOISE_ALONE
     if not (late or found.timing or more_than_noise):
         return None
     best, turned = found.best, turned_timing(experiments)
@@ -83,7 +83,7 @@ class _Timing:
         """The other timing; None where this one stands, as it does where noise alone is left and no shift was found."""
         if self._asked is not found.best:
             shifted = any(id in SHIFTS for id, _ in found.accepted)
-            doubtful = shifted or times_its_innovations(found.best) > NOTHING_LEFT
+            doubtful = shifted or times_its_innovations(found.best) > NOISE_ALONE
             self._asked, self._answer = found.best, at_turned_timing(found, self._experiments) if doubtful else None
         return self._answer
 

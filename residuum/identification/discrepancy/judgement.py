@@ -189,7 +189,7 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True
     axes = [signal_axes(least.model, e, run.X) for e, run in zip(experiments, runs, strict=True)]
-    tests = structured_errors(experiments, residuals, axes, least.model, level=_CERTAIN, drifting=False, least_share=_SHARE)
+    tests = structured_errors(experiments, residuals, axes, least.model, level=_CERTAIN, least_share=_SHARE)
     return any(test.present and test.share > _SHARE for test in tests.values())
 
 

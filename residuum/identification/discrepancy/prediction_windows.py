@@ -10,7 +10,10 @@ import numpy as np
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, windows
 from residuum.identification.physics.kalman import Filter, first_noise
 
-_LASTING = 0.3
+_LASTING = 0.6
+"""Part of the peak effect of a first state that is there at the end where a plant integrates; what forgets within two records'
+length (a furnace) shows more as a whole.
+"""
 _SHORTEST, _LONGEST, _PARTS = 80, 1200, 25
 
 

@@ -159,3 +159,19 @@ def test_a_controller_that_answers_the_noise_is_no_structure_and_does_not_hide_a
     assert found.structured["velocity"].present == (damping != 60.0)
     if damping == 60.0:
         np.testing.assert_allclose([o.noise_floor for o in found.outputs.values()], sigma, rtol=0.05)
+
+
+def test_an_error_that_is_all_bias_and_slow_is_structured_and_no_noise():
+    """A force that is always 12 N more than recorded: noise in no hurry would explain that."""
+    rng, n, h = np.random.default_rng(2), 6000, 0.1
+    force, v, speed = np.repeat(rng.uniform(-300.0, 600.0, n // 100), 100), 0.0, np.empty(n)
+    for k in range(n):
+        speed[k] = v
+        for _ in range(10):
+            v += h / 10 * (force[k] + 12.0 - 40.0 * v) / 900.0
+    body = STAGE.replace("M: {value: 8.9", "M: {value: 900").replace("d: {value: 60", "d: {value: 40")
+    body = body.replace("  position: {value: q, unit: m}\n", "").replace("position: {value: q, unit: m}, ", "")
+    record = Record({"force": force, "velocity": speed + 0.2 * rng.normal(size=n)}, {"force": "N", "velocity": "m/s"}, h)
+    found = compare(read_model(body), [record])
+    assert found.structured["velocity"].present
+    assert found.outputs["velocity"].noise_floor == pytest.approx(0.2, rel=0.05)

@@ -26,6 +26,13 @@ balances:
 outputs:     {speed: {value: v, unit: m/s}}
 """
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
+BELT = """name: belt
+inputs: {force: N}
+states: {x: {unit: m, rate: v}, v: {unit: m/s}}
+parameters: {M: {value: 25, unit: kg, lower: 1}, d: {value: 95, unit: N*s/m, lower: 1}}
+balances: {belt: {kind: force, storage: M * der(v), terms: {drive: force, viscous: -d * v}, position: x, velocity: v}}
+outputs: {position: {value: x, unit: m}}
+"""
 COLUMN = """
 name: column of water
 inputs:      {pump: bar}
@@ -263,3 +270,23 @@ def test_friction_whose_directions_a_spring_at_rest_anywhere_leaves_open_is_told
     friction = next(c for c in found.candidates if c.effect == "coulomb-friction")
     assert set(found.search.accepted) == {("coulomb-friction", "shaft"), ("linear-spring", "shaft")}
     assert friction.indistinguishable_from == ("directional-friction",)
+
+
+def test_play_with_a_soft_contact_is_found_over_windows():
+    """Play of 22 mm behind a contact that gives way by a centimetre; stiff contacts, tried first, lead to none."""
+    rng, n, h, fine = np.random.default_rng(31), 12_000, 1e-3, 20
+    swept = sum(np.sin(2 * np.pi * f * np.arange(n) * h + p) for f, p in zip((0.7, 1.9, 4.3), rng.uniform(0, 6, 3), strict=True))
+    force, x, v, y, w, position = 120.0 * swept, 0.0, 0.0, 0.0, 0.0, np.empty(n)
+    for k in range(n):
+        position[k] = x
+        for _ in range(fine):
+            twist = x - y
+            beyond = max(abs(twist) - 0.011, 0.0) * np.sign(twist)
+            passed = 12_000.0 * beyond + 420.0 * (v - w) if beyond else 0.0
+            v += h / fine * (force[k] - 100.0 * v - passed) / (0.55 * 26.0)
+            w += h / fine * passed / (0.45 * 26.0)
+            x, y = x + h / fine * v, y + h / fine * w
+    record = Record({"force": force, "position": position + 5e-4 * rng.normal(size=n)}, {"force": "N", "position": "m"}, h)
+    found = explain(read_model(BELT), [record], effects=["backlash", "elastic-transmission", "coulomb-friction"])
+    assert found.search.accepted == [("backlash", "belt")]
+    assert abs(found.candidates[0].parameters["gap"].value - 0.022) < 1e-3

@@ -12,6 +12,8 @@ from residuum.identification.physics.effects.two_bodies import TwoBodies
 
 _CROSSINGS = (4.0, 12.0, 36.0)
 """Samples in which the drive side alone, pushed as it is on average, crosses the play."""
+_SOFT = (10.0, 30.0)
+"""Samples in which the machine at its fastest crosses a play whose contact gives way by half of it, pushed on average."""
 
 
 class Backlash(TwoBodies):
@@ -52,6 +54,10 @@ class Backlash(TwoBodies):
         for gap, share in plays:
             k = omega**2 * share * (1.0 - share) * conditions.storage
             found.append({"gap": gap, "k": k, "d": 0.3 * k / omega, "share": share})
+        for samples in _SOFT if travelled > 0.0 else ():
+            gap = samples * travelled
+            k = 2.0 * conditions.magnitude / gap
+            found.append({"gap": gap, "k": k, "d": 0.5 * float(np.sqrt(k * conditions.storage)), "share": 0.5})
         return found
 
     def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
