@@ -34,11 +34,12 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
 
     The timing was chosen with a model that lacked something. A delay or lag that is missing then makes up for half a sample, and
     so may effects that were found beside it; one by less than a sample may be no more than the wrong choice. Where more than
-    noise is left of whatever else was found, the wrong timing may be what is left (half a sample, to two bodies on a spring).
+    noise is left of whatever else was found, or a shift would lessen it, the wrong timing may be what is left (half a sample, to
+    two bodies on a spring).
     """
     late = [key for key in found.accepted if key[0] in SHIFTS]
-    more_than_noise = bool(found.accepted) and times_its_innovations(found.best) > NOISE_ALONE
-    if not (late or found.timing or more_than_noise):
+    doubtful = bool(found.accepted) and _may_be_late(found)
+    if not (late or found.timing or doubtful):
         return None
     best, turned = found.best, turned_timing(experiments)
     if any(e.hold.any() for e in turned) and feeds_back(best.model, experiments, _errors(best, experiments)):
@@ -47,7 +48,7 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     if late:
         others = [key for key in found.accepted if key not in late]
         tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
-    elif more_than_noise:
+    elif doubtful:
         tried += [(best.model, _PLAINLY)]
     for model, more in tried:
         complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
@@ -55,6 +56,13 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
             base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
             return None if base is None else (turned, base)
     return None
+
+
+def _may_be_late(found: Search) -> bool:
+    """Whether more than noise is left, or a shift in time that was not accepted would do plainly better."""
+    tried = found.alternatives[len(found.accepted) :]
+    shifts = [s.log_likelihood for looked in tried for (id, _), s in looked.items() if id in SHIFTS]
+    return times_its_innovations(found.best) > NOISE_ALONE or max(shifts, default=-np.inf) > found.best.log_likelihood + _PLAINLY
 
 
 def _errors(structure: Structure, experiments: Sequence[Experiment]) -> list[FloatArray]:
@@ -80,10 +88,10 @@ class _Timing:
         self._answer: Turned | None = None
 
     def turned(self, found: Search) -> Turned | None:
-        """The other timing; None where this one stands, as it does where noise alone is left and no shift was found."""
+        """The other timing; None where this one stands, as it does where noise alone is left and no shift is wanted."""
         if self._asked is not found.best:
             shifted = any(id in SHIFTS for id, _ in found.accepted)
-            doubtful = shifted or times_its_innovations(found.best) > NOISE_ALONE
+            doubtful = shifted or _may_be_late(found)
             self._asked, self._answer = found.best, at_turned_timing(found, self._experiments) if doubtful else None
         return self._answer
 

@@ -211,9 +211,10 @@ def _is_timing(
 
 
 def _rare_but_plain(
-    found: Search, refitted: Mapping[tuple[str, str], Structure], experiments: Sequence[Experiment]
+    found: Search, refitted: dict[tuple[str, str], Structure], experiments: Sequence[Experiment]
 ) -> tuple[str, str] | None:
-    """The likeliest effect where few moments speak for it (a stop, a limit), but most of the error goes with it on data not used.
+    """The likeliest effect where few moments speak for it (a stop, a limit), but most of the error goes with it on data not used,
+    once it is climbed to its top.
 
     Tempering makes each moment worth two units, whatever it shows; an error that vanishes elsewhere too is no lucky moment.
     """
@@ -221,7 +222,8 @@ def _rare_but_plain(
     key = max(inside, key=lambda each: schwarz(inside[each], found.best), default=None)
     if key is None or schwarz(inside[key], found.best) - found.best.log_likelihood < evidence_asked(found, PLAINLY_MORE):
         return None
-    errors = _held_out_errors(found.best, inside[key], experiments)
+    refitted[key] = polished(refitted[key], experiments)
+    errors = _held_out_errors(found.best, refitted[key], experiments)
     return key if errors is not None and mean_ratio(errors[1], errors[0]) < PLAINLY_LESS else None
 
 
