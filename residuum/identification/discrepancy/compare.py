@@ -16,7 +16,14 @@ from residuum.identification.discrepancy.features import features
 from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.discrepancy.locate import Axis, Region
-from residuum.identification.discrepancy.noise_floor import CHANCE, PLAINLY, fast_floor, noise_floor, times_the_noise
+from residuum.identification.discrepancy.noise_floor import (
+    CHANCE,
+    PLAINLY,
+    fast_floor,
+    floor_under_structure,
+    noise_floor,
+    times_the_noise,
+)
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.regions import regions
 from residuum.identification.discrepancy.structured_error import StructuredError, test_structured_error
@@ -268,7 +275,7 @@ def _output_errors(
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
         floor, test = noise_floor(errors), structured.get(output.name)
         if test is not None and test.present:
-            floor = min(floor, _unstructured(rmse, test))
+            floor = min(floor_under_structure(errors), _unstructured(rmse, test))
         elif test is not None and rmse < PLAINLY * floor:
             floor = rmse
         found[output.name] = OutputError(

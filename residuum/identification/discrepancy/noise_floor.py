@@ -12,6 +12,8 @@ from residuum.identification.discrepancy.coloured_noise import longest_memory, s
 FloatArray = npt.NDArray[np.float64]
 
 LOWEST_FREQUENCY = 0.02  # of the sampling rate; below it the error is taken to be the model's
+_HIGHER = (LOWEST_FREQUENCY, 0.05, 0.1)
+"""And where a structured error may reach further up."""
 PLAINLY = 6.0
 """Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
 CHANCE = 1 / 600
@@ -27,7 +29,7 @@ where noise is there all the time.
 _COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
 
 
-def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
+def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: float = LOWEST_FREQUENCY) -> float:
     """RMS of the noise in a model's error, read from its fast part alone.
 
     A model's error is slow against the sampling rate, noise is not: an AR(1) spectrum σ²(1 − ρ²)/|1 − ρ e^{−jω}|² is fitted
@@ -39,6 +41,8 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
         Measured minus modelled, NaN where missing.
     slowest : float
         Largest ρ that is still called noise.
+    lowest : float
+        Where the fast part begins, in parts of the sampling rate.
 
     Returns
     -------
@@ -62,8 +66,15 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0) -> float:
     spectra = [_spectra(_windows(part, length)).mean(axis=0) for part in parts]
     weights = np.array([len(part) for part in parts], dtype=float)
     power = np.average(spectra, axis=0, weights=weights)
-    frequency, fast = _fast_frequencies(length)
+    frequency, fast = _fast_frequencies(length, lowest)
     return min(rms, float(np.sqrt(_whittle_variance(frequency[fast], power[fast], _COLOURS[max(slowest, 0.0) >= _COLOURS]))))
+
+
+def floor_under_structure(residuals: Sequence[FloatArray]) -> float:
+    """The least `noise_floor` read from several frequencies on: an error that swings reaches far up (on 93 outputs of 62 models
+    that lack an effect 95 % are within a quarter of the noise, 85 % with the first frequency alone).
+    """
+    return min(noise_floor(residuals, lowest=lowest) for lowest in _HIGHER)
 
 
 def fast_floor(residuals: Sequence[FloatArray]) -> float:
@@ -90,7 +101,7 @@ def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
     if sum(map(len, windows)) < _FEWEST_WINDOWS:
         return 0.0
     spectra = _spectra(np.concatenate(windows))
-    frequency, fast = _fast_frequencies(_WINDOW)
+    frequency, fast = _fast_frequencies(_WINDOW, LOWEST_FREQUENCY)
     power = spectra[:, fast].mean(axis=1)
     quietest, loud = np.quantile(power, (_QUIET, _LOUD))
     if quietest < _THROUGHOUT * loud:
@@ -121,10 +132,10 @@ def _spectra(windows: FloatArray) -> FloatArray:
     return np.asarray(power)
 
 
-def _fast_frequencies(length: int) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _fast_frequencies(length: int, lowest: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Relative frequencies of a window's spectrum, and which of them belong to an error's fast part."""
     frequency = np.asarray(np.fft.rfftfreq(length), dtype=np.float64)
-    return frequency, (frequency >= LOWEST_FREQUENCY) & (frequency < 0.5)
+    return frequency, (frequency >= lowest) & (frequency < 0.5)
 
 
 def _without_single_samples(part: FloatArray) -> FloatArray:

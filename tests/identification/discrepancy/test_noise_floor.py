@@ -5,7 +5,13 @@ import pytest
 from scipy.signal import lfilter, medfilt, welch
 
 from residuum.identification.discrepancy import noise_floor
-from residuum.identification.discrepancy.noise_floor import PLAINLY, STANDS_OUT, times_the_noise, times_the_quiet_noise
+from residuum.identification.discrepancy.noise_floor import (
+    PLAINLY,
+    STANDS_OUT,
+    floor_under_structure,
+    times_the_noise,
+    times_the_quiet_noise,
+)
 
 
 @pytest.mark.parametrize("length", [64, 255, 1024])
@@ -13,7 +19,7 @@ def test_spectrum_and_running_median_are_those_of_scipy(length):
     x = np.cumsum(np.random.default_rng(length).standard_normal(5000))
     frequency, power = welch(x, nperseg=length, detrend="linear")
     found = noise_floor._spectra(noise_floor._windows(x, length)).mean(axis=0)
-    own, fast = noise_floor._fast_frequencies(length)
+    own, fast = noise_floor._fast_frequencies(length, noise_floor.LOWEST_FREQUENCY)
     assert np.array_equal(own, frequency)
     assert found[fast] == pytest.approx(power[fast], rel=1e-9)
     assert np.array_equal(noise_floor._without_single_samples(x), medfilt(x, 5))
@@ -44,3 +50,11 @@ def test_single_samples_and_noise_that_rests_say_nothing():
     assert times_the_quiet_noise([outliers]) < 2.0
     resting = rng.standard_normal(4000) * np.repeat([0.0, 1.0] * 4, 500)
     assert times_the_quiet_noise([resting]) == 0.0
+
+
+def test_an_error_that_swings_in_the_fast_part_is_no_noise():
+    rng = np.random.default_rng(3)
+    swings = lfilter([0.1], [1.0, -1.8 * np.cos(2 * np.pi * 0.03), 0.81], lfilter([0.2], [1.0, -0.8], rng.normal(size=20_000)))
+    error = [20.0 * swings + rng.normal(size=20_000)]
+    assert noise_floor.noise_floor(error) > 10.0
+    assert floor_under_structure(error) == pytest.approx(1.0, rel=0.3)
