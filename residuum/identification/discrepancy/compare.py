@@ -19,8 +19,8 @@ from residuum.identification.discrepancy.locate import Axis, Region
 from residuum.identification.discrepancy.noise_floor import (
     CHANCE,
     PLAINLY,
+    UNDER_STRUCTURE,
     fast_floor,
-    floor_under_structure,
     noise_floor,
     times_the_noise,
 )
@@ -273,11 +273,12 @@ def _output_errors(
         y = np.concatenate([e.Y[:, k] for e in experiments])[known]
         rmse = float(np.sqrt(np.mean(error[known] ** 2)))
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-        floor, test = noise_floor(errors), structured.get(output.name)
+        test = structured.get(output.name)
         if test is not None and test.present:
-            floor = min(floor_under_structure(errors), _unstructured(rmse, test))
-        elif test is not None and rmse < PLAINLY * floor:
-            floor = rmse
+            floor = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test))
+        else:
+            floor = noise_floor(errors)
+            floor = rmse if test is not None and rmse < PLAINLY * floor else floor
         found[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,

@@ -37,7 +37,7 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     noise is left of whatever else was found, or a shift would lessen it, the wrong timing may be what is left (half a sample, to
     two bodies on a spring).
     """
-    late = [key for key in found.accepted if key[0] in SHIFTS]
+    late = _shifts(found)
     doubtful = bool(found.accepted) and _may_be_late(found)
     if not (late or found.timing or doubtful):
         return None
@@ -56,6 +56,11 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
             base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
             return None if base is None else (turned, base)
     return None
+
+
+def _shifts(found: Search) -> list[tuple[str, str]]:
+    """The shifts in time that were accepted as physics."""
+    return [key for key in found.accepted if key[0] in SHIFTS]
 
 
 def _may_be_late(found: Search) -> bool:
@@ -90,8 +95,7 @@ class _Timing:
     def turned(self, found: Search) -> Turned | None:
         """The other timing; None where this one stands, as it does where noise alone is left and no shift is wanted."""
         if self._asked is not found.best:
-            shifted = any(id in SHIFTS for id, _ in found.accepted)
-            doubtful = shifted or _may_be_late(found)
+            doubtful = bool(_shifts(found)) or _may_be_late(found)
             self._asked, self._answer = found.best, at_turned_timing(found, self._experiments) if doubtful else None
         return self._answer
 
@@ -99,8 +103,7 @@ class _Timing:
         """Whether the other timing is to be taken now, for more effects would only make up for it: little is left, or no shift
         was found that might.
         """
-        shifted = any(id in SHIFTS for id, _ in found.accepted)
-        return not (shifted and times_its_innovations(found.best) > NOTHING_LEFT) and self.turned(found) is not None
+        return not (_shifts(found) and times_its_innovations(found.best) > NOTHING_LEFT) and self.turned(found) is not None
 
 
 def searched(

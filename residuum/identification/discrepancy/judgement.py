@@ -104,7 +104,7 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     left = _times_left(found.best)
     if found.accepted and left > _NEARLY_ALL:
         unknown = max(unknown, _REFUTED)
-    elif found.accepted and (left > _MUCH or _explains_a_part(found) or not _recorded(found)):
+    elif found.accepted and (left > _MUCH or (left >= NOTHING_LEFT and _explains_a_part(found)) or not _recorded(found)):
         unknown = max(unknown, _DOUBTED)
     listed: list[Candidate] = []
     none = 1.0
@@ -130,13 +130,9 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
 
 
 def _explains_a_part(found: Search) -> bool:
-    """Whether more than noise is left of the error, and little of what stood above the noise went: the nearest shape in the
-    catalogue to something else does that.
-    """
-    if _times_left(found.best) < NOTHING_LEFT:
-        return False
+    """Whether little went of what stood above the noise: the nearest shape in the catalogue to something else does that."""
     before, after = (np.concatenate(s.residuals) ** 2 for s in (found.base, found.best))
-    floors = np.array([fast_floor(residuals) for residuals in zip(*(r.T for r in found.best.residuals), strict=True)])
+    floors = np.array([fast_floor(column) for column in _of_each_output(found.best.residuals)])
     known = floors > 0.0
     stood, stands = (np.sum(np.nanmean(power[:, known], axis=0) / floors[known] ** 2 - 1.0) for power in (before, after))
     return bool(stood - stands < _MOST_OF_IT * stood)
@@ -154,7 +150,12 @@ def leaves_much(structure: Structure) -> bool:
 
 
 def _times_left(structure: Structure) -> float:
-    return max(map(times_the_noise, zip(*(r.T for r in structure.residuals), strict=True)))
+    return max(map(times_the_noise, _of_each_output(structure.residuals)))
+
+
+def _of_each_output(residuals: Sequence[FloatArray]) -> list[tuple[FloatArray, ...]]:
+    """The residuals (n, outputs) of several experiments output by output."""
+    return list(zip(*(r.T for r in residuals), strict=True))
 
 
 def _plain(best: Structure, experiments: Sequence[Experiment]) -> Estimate | None:
@@ -185,7 +186,7 @@ def is_incomplete(found: Search, experiments: Sequence[Experiment]) -> bool:
     simulator = Simulator(least.model)
     runs = simulator.run_each(experiments, least.initial, simulator.p(), substeps=least.substeps)
     residuals = runs.errors_of_each
-    columns = list(zip(*(r.T for r in residuals), strict=True))
+    columns = _of_each_output(residuals)
     if any(times_the_noise(c) > PLAINLY or times_the_quiet_noise(c) > STANDS_OUT for c in columns):
         return True
     axes = [signal_axes(least.model, e, run.X) for e, run in zip(experiments, runs, strict=True)]

@@ -8,7 +8,7 @@ from residuum.identification.discrepancy import noise_floor
 from residuum.identification.discrepancy.noise_floor import (
     PLAINLY,
     STANDS_OUT,
-    floor_under_structure,
+    UNDER_STRUCTURE,
     times_the_noise,
     times_the_quiet_noise,
 )
@@ -57,4 +57,4 @@ def test_an_error_that_swings_in_the_fast_part_is_no_noise():
     swings = lfilter([0.1], [1.0, -1.8 * np.cos(2 * np.pi * 0.03), 0.81], lfilter([0.2], [1.0, -0.8], rng.normal(size=20_000)))
     error = [20.0 * swings + rng.normal(size=20_000)]
     assert noise_floor.noise_floor(error) > 10.0
-    assert floor_under_structure(error) == pytest.approx(1.0, rel=0.3)
+    assert noise_floor.noise_floor(error, lowest=UNDER_STRUCTURE) == pytest.approx(1.0, rel=0.3)
