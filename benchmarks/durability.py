@@ -33,7 +33,6 @@ import uvicorn
 from sqlalchemy import func, select, text
 
 from benchmarks.free_port import free_port
-from residuum.service import worker_pool
 from residuum.service.app import create_app
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
@@ -41,6 +40,7 @@ from residuum.service.storage.block_rows import references
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database
 from residuum.service.storage.tables import assets, findings, windows
+from residuum.service.work import worker_pool
 
 ASSET = "press"
 CLIENTS = 4

@@ -28,7 +28,7 @@ from scipy.io import savemat
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import WRITERS, write_record
-from residuum.service import upload_reader
+from residuum.service.work import upload_reader
 
 MEMORY, SECONDS = 512 * 2**20, 10
 LARGEST = 1 << 16

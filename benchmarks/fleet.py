@@ -26,9 +26,9 @@ import orjson
 
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
-from residuum.service.fleet import run_fleet
-from residuum.service.fleet_work import Rescore
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.fleet import run_fleet
+from residuum.service.work.fleet_work import Rescore
+from residuum.service.work.worker_pool import WorkerPool
 
 WORK = Rescore("bearing", None)
 RATE = 12_800.0

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.diagnosis.actuator_model import ActuatorConstants
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator as Diagnoser
-from residuum.diagnosis.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, isolation_classifier, source_classifier
-from residuum.diagnosis.gate_baseline import GateBaseline, TrainingMovement
-from residuum.diagnosis.movement_features import MovementFeatures, movement_features
-from residuum.diagnosis.movements import cut_movements
-from residuum.diagnosis.object_wise_validation import (
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants
+from residuum.diagnosis.gate.gate_baseline import GateBaseline, TrainingMovement
+from residuum.diagnosis.gate.movement_features import MovementFeatures, movement_features
+from residuum.diagnosis.gate.movements import cut_movements
+from residuum.diagnosis.gate.position_domain import average_profile
+from residuum.diagnosis.learning.object_wise_validation import (
     Validation,
     balanced_accuracy,
     learning_curve,
@@ -28,7 +28,7 @@ from residuum.diagnosis.object_wise_validation import (
     object_wise,
     proportion_interval,
 )
-from residuum.diagnosis.position_domain import average_profile
+from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, isolation_classifier, source_classifier
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 

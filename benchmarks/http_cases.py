@@ -72,7 +72,7 @@ SLOW = ("/records", "/identify", "/events")
 def handmade() -> list[bytes]:
     """Bodies of a window with one odd value in each place, and odd ones in place of the whole."""
     bodies = [odd.encode("utf-8", "surrogatepass") for odd in ODD_JSON]
-    bodies += [_with(place).replace('"@@"', odd).encode("utf-8", "surrogatepass") for place in PLACES for odd in ODD_JSON]
+    bodies += [_with(place).replace('""', odd).encode("utf-8", "surrogatepass") for place in PLACES for odd in ODD_JSON]
     bodies += [
         b"\xff\xfe" + json.dumps(GOOD).encode("utf-16-le"),
         b"\xef\xbb\xbf" + json.dumps(GOOD).encode(),
@@ -86,11 +86,11 @@ def handmade() -> list[bytes]:
 def _with(place: str) -> str:
     changed: dict[str, Any] = json.loads(json.dumps(GOOD))
     if place == "sample":
-        changed["channels"]["acceleration"][1] = "@@"
+        changed["channels"]["acceleration"][1] = ""
     elif place == "unit":
-        changed["units"]["acceleration"] = "@@"
+        changed["units"]["acceleration"] = ""
     else:
-        changed[place] = "@@"
+        changed[place] = ""
     return json.dumps(changed)
 
 

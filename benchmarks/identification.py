@@ -17,9 +17,9 @@ from sklearn.gaussian_process.kernels import Hyperparameter, Kernel, WhiteKernel
 
 from benchmarks.peers import run_peer
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.impulse_response import identify_impulse_response
-from residuum.identification.kernels import KERNELS
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.kernels import KERNELS
+from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 
 NUMERATOR, DENOMINATOR = [0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642]  # (2.38) of the source

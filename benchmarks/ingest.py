@@ -18,9 +18,9 @@ from pathlib import Path
 
 import can
 
-from residuum.service.demo import Demo
 from residuum.service.fieldbus.can import multicast_address
-from residuum.service.machine_line import MachineLine
+from residuum.service.machines.machine_line import MachineLine
+from residuum.service.simulated.demo import Demo
 
 
 def residuum_share(seconds: float, speed: float) -> dict[str, object]:

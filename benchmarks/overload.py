@@ -23,8 +23,8 @@ import uvicorn
 
 from benchmarks.free_port import free_port
 from benchmarks.http_cases import _npy, _resident, _wait
-from residuum.service.access import new_key
 from residuum.service.app import create_app
+from residuum.service.security.access import new_key
 from residuum.service.settings import load_settings
 
 RATE = 10.0

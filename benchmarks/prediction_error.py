@@ -11,14 +11,14 @@ from scipy.io import loadmat
 from scipy.stats import binomtest
 
 from benchmarks.peers import run_peer
-from residuum.identification.delay import estimate_delay
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.impulse_response import identify_impulse_response
-from residuum.identification.prediction_error import STRUCTURES, Orders, identify, in_confidence_ellipsoid
-from residuum.identification.prediction_error.criterion import Criterion
-from residuum.identification.prediction_error.data import signals
-from residuum.identification.prediction_error.search import minimise
+from residuum.identification.kernel_based.delay import estimate_delay
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify, in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error.criterion import Criterion
+from residuum.identification.linear_models.prediction_error.data import signals
+from residuum.identification.linear_models.prediction_error.search import minimise
 from residuum.identification.record import Record
 
 DATA = Path(__file__).parents[2] / "shared/data"

@@ -13,27 +13,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal, stats
 
-from residuum.diagnosis.adaptive_threshold import adaptive_threshold
-from residuum.diagnosis.balanced_truncation import balanced_truncation
-from residuum.diagnosis.cusum import cusum
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.fault_estimation import FaultEstimator
-from residuum.diagnosis.healthy_reference import BLOCK, block_peaks
-from residuum.diagnosis.kalman_residual import kalman_residual
-from residuum.diagnosis.parity_space import parity_space
-from residuum.diagnosis.physical_prediction import with_prediction
-from residuum.diagnosis.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residual_detection import detect
-from residuum.diagnosis.state_space import StateSpace
-from residuum.diagnosis.system_norms import h_infinity_norm
-from residuum.diagnosis.threshold import peak_threshold
-from residuum.diagnosis.unknown_input_observer import unknown_input_observer
+from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
+from residuum.diagnosis.residuals.kalman_residual import kalman_residual
+from residuum.diagnosis.residuals.parity_space import parity_space
+from residuum.diagnosis.residuals.physical_prediction import with_prediction
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_detection import detect
+from residuum.diagnosis.residuals.unknown_input_observer import unknown_input_observer
+from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
+from residuum.diagnosis.systems.state_space import StateSpace
+from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.thresholds.adaptive_threshold import adaptive_threshold
+from residuum.diagnosis.thresholds.cusum import cusum
+from residuum.diagnosis.thresholds.healthy_reference import BLOCK, block_peaks
+from residuum.diagnosis.thresholds.threshold import peak_threshold
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.physics import load_model
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import design_uncertainty_weight
 from residuum.simulation import MACHINES
 from residuum.simulation.machine import Machine
 

@@ -14,23 +14,23 @@ from scipy.signal import lfilter
 
 from benchmarks.peers import FOLDER, run_peer
 from residuum.identification.errors import BadInput
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.identified_model_file import save_identified
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import save_identified
+from residuum.identification.linear_models.schur import is_schur
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.schur import is_schur
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import design_uncertainty_weight
-from residuum.robust_control.controller_structure import PI, PIDN, Rational
-from residuum.robust_control.full_order import full_order_design
-from residuum.robust_control.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
-from residuum.robust_control.nominal_performance import NominalAim, design_for_nominal_performance
-from residuum.robust_control.reference_model import ReferenceModel
-from residuum.robust_control.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.state_space import StateSpace, weighted_loop
-from residuum.robust_control.structured_synthesis import default_starts, synthesise
-from residuum.service.control_view import view_control_design
+from residuum.robust_control.synthesis.controller_structure import PI, PIDN, Rational
+from residuum.robust_control.synthesis.full_order import full_order_design
+from residuum.robust_control.synthesis.structured_synthesis import default_starts, synthesise
+from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
+from residuum.robust_control.weights.reference_model import ReferenceModel
+from residuum.service.views.control_view import view_control_design
 
 TS = 0.01
 TRUE = TransferFunction([0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], TS)  # (2.38) of the source

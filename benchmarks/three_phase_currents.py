@@ -11,8 +11,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from residuum.diagnosis.current_signature import current_signature
-from residuum.diagnosis.object_wise_validation import proportion_interval
+from residuum.diagnosis.gate.current_signature import current_signature
+from residuum.diagnosis.learning.object_wise_validation import proportion_interval
 
 FILE = Path(__file__).parents[2] / "shared" / "data" / "itsc" / "Data_ITSC.mat"
 RATE, SUPPLY, WINDOW = 1000.0, 60.0, 250

@@ -9,13 +9,13 @@ from sklearn.model_selection import StratifiedKFold, cross_val_score
 from sklearn.pipeline import Pipeline
 
 from reproduction.item import Item
-from residuum.diagnosis.actuator_model import ActuatorConstants, adapt
-from residuum.diagnosis.decision_regions import decision_regions
-from residuum.diagnosis.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, isolation_classifier, source_classifier
-from residuum.diagnosis.fmeca import PROBABILITIES, SEVERITIES, FailureMode, Risk, criticality_matrix, load_fmeca, risk
-from residuum.diagnosis.movement_features import RATE, MovementFeatures, movement_features
-from residuum.diagnosis.movements import Direction, Movement, cut_movements
-from residuum.diagnosis.object_wise_validation import Validation, mixed_folds, object_wise
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants, adapt
+from residuum.diagnosis.gate.fmeca import PROBABILITIES, SEVERITIES, FailureMode, Risk, criticality_matrix, load_fmeca, risk
+from residuum.diagnosis.gate.movement_features import RATE, MovementFeatures, movement_features
+from residuum.diagnosis.gate.movements import Direction, Movement, cut_movements
+from residuum.diagnosis.learning.decision_regions import decision_regions
+from residuum.diagnosis.learning.object_wise_validation import Validation, mixed_folds, object_wise
+from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, isolation_classifier, source_classifier
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 

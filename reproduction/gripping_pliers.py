@@ -8,12 +8,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from reproduction.item import Item
-from residuum.diagnosis.envelope import band_envelope
-from residuum.diagnosis.healthy_band import HealthyBand
-from residuum.diagnosis.kurtogram import Band, Kurtogram, kurtogram
-from residuum.diagnosis.round_comparison import RoundComparison, compare_rounds, round_profile
-from residuum.diagnosis.rounds import cut_rounds
-from residuum.diagnosis.vibration_indicators import indicators
+from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.vibration.envelope import band_envelope
+from residuum.diagnosis.vibration.kurtogram import Band, Kurtogram, kurtogram
+from residuum.diagnosis.vibration.round_comparison import RoundComparison, compare_rounds, round_profile
+from residuum.diagnosis.vibration.rounds import cut_rounds
+from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 

@@ -8,17 +8,17 @@ import numpy.typing as npt
 import plotly.graph_objects as go
 
 from reproduction.item import Item
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.controller_structure import PIDN
+from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.multi_model import overall_uncertainty
-from residuum.robust_control.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
-from residuum.robust_control.performance_weight import MonotoneWeight
-from residuum.robust_control.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.time_domain import StepResponse, over_plants, step_response
+from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
+from residuum.robust_control.weights.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import MonotoneWeight
 from residuum.simulation.oven import OvenMachine
 
 TS, N, DROPPED, SEED, PLANTS = 60.0, 4800, 1000, 1, 200

@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 from scipy.stats import binomtest, chi2
 
 from reproduction.item import Item
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.prediction_error import STRUCTURES, Orders, identify
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
 from residuum.identification.record import Record
 
 A, B, INPUT_VARIANCE = 0.4, 0.6, 0.4

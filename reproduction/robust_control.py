@@ -9,18 +9,18 @@ import plotly.graph_objects as go
 
 from reproduction.item import Item
 from reproduction.uncertainty import OMEGA, SEED, TRUE, TS, benchmark_record, identified, weights
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.prediction_error import STRUCTURES, identify
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import UncertaintyWeight, design_uncertainty_weight
-from residuum.robust_control.controller_structure import PIDN
+from residuum.robust_control.certificates.robust_performance import RobustAim, RobustDesign, design_for_robust_performance
+from residuum.robust_control.certificates.time_domain import StepResponse, assess, over_plants, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
-from residuum.robust_control.reference_model import ReferenceModel
-from residuum.robust_control.robust_performance import RobustAim, RobustDesign, design_for_robust_performance
-from residuum.robust_control.structured_synthesis import Synthesis, synthesise
-from residuum.robust_control.time_domain import StepResponse, assess, over_plants, step_response
+from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
+from residuum.robust_control.weights.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance
+from residuum.robust_control.weights.reference_model import ReferenceModel
 
 AIM, DURATION, PLANTS = NominalAim(smallest_overshoot=0.01, longest_settling_time=5.0, slack=0.1), 4.0, 200
 FloatArray = npt.NDArray[np.float64]

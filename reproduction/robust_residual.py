@@ -8,17 +8,17 @@ from plotly.subplots import make_subplots
 from scipy.stats import spearmanr
 
 from reproduction.item import Item
-from residuum.diagnosis.approximate_fault_detection import noise_path
-from residuum.diagnosis.coprime import left_coprime
-from residuum.diagnosis.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residual_detection import Detection, detect
-from residuum.diagnosis.state_space import StateSpace
-from residuum.diagnosis.system_norms import h_infinity_norm
-from residuum.diagnosis.threshold import EvaluationName, ThresholdKind
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.diagnosis.residuals.approximate_fault_detection import noise_path
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_detection import Detection, detect
+from residuum.diagnosis.systems.coprime import left_coprime
+from residuum.diagnosis.systems.state_space import StateSpace
+from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKind
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import UncertaintyWeight, design_uncertainty_weight
 
 TS, N, DROPPED, SNR, TAPS, GAMMA = 0.1, 5000, 1000, 9.0, 100, 0.1
 ACCURACY, CONFIDENCE = 0.01, 0.95  # ε and 1 − ζ: n_p = 18445

@@ -5,12 +5,12 @@ import plotly.graph_objects as go
 from scipy.signal import lfilter
 
 from reproduction.item import Item
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.impulse_response import identify_impulse_response
-from residuum.identification.prediction_error import STRUCTURES, identify
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import UncertaintyWeight, design_uncertainty_weight
 
 TS = 0.01
 TRUE = TransferFunction([0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], TS)

@@ -27,7 +27,7 @@ ONLY_IN_SERVICE = {
     "typer",
     "uvicorn",
 }
-MAY_USE_SIMULATION = ("service/commands/", "service/demo", "service/machines/")
+MAY_USE_SIMULATION = ("service/commands/", "service/simulated/")
 APART = ("fieldbus", "storage", "api")
 
 

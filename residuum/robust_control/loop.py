@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.schur import is_schur
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.schur import is_schur
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
-from residuum.robust_control.weighted_cost import rational_response, weighted_cost, weighted_slopes
+from residuum.robust_control.weights.weighted_cost import rational_response, weighted_cost, weighted_slopes
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

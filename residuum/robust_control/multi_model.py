@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.magnitude_fit import fit_magnitude
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import chernoff_samples
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.magnitude_fit import fit_magnitude
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import chernoff_samples
 
 FloatArray = npt.NDArray[np.float64]
 

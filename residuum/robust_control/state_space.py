@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.transfer_function import TransferFunction
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]

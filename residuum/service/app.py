@@ -13,17 +13,16 @@ from fastapi import FastAPI
 from sqlalchemy.engine import make_url
 
 from residuum.service import problems
-from residuum.service.access import ApiKeys
+from residuum.service.alarms.events import Events
+from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
-from residuum.service.bearer_tokens import BearerTokens
-from residuum.service.events import Events
-from residuum.service.gate import Gate
-from residuum.service.jobs import Jobs
-from residuum.service.judges import Judges
 from residuum.service.logs import set_up_logs
+from residuum.service.machines.judges import Judges
+from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
-from residuum.service.notifications import Notifications
-from residuum.service.pipeline import Pipeline
+from residuum.service.security.access import ApiKeys
+from residuum.service.security.bearer_tokens import BearerTokens
+from residuum.service.security.gate import Gate
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import Settings, broker_address
 from residuum.service.storage import DiskStore
@@ -31,7 +30,8 @@ from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.web import web_routes
 from residuum.service.window_queue.stored_windows import StoredWindows, Told
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.jobs import Jobs
+from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 

@@ -10,7 +10,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands import COMMANDS
-from residuum.service.loaded_modules import loading_modules
+from residuum.service.work.loaded_modules import loading_modules
 
 DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT = 0, 1, 2, 3
 

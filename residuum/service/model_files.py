@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.identified_model_file import load_identified
-from residuum.identification.physics.model_file import load_model
-from residuum.service.judges import diagnoser_class
+from residuum.identification.linear_models.identified_model_file import load_identified
+from residuum.identification.physics.files.model_file import load_model
+from residuum.service.machines.judges import diagnoser_class
 
 MODEL_KINDS: dict[str, tuple[str, str]] = {
     "physical": ("application/yaml", ".yaml"),

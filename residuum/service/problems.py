@@ -14,9 +14,9 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from residuum.identification.errors import BadInput
-from residuum.service.alarm_states import IllegalTransition
-from residuum.service.jobs import TooManyJobs
+from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
+from residuum.service.work.jobs import TooManyJobs
 
 log = structlog.get_logger()
 

@@ -8,17 +8,17 @@ from typing import Annotated, Any, Protocol
 
 from fastapi import Depends, Request
 
-from residuum.service.access import ANYBODY, ApiKeys, Caller
-from residuum.service.events import Events
-from residuum.service.jobs import Jobs
-from residuum.service.judges import Judges
+from residuum.service.alarms.events import Events
+from residuum.service.machines.judges import Judges
 from residuum.service.metrics import Metrics
+from residuum.service.security.access import ANYBODY, ApiKeys, Caller
 from residuum.service.settings import Settings
 from residuum.service.store import Store
+from residuum.service.work.jobs import Jobs
 
 
 class LivePipeline(Protocol):
-    """The part that reads buses and has windows scored (`residuum.service.pipeline.Pipeline`)."""
+    """The part that reads buses and has windows scored (`residuum.service.machines.pipeline.Pipeline`)."""
 
     async def start(self) -> None:
         """Begin to read; returns at once, training and connecting go on beside."""

@@ -13,7 +13,7 @@ from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, YamlConfigSettingsSource
 
 from residuum.identification.errors import BadInput
-from residuum.service.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.fieldbus.settings import MachineSettings
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.alarm_states import AlarmEvent, AlarmState
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState
 
 
 class NotFound(BadInput):

@@ -5,20 +5,20 @@ import pytest
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.neighbors import KNeighborsClassifier
 
-from residuum.diagnosis.current_signature import current_signature
-from residuum.diagnosis.decision_regions import decision_regions
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.fault_isolation import source_classifier
-from residuum.diagnosis.fmeca import Risk, coverage, criticality_matrix, load_fmeca
-from residuum.diagnosis.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT
-from residuum.diagnosis.known_gears import KnownGears
-from residuum.diagnosis.notch_match import NotchMatch
-from residuum.diagnosis.object_wise_validation import Validation, mixed_folds, object_wise, proportion_interval
-from residuum.diagnosis.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.reliability import expected_calibration_error, reliability_table
-from residuum.diagnosis.residual_envelope import envelope_spectrum, fault_indicators, residual_envelope
-from residuum.diagnosis.shaft_pattern import shaft_pattern
-from residuum.diagnosis.upper_tail import UpperTail
+from residuum.diagnosis.gate.current_signature import current_signature
+from residuum.diagnosis.gate.fmeca import Risk, coverage, criticality_matrix, load_fmeca
+from residuum.diagnosis.gate.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT
+from residuum.diagnosis.gate.known_gears import KnownGears
+from residuum.diagnosis.gate.notch_match import NotchMatch
+from residuum.diagnosis.gate.residual_envelope import envelope_spectrum, fault_indicators, residual_envelope
+from residuum.diagnosis.learning.decision_regions import decision_regions
+from residuum.diagnosis.learning.object_wise_validation import Validation, mixed_folds, object_wise, proportion_interval
+from residuum.diagnosis.learning.reliability import expected_calibration_error, reliability_table
+from residuum.diagnosis.residuals.fault_isolation import source_classifier
+from residuum.diagnosis.thresholds.upper_tail import UpperTail
+from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
+from residuum.diagnosis.vibration.shaft_pattern import shaft_pattern
 from residuum.identification.errors import BadInput
 
 

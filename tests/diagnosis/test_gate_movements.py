@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.diagnosis.actuator_model import (
+from residuum.diagnosis.gate.actuator_model import (
     ActuatorConstants,
     AdaptedModel,
     adapt,
@@ -13,9 +13,9 @@ from residuum.diagnosis.actuator_model import (
     first_order_response,
     from_data_sheet,
 )
-from residuum.diagnosis.delay_estimation import delay_by_likelihood, delay_by_simulation_error
-from residuum.diagnosis.gate_examples import example_record
-from residuum.diagnosis.movements import Direction, Movement, cut_movements, flat_part
+from residuum.diagnosis.gate.delay_estimation import delay_by_likelihood, delay_by_simulation_error
+from residuum.diagnosis.gate.gate_examples import example_record
+from residuum.diagnosis.gate.movements import Direction, Movement, cut_movements, flat_part
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 

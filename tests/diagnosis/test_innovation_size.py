@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from residuum.diagnosis.healthy_reference import BLOCK, calibrated_threshold
-from residuum.diagnosis.innovation_size import with_unbiased_size
-from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank
-from residuum.diagnosis.noise_model import NoiseModel
-from residuum.diagnosis.residual_design import design_residual
-from residuum.diagnosis.residual_generator import ResidualSignals
-from residuum.diagnosis.state_space import StateSpace
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
+from residuum.diagnosis.residuals.noise_model import NoiseModel
+from residuum.diagnosis.residuals.residual_design import design_residual
+from residuum.diagnosis.residuals.residual_generator import ResidualSignals
+from residuum.diagnosis.systems.state_space import StateSpace
+from residuum.diagnosis.thresholds.healthy_reference import BLOCK, calibrated_threshold
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.record import Record
 
 TS, STD = 0.1, 0.4

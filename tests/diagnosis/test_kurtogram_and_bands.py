@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import fft, signal
 
-from residuum.diagnosis import filter_bank
-from residuum.diagnosis.band_selection import MERITS, choose_band, separation
-from residuum.diagnosis.bearing_model import impact_train
-from residuum.diagnosis.envelope import band_envelope
-from residuum.diagnosis.kurtogram import kurtogram
-from residuum.diagnosis.vibration_indicators import indicators
+from residuum.diagnosis.residuals import filter_bank
+from residuum.diagnosis.vibration.band_selection import MERITS, choose_band, separation
+from residuum.diagnosis.vibration.bearing_model import impact_train
+from residuum.diagnosis.vibration.envelope import band_envelope
+from residuum.diagnosis.vibration.kurtogram import kurtogram
+from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput
 
 

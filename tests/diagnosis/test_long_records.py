@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.bearing_model import faulty_bearing
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.long_records import LONGEST, blocks_of, score_in_blocks
+from residuum.diagnosis.vibration.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
 from residuum.identification.record import Record
 
 ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.adaptive_threshold import adaptive_threshold
-from residuum.diagnosis.kalman_residual import kalman_residual
-from residuum.diagnosis.parity_space import parity_space
-from residuum.diagnosis.state_space import StateSpace
-from residuum.diagnosis.structured_residuals import structured_residuals
-from residuum.diagnosis.unknown_input_observer import unknown_input_observer
+from residuum.diagnosis.residuals.kalman_residual import kalman_residual
+from residuum.diagnosis.residuals.parity_space import parity_space
+from residuum.diagnosis.residuals.structured_residuals import structured_residuals
+from residuum.diagnosis.residuals.unknown_input_observer import unknown_input_observer
+from residuum.diagnosis.systems.state_space import StateSpace
+from residuum.diagnosis.thresholds.adaptive_threshold import adaptive_threshold
 from residuum.identification.errors import BadModel
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.transfer_function import TransferFunction
 
 TS = 0.1
 PLANT = TransferFunction([0.3, 0.1], [1.0, -1.2, 0.5], TS)

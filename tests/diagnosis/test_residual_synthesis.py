@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.diagnosis.approximate_fault_detection import approximate_fault_detection, exact_fault_detection, noise_path
-from residuum.diagnosis.balanced_truncation import balanced_truncation
-from residuum.diagnosis.coprime import left_coprime
-from residuum.diagnosis.spectral_factor import co_outer_factor
-from residuum.diagnosis.state_space import StateSpace
-from residuum.diagnosis.system_norms import h_infinity_norm, peak_gain
+from residuum.diagnosis.residuals.approximate_fault_detection import (
+    approximate_fault_detection,
+    exact_fault_detection,
+    noise_path,
+)
+from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
+from residuum.diagnosis.systems.coprime import left_coprime
+from residuum.diagnosis.systems.spectral_factor import co_outer_factor
+from residuum.diagnosis.systems.state_space import StateSpace
+from residuum.diagnosis.systems.system_norms import h_infinity_norm, peak_gain
 from residuum.identification.errors import BadModel
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.transfer_function import TransferFunction
 
 TS = 0.1
 OMEGA = np.linspace(1e-3, np.pi / TS, 101)

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from residuum.diagnosis.cusum import cusum
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.false_alarm_rate import cusum_threshold, scan_rate, scan_threshold
-from residuum.diagnosis.fault_estimation import FaultEstimator
-from residuum.diagnosis.healthy_reference import BLOCK, calibrated_threshold
-from residuum.diagnosis.likelihood_ratio import LikelihoodRatioBank, bank_threshold
-from residuum.diagnosis.noise_model import NoiseModel, fit_noise_model
-from residuum.diagnosis.physical_prediction import with_prediction
-from residuum.diagnosis.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residual_detection import detect
-from residuum.diagnosis.residual_generator import ResidualSignals
-from residuum.diagnosis.threshold import bounds, peak_threshold
+from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
+from residuum.diagnosis.residuals.physical_prediction import with_prediction
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_detection import detect
+from residuum.diagnosis.residuals.residual_generator import ResidualSignals
+from residuum.diagnosis.thresholds.cusum import cusum
+from residuum.diagnosis.thresholds.false_alarm_rate import cusum_threshold, scan_rate, scan_threshold
+from residuum.diagnosis.thresholds.healthy_reference import BLOCK, calibrated_threshold
+from residuum.diagnosis.thresholds.threshold import bounds, peak_threshold
 from residuum.identification.errors import BadInput, BadRecord, BadUnit
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.physics import estimate, load_model, match
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import design_uncertainty_weight
 from residuum.simulation import MACHINES
 from residuum.simulation.process import Process
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.clock_alignment import align_clocks, on_clock_of, pulse_times
-from residuum.diagnosis.order_tracking import angle_from_pulses, angle_from_speed, at_even_angle
-from residuum.diagnosis.rounds import cut_rounds
-from residuum.diagnosis.synchronous_average import synchronous_average
+from residuum.diagnosis.vibration.clock_alignment import align_clocks, on_clock_of, pulse_times
+from residuum.diagnosis.vibration.order_tracking import angle_from_pulses, angle_from_speed, at_even_angle
+from residuum.diagnosis.vibration.rounds import cut_rounds
+from residuum.diagnosis.vibration.synchronous_average import synchronous_average
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.simulation.gripping_pliers import GrippingPliers

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.healthy_band import HealthyBand
-from residuum.diagnosis.sensor_health import clipped_share, suspect, unusable
-from residuum.diagnosis.trend import trend
-from residuum.diagnosis.vibration_severity import severity
+from residuum.diagnosis.learning.trend import trend
+from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.vibration.sensor_health import clipped_share, suspect, unusable
+from residuum.diagnosis.vibration.vibration_severity import severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 
 FS = 12000

@@ -10,7 +10,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from residuum.diagnosis.stored import load_stored, save_stored
+from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.identification.errors import BadInput
 
 

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.gram import regression_sums, streamed_sums
+from residuum.identification.kernel_based.gram import regression_sums, streamed_sums
 
 
 def plain_regression(inputs, y, order, delay):

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, signal
 
-from residuum.identification.delay import estimate_delay
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
-from residuum.identification.impulse_response import identify_impulse_response
-from residuum.identification.kernels import KERNELS
+from residuum.identification.kernel_based.delay import estimate_delay
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.record import Record
 
 NUMERATOR, DENOMINATOR = [0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642]  # (2.38)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from residuum.identification.errors import BadInput
-from residuum.identification.magnitude_fit import between_samples, fit_magnitude, worst_distance_db
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.magnitude_fit import between_samples, fit_magnitude, worst_distance_db
+from residuum.identification.linear_models.transfer_function import TransferFunction
 
 OMEGA = np.geomspace(1e-2, 1e2, 80)
 TRUTH = TransferFunction([3.0, 0.6, 40.0], [1.0, 2.0, 5.0, 0.4])

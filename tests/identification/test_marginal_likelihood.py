@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import linalg, optimize
 
-from residuum.identification.gram import regression_sums
-from residuum.identification.kernels import KERNELS
-from residuum.identification.marginal_likelihood import marginal_likelihood
+from residuum.identification.kernel_based.gram import regression_sums
+from residuum.identification.kernel_based.kernels import KERNELS
+from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 
 ETA = {"tc": [0.8], "dc": [0.85, 0.6], "ss": [0.9], "di": [0.7]}
 

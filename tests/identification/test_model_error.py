@@ -3,10 +3,10 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.model_error import model_error_model
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.model_error import model_error_model
+from residuum.identification.linear_models.stochastic_embedding import laguerre_basis, stochastic_embedding
 from residuum.identification.record import Record
-from residuum.identification.stochastic_embedding import laguerre_basis, stochastic_embedding
 
 UNITS = {"u": "V", "y": "mm"}
 OMEGA = np.geomspace(0.01, 3.1, 40)

@@ -3,7 +3,7 @@ import pytest
 from scipy import signal
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.multivariable import identify_multivariable
+from residuum.identification.kernel_based.multivariable import identify_multivariable
 from residuum.identification.record import Record
 
 UNITS = {"valve": "%", "heater": "kW", "level": "m", "temperature": "K"}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.identification.recursive_filter import all_pole
+from residuum.identification.linear_models.recursive_filter import all_pole
 
 
 @pytest.mark.parametrize("shape", [(500,), (500, 3), (1,)])

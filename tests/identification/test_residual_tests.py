@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.identification.autoregression import fit_autoregression
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.residual_tests import input_correlation_test, whiteness_test
+from residuum.identification.linear_models.autoregression import fit_autoregression
+from residuum.identification.linear_models.residual_tests import input_correlation_test, whiteness_test
 
 
 def coloured_pair(seed, n=800):

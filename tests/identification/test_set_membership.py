@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.set_membership import feasible_set
+from residuum.identification.linear_models.set_membership import feasible_set
 
 
 @settings(max_examples=25, deadline=None)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.uncertainty import (
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.uncertainty import (
     chernoff_samples,
     design_uncertainty_weight,
     error_envelope,

@@ -11,7 +11,7 @@ from residuum.service.fieldbus.frame_sender import FrameSender
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.register_trace import TracedPage, write_trace
 from residuum.service.fieldbus.settings import MAPS
-from residuum.service.machines.wiring import wiring_of
+from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
 
 HERE = Path(__file__).parent

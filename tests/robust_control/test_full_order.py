@@ -4,12 +4,18 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.controller_structure import PIDN
-from residuum.robust_control.full_order import NotAvailable, _to_continuous, _to_discrete, full_order_design, generalised_plant
-from residuum.robust_control.h_infinity_norm import h_infinity_norm
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.structured_synthesis import synthesise
+from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.full_order import (
+    NotAvailable,
+    _to_continuous,
+    _to_discrete,
+    full_order_design,
+    generalised_plant,
+)
+from residuum.robust_control.synthesis.structured_synthesis import synthesise
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 1.2, 1.0]).discretise(TS)

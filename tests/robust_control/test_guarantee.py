@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.schur import is_schur
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.schur import is_schur
-from residuum.identification.transfer_function import TransferFunction
-from residuum.identification.uncertainty import design_uncertainty_weight
-from residuum.robust_control.controller_structure import PI
-from residuum.robust_control.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
-from residuum.robust_control.reference_model import ReferenceModel
 from residuum.robust_control.state_space import weighted_loop
-from residuum.robust_control.structured_synthesis import synthesise
+from residuum.robust_control.synthesis.controller_structure import PI
+from residuum.robust_control.synthesis.structured_synthesis import synthesise
+from residuum.robust_control.weights.reference_model import ReferenceModel
 
 SYSTEMS = {
     "resonant": TransferFunction([0.4, 0.3], [1.0, -1.2, 0.8], 1.0),

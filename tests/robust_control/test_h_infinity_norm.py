@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.h_infinity_norm import h_infinity_norm
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.loop import Loop
 from residuum.robust_control.state_space import StateSpace, realise, weighted_loop
 

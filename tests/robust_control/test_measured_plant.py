@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.controller_structure import PIDN
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
-from residuum.robust_control.reference_model import ReferenceModel
-from residuum.robust_control.structured_synthesis import synthesise
+from residuum.robust_control.synthesis.controller_structure import PIDN
+from residuum.robust_control.synthesis.structured_synthesis import synthesise
+from residuum.robust_control.weights.reference_model import ReferenceModel
 
 TS = 0.05
 OMEGA = np.geomspace(1e-3, np.pi / TS, 900)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, nnls
 
-from residuum.robust_control.minimax_step import minimax_step
-from residuum.robust_control.nonnegative_least_squares import nonnegative_least_squares
+from residuum.robust_control.synthesis.minimax_step import minimax_step
+from residuum.robust_control.synthesis.nonnegative_least_squares import nonnegative_least_squares
 
 
 def general_solver(c, A, H, low, high):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.controller_structure import PIDN
-from residuum.robust_control.disk_margin import disk_margin
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.disk_margin import disk_margin
+from residuum.robust_control.certificates.robust_stability import UNCERTAINTIES, loop_responses, robust_stability
+from residuum.robust_control.certificates.structured_singular_value import mu_bounds
 from residuum.robust_control.loop import characteristic
-from residuum.robust_control.robust_stability import UNCERTAINTIES, loop_responses, robust_stability
-from residuum.robust_control.structured_singular_value import mu_bounds
+from residuum.robust_control.synthesis.controller_structure import PIDN
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 0.4, 1.0]).discretise(TS)

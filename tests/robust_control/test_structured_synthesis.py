@@ -5,16 +5,16 @@ import pytest
 from scipy.optimize import differential_evolution
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
-from residuum.robust_control.controller_structure import PI, PIDN, LeadLag, Rational
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
+from residuum.robust_control.certificates.time_domain import assess, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
-from residuum.robust_control.pareto import Point, bisected_front, preferred
-from residuum.robust_control.performance_weight import MonotoneWeight
-from residuum.robust_control.reference_model import ReferenceModel, shortest_settling_time
-from residuum.robust_control.robust_performance import RobustAim, design_for_robust_performance
-from residuum.robust_control.structured_synthesis import NoStabilisingStart, default_starts, synthesise
-from residuum.robust_control.time_domain import assess, step_response
+from residuum.robust_control.synthesis.controller_structure import PI, PIDN, LeadLag, Rational
+from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
+from residuum.robust_control.synthesis.structured_synthesis import NoStabilisingStart, default_starts, synthesise
+from residuum.robust_control.weights.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import MonotoneWeight
+from residuum.robust_control.weights.reference_model import ReferenceModel, shortest_settling_time
 
 TS = 0.05
 PLANT = TransferFunction([2.0], [1.0, 1.2, 1.0]).discretise(TS)

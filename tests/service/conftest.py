@@ -21,7 +21,7 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 
 from residuum.service.app import create_app
-from residuum.service.pipeline import Pipeline
+from residuum.service.machines.pipeline import Pipeline
 from residuum.service.settings import load_settings
 
 PATIENCE = 60.0

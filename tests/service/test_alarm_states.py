@@ -6,8 +6,17 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from residuum.service.alarm_rules import AlarmRule, in_deadband
-from residuum.service.alarm_states import ACTIVE, ASIDE, AlarmEvent, AlarmState, AlarmStatus, IllegalTransition, follow, operate
+from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband
+from residuum.service.alarms.alarm_states import (
+    ACTIVE,
+    ASIDE,
+    AlarmEvent,
+    AlarmState,
+    AlarmStatus,
+    IllegalTransition,
+    follow,
+    operate,
+)
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 # Written out after ANSI/ISA-18.2-2016, figure 3, apart from the code: state → what each event may lead to.

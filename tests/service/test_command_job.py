@@ -4,7 +4,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from residuum.identification.record import Record
-from residuum.service.command_job import parts_of, run_commands
+from residuum.service.work.command_job import parts_of, run_commands
 
 
 def told_by(steps, record):

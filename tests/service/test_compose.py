@@ -13,9 +13,9 @@ import jsonschema
 import pytest
 import yaml
 
-from residuum.service.access import new_key
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.security.access import new_key
 from residuum.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]

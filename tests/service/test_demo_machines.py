@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from residuum.service.demo_training import simulated_windows
 from residuum.service.fieldbus.settings import WindowSettings
-from residuum.service.machines.wiring import wiring_of
+from residuum.service.simulated.demo_training import simulated_windows
+from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
 
 _spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).with_name("trained.py"))

@@ -4,9 +4,9 @@ import asyncio
 
 import pytest
 
-from residuum.service.machines import device
-from residuum.service.machines.device import Device
-from residuum.service.machines.wiring import Wiring
+from residuum.service.simulated import device
+from residuum.service.simulated.device import Device
+from residuum.service.simulated.wiring import Wiring
 
 STALL = 3.0
 

@@ -5,8 +5,8 @@ import threading
 
 import orjson
 
+from residuum.service.alarms.events import Events
 from residuum.service.api.events import event_stream
-from residuum.service.events import Events
 
 
 def collect(events, count, last_seen=None, after_start=lambda: None):

@@ -18,13 +18,13 @@ from benchmarks import fleet as fleet_benchmark
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
-from residuum.service import fleet_source
 from residuum.service.cli import run
 from residuum.service.commands.identify import Request
-from residuum.service.fleet import open_executor, run_fleet
-from residuum.service.fleet_work import Reidentify, Rescore
 from residuum.service.storage import DiskStore
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work import fleet_source
+from residuum.service.work.fleet import open_executor, run_fleet
+from residuum.service.work.fleet_work import Reidentify, Rescore
+from residuum.service.work.worker_pool import WorkerPool
 
 
 def silent(*_):
@@ -87,7 +87,7 @@ def end_if_it_is_the_bad_one(file):
 
 
 def test_a_file_that_ends_every_worker_is_refused_and_the_others_are_done(monkeypatch, tmp_path):
-    monkeypatch.setattr("residuum.service.fleet._ATTEMPTS", 1)
+    monkeypatch.setattr("residuum.service.work.fleet._ATTEMPTS", 1)
     pool = WorkerPool(1)
     found = run_fleet(["one", "bad", "three"], end_if_it_is_the_bad_one, pool, tmp_path / "r", workers=1, tell=silent)
     pool.terminate()

@@ -9,8 +9,8 @@ import time
 import pytest
 import uvicorn
 
-from residuum.service import http_connections
-from residuum.service.http_connections import BoundedConnection
+from residuum.service.security import http_connections
+from residuum.service.security.http_connections import BoundedConnection
 
 ASK = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
 

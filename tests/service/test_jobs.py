@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from residuum.service.jobs import OVER, Jobs, JobState, TooManyJobs
 from residuum.service.store import NotFound
+from residuum.service.work.jobs import OVER, Jobs, JobState, TooManyJobs
 
 WORK = """
 import os, time

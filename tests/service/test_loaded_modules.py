@@ -3,7 +3,7 @@ import sys
 
 SCRIPT = """
 import gc
-from residuum.service.loaded_modules import leave_loaded_modules
+from residuum.service.work.loaded_modules import leave_loaded_modules
 leave_loaded_modules()
 first = gc.get_freeze_count()
 later = [[] for _ in range(1000)]
@@ -19,7 +19,7 @@ def test_what_is_loaded_is_left_alone_and_what_comes_later_is_not():
 
 IMPORTS = """
 import gc
-from residuum.service.loaded_modules import loading_modules
+from residuum.service.work.loaded_modules import loading_modules
 with loading_modules():
     print(gc.isenabled())
 print(gc.isenabled(), gc.get_freeze_count() > 1000)

@@ -9,7 +9,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machine_line import MachineLine
+from residuum.service.machines.machine_line import MachineLine
 
 SETTINGS = MachineSettings(
     asset="plant",

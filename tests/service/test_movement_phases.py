@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.discrepancy.locate import Axis
-from residuum.service.movement_phases import phase_cells
+from residuum.service.machines.movement_phases import phase_cells
 
 DT = 0.01
 

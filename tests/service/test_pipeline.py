@@ -15,9 +15,9 @@ import pytest
 
 from residuum.service.cli import run as run_command
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.device import Device
-from residuum.service.machines.wiring import wiring_of
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.simulated.device import Device
+from residuum.service.simulated.wiring import wiring_of
+from residuum.service.work.worker_pool import WorkerPool
 from residuum.simulation import MACHINES
 
 _spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).with_name("trained.py"))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from residuum.service import rate_limit
-from residuum.service.rate_limit import RateLimit, retry_after
+from residuum.service.security import rate_limit
+from residuum.service.security.rate_limit import RateLimit, retry_after
 
 
 class Clock:

@@ -21,7 +21,7 @@ from residuum.service.window_queue.spool import Spool
 from residuum.service.window_queue.stored_news import StoredNews
 from residuum.service.window_queue.stored_windows import Told
 from residuum.service.window_queue.topics import stored_topic
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import WorkerPool
 
 PATIENCE = 120
 

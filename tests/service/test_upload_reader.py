@@ -9,7 +9,7 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
-from residuum.service.upload_reader import read_upload
+from residuum.service.work.upload_reader import read_upload
 
 LIMITS = {"memory": 512 * 2**20, "seconds": 10}
 

@@ -16,7 +16,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.cli import run
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 from residuum.service.settings import broker_address
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway

@@ -10,7 +10,7 @@ from pathlib import Path
 PATIENCE = 300.0
 SERVICE = """
 import os, time
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import WorkerPool
 if __name__ == "__main__":
     pool = WorkerPool(2)
     asked = [pool.submit(os.getppid), pool.submit(os.getpid)]

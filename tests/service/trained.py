@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.service.demo_training import train
+from residuum.service.simulated.demo_training import train
 
 DIAGNOSER_OF = {"gate-actuator": "gate-actuator", "gripping-pliers": "gripping-pliers", "process-plant": "robust-residual"}
 

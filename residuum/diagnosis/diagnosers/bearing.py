@@ -11,20 +11,20 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.bearing_frequencies import CLASS_OF, BearingFrequencies
-from residuum.diagnosis.bearing_model import faulty_bearing
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
-from residuum.diagnosis.fault_lines import LineEvidence, line_evidence
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.healthy_band import HealthyBand
-from residuum.diagnosis.knocks import without_knocks
-from residuum.diagnosis.long_records import LONGEST, blocks_of, score_in_blocks
-from residuum.diagnosis.octave_bands import octave_edges, octave_rms
-from residuum.diagnosis.order_tracking import angle_from_speed, at_even_angle
-from residuum.diagnosis.sensor_health import changed_gain, suspect, unusable
-from residuum.diagnosis.stored import load_stored, save_stored
-from residuum.diagnosis.vibration_indicators import indicators
-from residuum.diagnosis.vibration_severity import LIMITS, severity
+from residuum.diagnosis.learning.stored import load_stored, save_stored
+from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.vibration.bearing_frequencies import CLASS_OF, BearingFrequencies
+from residuum.diagnosis.vibration.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.fault_lines import LineEvidence, line_evidence
+from residuum.diagnosis.vibration.knocks import without_knocks
+from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
+from residuum.diagnosis.vibration.octave_bands import octave_edges, octave_rms
+from residuum.diagnosis.vibration.order_tracking import angle_from_speed, at_even_angle
+from residuum.diagnosis.vibration.sensor_health import changed_gain, suspect, unusable
+from residuum.diagnosis.vibration.vibration_indicators import indicators
+from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert

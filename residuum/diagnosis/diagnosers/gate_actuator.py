@@ -9,17 +9,17 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from residuum.diagnosis.actuator_model import ActuatorConstants
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
-from residuum.diagnosis.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.gate_baseline import GateBaseline, Judgement, TrainingMovement
-from residuum.diagnosis.gate_examples import example_records
-from residuum.diagnosis.movement_assessability import unusable_movement, unusable_record
-from residuum.diagnosis.movement_features import MovementFeatures, movement_features
-from residuum.diagnosis.movements import Movement, cut_movements
-from residuum.diagnosis.operating_events import Happened, event_of_profile
-from residuum.diagnosis.position_domain import average_profile
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants
+from residuum.diagnosis.gate.gate_baseline import GateBaseline, Judgement, TrainingMovement
+from residuum.diagnosis.gate.gate_examples import example_records
+from residuum.diagnosis.gate.movement_assessability import unusable_movement, unusable_record
+from residuum.diagnosis.gate.movement_features import MovementFeatures, movement_features
+from residuum.diagnosis.gate.movements import Movement, cut_movements
+from residuum.diagnosis.gate.operating_events import Happened, event_of_profile
+from residuum.diagnosis.gate.position_domain import average_profile
+from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 

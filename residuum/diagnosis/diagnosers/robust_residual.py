@@ -10,21 +10,21 @@ import numpy as np
 from scipy import signal
 
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
-from residuum.diagnosis.false_alarm_rate import alarms_per_sample
-from residuum.diagnosis.fault_estimation import FaultEstimate, FaultEstimator
-from residuum.diagnosis.fault_signatures import FAULT_KINDS
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
-from residuum.diagnosis.likelihood_ratio import BankOutput
-from residuum.diagnosis.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residual_generator import ResidualGenerator, ResidualSignals
-from residuum.diagnosis.state_space import FloatArray
-from residuum.identification.delay import estimate_delay
+from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
+from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS
+from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals
+from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
+from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
 from residuum.identification.errors import BadInput, BadRecord
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.delay import estimate_delay
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.uncertainty import design_uncertainty_weight
 
 FALSE_ALARMS_PER_DAY = 0.1
 STRUCTURED_P = 1e-3

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened, within
 from residuum.identification.errors import BadInput
-from residuum.identification.recursive_filter import all_pole
+from residuum.identification.linear_models.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
 

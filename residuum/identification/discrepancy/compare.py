@@ -29,8 +29,8 @@ from residuum.identification.discrepancy.regions import regions
 from residuum.identification.discrepancy.structured_error import StructuredError, test_structured_error
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, block_means, estimate, match
-from residuum.identification.physics.expression import Name, Node, walk
-from residuum.identification.physics.kalman import Filter, Smoothed, tune
+from residuum.identification.physics.files.expression import Name, Node, walk
+from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from residuum.identification.discrepancy.structures import Structure, refit
 from residuum.identification.physics import Experiment
-from residuum.identification.physics.effects.drifting_load import DriftingLoad
+from residuum.identification.physics.effects.load.drifting_load import DriftingLoad
 
 _FEWEST_WINDOWS = 8
 """Experiments from which on a load of each one's own is a drift; of fewer it could not be told from a constant one."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.locate import Axis
-from residuum.identification.recursive_filter import all_pole
+from residuum.identification.linear_models.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
 Shape = Callable[[FloatArray], FloatArray]

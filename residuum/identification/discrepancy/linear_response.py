@@ -11,8 +11,8 @@ import numpy.typing as npt
 from numba import njit
 
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.physics.integration import integrate, new_memory, observe, observe_slopes
 from residuum.identification.physics.model import missing_name
+from residuum.identification.physics.simulate.integration import integrate, new_memory, observe, observe_slopes
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.score_test import Screened
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
 from residuum.identification.physics import PhysicalModel
-from residuum.identification.physics.least_squares import solve_scaled
+from residuum.identification.physics.estimate.least_squares import solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 Key = tuple[str, str]

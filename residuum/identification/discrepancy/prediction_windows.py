@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, windows
-from residuum.identification.physics.kalman import Filter, first_noise
+from residuum.identification.physics.simulate.kalman import Filter, first_noise
 
 _LASTING = 0.6
 """Part of the peak effect of a first state that is there at the end where a plant integrates; what forgets within two records'

@@ -13,7 +13,7 @@ from residuum.identification.discrepancy.coloured_noise import stretches
 from residuum.identification.discrepancy.locate import Axis, Region, locate
 from residuum.identification.discrepancy.structured_error import StructuredError
 from residuum.identification.physics import Experiment, PhysicalModel
-from residuum.identification.physics.kalman import Smoothed
+from residuum.identification.physics.simulate.kalman import Smoothed
 
 FloatArray = npt.NDArray[np.float64]
 

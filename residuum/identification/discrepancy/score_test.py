@@ -18,7 +18,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
-from residuum.identification.physics.least_squares import solve_scaled
+from residuum.identification.physics.estimate.least_squares import solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.kalman import Filter, first_noise
+from residuum.identification.physics.simulate.kalman import Filter, first_noise
 
 FloatArray = npt.NDArray[np.float64]
 

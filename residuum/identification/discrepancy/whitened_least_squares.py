@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.innovation_sums import FREEDOM, add_normal_equations, after_step
 from residuum.identification.discrepancy.innovations import Noises
-from residuum.identification.physics.least_squares import damped, solve_scaled
+from residuum.identification.physics.estimate.least_squares import damped, solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
 

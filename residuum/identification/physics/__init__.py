@@ -18,17 +18,17 @@ missing term of each balance (`missing@balance`). Modules: `expression`, `dimens
 `likelihood_estimation` (using), `effects/` (the catalogue).
 """
 
-from residuum.identification.physics.block_means import block_means
-from residuum.identification.physics.coloured_covariance import with_coloured_noise
-from residuum.identification.physics.estimation import Estimate, Settings, estimate, windows
-from residuum.identification.physics.experiment import Experiment, match
-from residuum.identification.physics.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
-from residuum.identification.physics.least_squares import FlatDirection
-from residuum.identification.physics.likelihood_estimation import estimate_by_likelihood
+from residuum.identification.physics.estimate.estimation import Estimate, Settings, estimate, windows
+from residuum.identification.physics.estimate.least_squares import FlatDirection
+from residuum.identification.physics.estimate.likelihood_estimation import estimate_by_likelihood
+from residuum.identification.physics.files.model_file import BUILT_IN, load_model, read_model, write_model
 from residuum.identification.physics.model import EffectUse, PhysicalModel, candidates, find_effect
-from residuum.identification.physics.model_file import BUILT_IN, load_model, read_model, write_model
-from residuum.identification.physics.operating_conditions import balance_variables, conditions_at
-from residuum.identification.physics.simulation import Simulation, Simulator
+from residuum.identification.physics.simulate.block_means import block_means
+from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
+from residuum.identification.physics.simulate.experiment import Experiment, match
+from residuum.identification.physics.simulate.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
+from residuum.identification.physics.simulate.operating_conditions import balance_variables, conditions_at
+from residuum.identification.physics.simulate.simulation import Simulation, Simulator
 
 __all__ = [
     "BUILT_IN",

@@ -11,7 +11,7 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, UNNAMED
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
-from residuum.identification.physics.expression import Expression
+from residuum.identification.physics.files.expression import Expression
 
 BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
     {

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.transfer_function import TransferFunction
+from residuum.identification.linear_models.transfer_function import TransferFunction
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from residuum.service.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmRatesAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Cursor, Limit

@@ -9,18 +9,18 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.identification.physics import BUILT_IN, write_model
-from residuum.service.acceptance import ModelText, propose
-from residuum.service.access import ANYBODY
 from residuum.service.api.analyses import Names
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, TEXT, AssetName
-from residuum.service.command_job import parts_of
-from residuum.service.healthy_windows import healthy_windows, parted
-from residuum.service.model_view import model_of
+from residuum.service.machines.acceptance import ModelText, propose
+from residuum.service.machines.healthy_windows import healthy_windows, parted
+from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
+from residuum.service.views.model_view import model_of
+from residuum.service.work.command_job import parts_of
 
 router = APIRouter(prefix="/assets/{asset}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -11,9 +11,9 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import StrictRoute
 from residuum.service.api.parameters import NAME
-from residuum.service.control_view import view_control_design
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
+from residuum.service.views.control_view import view_control_design
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
 

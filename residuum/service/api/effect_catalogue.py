@@ -10,12 +10,12 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
 
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
-from residuum.identification.physics.effect_signature import signature
+from residuum.identification.physics.compile.effect_signature import signature
 from residuum.identification.physics.effects import EFFECTS
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
-from residuum.service.model_view import model_of
 from residuum.service.services import Running
+from residuum.service.views.model_view import model_of
 
 router = APIRouter(prefix="/effects", tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
 

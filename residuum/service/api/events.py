@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.responses import StreamingResponse
 
-from residuum.service.events import Event, Events
+from residuum.service.alarms.events import Event, Events
 from residuum.service.services import Running, caller_of
 
 router = APIRouter(tags=["events"])

@@ -7,7 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.fmeca import PROBABILITIES, SEVERITIES, FailureMode, coverage, criticality_matrix, load_fmeca, risk
+from residuum.diagnosis.gate.fmeca import PROBABILITIES, SEVERITIES, FailureMode, coverage, criticality_matrix, load_fmeca, risk
 from residuum.service.api.json_response import Json
 
 router = APIRouter(tags=["score"])

@@ -8,13 +8,13 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
-from residuum.service.residual_view import read_identified
 from residuum.service.services import Running
 from residuum.service.store import Conflict
+from residuum.service.views.residual_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -8,12 +8,12 @@ import orjson
 from fastapi import APIRouter, Path, Response
 from starlette.responses import StreamingResponse
 
+from residuum.service.alarms.events import Event
 from residuum.service.api.answers import PROBLEMS, JobAnswer, PageOf
 from residuum.service.api.events import LastEventId, event_stream
 from residuum.service.api.json_response import Json
-from residuum.service.events import Event
-from residuum.service.jobs import OVER, Job
 from residuum.service.services import Running
+from residuum.service.work.jobs import OVER, Job
 
 router = APIRouter(prefix="/jobs", tags=["jobs"], responses=PROBLEMS)
 

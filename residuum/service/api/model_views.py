@@ -11,19 +11,19 @@ from pydantic import BaseModel, Field
 
 from residuum.identification.physics import BUILT_IN, load_model, write_model
 from residuum.identification.record import Record
-from residuum.service.access import ANYBODY
 from residuum.service.api.analyses import Comparison, Text
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, ModelName
-from residuum.service.command_job import RecordParts, parts_of
-from residuum.service.effect_addition import add_effect
-from residuum.service.model_description import describe
-from residuum.service.model_view import effect_curves, model_of, view_model
-from residuum.service.parameter_changes import with_parameters
+from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
+from residuum.service.views.effect_addition import add_effect
+from residuum.service.views.model_description import describe
+from residuum.service.views.model_view import effect_curves, model_of, view_model
+from residuum.service.views.parameter_changes import with_parameters
+from residuum.service.work.command_job import RecordParts, parts_of
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from residuum.service.access import ANYBODY
 from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import NAME, TEXT, Cursor, Limit, ModelName
 from residuum.service.model_files import MODEL_KINDS, check_model_file
+from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running
 
 router = APIRouter(prefix="/models", tags=["models"], responses=PROBLEMS)

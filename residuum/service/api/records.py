@@ -19,7 +19,7 @@ from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.problems import UnsupportedBody
 from residuum.service.services import Running
 from residuum.service.settings import Settings
-from residuum.service.upload_reader import read_upload
+from residuum.service.work.upload_reader import read_upload
 
 router = APIRouter(prefix="/records", tags=["records"], responses=PROBLEMS)
 

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, Field
 
-from residuum.service.access import Caller
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
+from residuum.service.security.access import Caller
 from residuum.service.services import Running, Services, caller_of
 
 router = APIRouter(tags=["live"], route_class=StrictRoute, responses=PROBLEMS)

@@ -8,16 +8,16 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.uncertainty import design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.service.api.analyses import RecordNumbers
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
-from residuum.service.command_job import parts_of
-from residuum.service.residual_view import WEIGHT_ORDER, read_identified, view_residual
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
+from residuum.service.views.residual_view import WEIGHT_ORDER, read_identified, view_residual
+from residuum.service.work.command_job import parts_of
 
 router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 

@@ -8,20 +8,20 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.diagnosis.classifier_plane import classifier_plane, plane_features
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.envelope import band_envelope
-from residuum.diagnosis.kurtogram import kurtogram
+from residuum.diagnosis.gate.classifier_plane import classifier_plane, plane_features
+from residuum.diagnosis.vibration.envelope import band_envelope
+from residuum.diagnosis.vibration.kurtogram import kurtogram
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName, WindowId
 from residuum.service.services import Running, Services
-from residuum.service.signal_view import extremes
 from residuum.service.store import Conflict, NotFound
+from residuum.service.views.signal_view import extremes
 
 router = APIRouter(prefix="/assets/{asset}/windows/{window}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
 

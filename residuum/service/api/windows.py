@@ -16,8 +16,8 @@ from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.signal_body import SIGNAL_BODY, record_of
 from residuum.service.services import Running, Services
-from residuum.service.signal_view import amplitude_spectrum, extremes
 from residuum.service.store import NotFound
+from residuum.service.views.signal_view import amplitude_spectrum, extremes
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
 

@@ -9,7 +9,7 @@ from residuum.identification.discrepancy.locate import Region
 from residuum.identification.physics import load_model
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report
-from residuum.service.large_arrays import keep_large_arrays
+from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 

@@ -9,17 +9,17 @@ import numpy as np
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.identification.identified_model_file import load_identified
-from residuum.robust_control.constrained_structure import Constrained
+from residuum.identification.linear_models.identified_model_file import load_identified
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.time_domain import StepResponse, over_plants
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
-from residuum.robust_control.controller_structure import ControllerStructure
-from residuum.robust_control.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.nominal_performance import Infeasible
 from residuum.robust_control.state_space import weighted_loop
-from residuum.robust_control.time_domain import StepResponse, over_plants
+from residuum.robust_control.synthesis.constrained_structure import Constrained
+from residuum.robust_control.synthesis.controller_structure import ControllerStructure
+from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report, to_plain
-from residuum.service.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
+from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
 
 app = typer.Typer(add_completion=False)
 

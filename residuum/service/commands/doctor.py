@@ -15,14 +15,14 @@ import can
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.access import ApiKeys
+from residuum.service.alarms.notifications import Broker
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.report import AsJson, report
 from residuum.service.fieldbus.can import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.notifications import Broker
+from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, broker_address, is_loopback, load_settings
 from residuum.service.storage import audit, block_rows
 from residuum.service.storage.audit import BrokenAudit
@@ -201,7 +201,7 @@ def _broker(settings: Settings) -> str:
 
 def _compiled_code() -> str:
     try:
-        from residuum.identification.physics.integration import new_memory  # noqa: PLC0415 - numba refuses at import
+        from residuum.identification.physics.simulate.integration import new_memory  # noqa: PLC0415 - numba refuses at import
     except RuntimeError as error:
         raise Wrong(f"there is no folder to cache it in ({error}); set NUMBA_CACHE_DIR to one that can be written") from None
     folder = Path(str(new_memory.stats.cache_path))

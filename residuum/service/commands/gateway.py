@@ -11,7 +11,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
-from residuum.service.machine_line import MachineLine
+from residuum.service.machines.machine_line import MachineLine
 from residuum.service.settings import broker_address, load_settings
 from residuum.service.window_queue.gateway import Gateway
 from residuum.service.window_queue.spool import Spool

@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from residuum.identification.delay import estimate_delay
 from residuum.identification.errors import BadInput
-from residuum.identification.fit import simulation_fit
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.identified_model_file import save_identified
-from residuum.identification.impulse_response import identify_impulse_response
-from residuum.identification.prediction_error import CRITERIA, STRUCTURES
-from residuum.identification.prediction_error import identify as identify_prediction_error
+from residuum.identification.kernel_based.delay import estimate_delay
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.fit import simulation_fit
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import save_identified
+from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES
+from residuum.identification.linear_models.prediction_error import identify as identify_prediction_error
 from residuum.identification.record import Record
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records

@@ -12,7 +12,7 @@ from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
-from residuum.service.large_arrays import keep_large_arrays
+from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 

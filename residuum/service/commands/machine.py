@@ -10,8 +10,8 @@ import orjson
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.machines.device import Device
-from residuum.service.machines.wiring import wiring_of
+from residuum.service.simulated.device import Device
+from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

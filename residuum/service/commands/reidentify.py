@@ -8,8 +8,8 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.identify import METHODS, Request
 from residuum.service.commands.report import AsJson
-from residuum.service.fleet_source import fleet_source
-from residuum.service.fleet_work import Reidentify
+from residuum.service.work.fleet_source import fleet_source
+from residuum.service.work.fleet_work import Reidentify
 
 app = typer.Typer(add_completion=False)
 

@@ -9,8 +9,8 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import DiagnoserName, diagnoser_class
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
-from residuum.service.fleet_source import fleet_source
-from residuum.service.fleet_work import Rescore
+from residuum.service.work.fleet_source import fleet_source
+from residuum.service.work.fleet_work import Rescore
 
 app = typer.Typer(add_completion=False)
 

@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 
-from residuum.diagnosis.fault_estimation import PLANT_CHANGE, STUCK, FaultEstimate
-from residuum.diagnosis.noise_model import NoiseModel
-from residuum.diagnosis.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residual_detection import Detection, detect
-from residuum.diagnosis.threshold import EvaluationName, ThresholdKind
-from residuum.identification.identified_model_file import load_identified
+from residuum.diagnosis.residuals.fault_estimation import PLANT_CHANGE, STUCK, FaultEstimate
+from residuum.diagnosis.residuals.noise_model import NoiseModel
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_detection import Detection, detect
+from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKind
+from residuum.identification.linear_models.identified_model_file import load_identified
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.identification.uncertainty import design_uncertainty_weight
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report

@@ -6,13 +6,13 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.service.alarms.notifications import Notifications
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
-from residuum.service.notifications import Notifications
 from residuum.service.settings import broker_address, load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import WorkerPool
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -15,11 +15,11 @@ from fastapi import FastAPI
 
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
-from residuum.service.http_connections import BoundedConnection
-from residuum.service.large_arrays import give_back_large_arrays
+from residuum.service.security.http_connections import BoundedConnection
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.storage.database import Database
 from residuum.service.store import StorageUnavailable
+from residuum.service.work.large_arrays import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

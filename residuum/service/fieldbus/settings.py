@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from residuum.service.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_rules import AlarmRule
 
 MAPS = Path(__file__).parent / "maps"
 

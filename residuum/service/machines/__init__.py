@@ -1,1 +1,1 @@
-"""The simulated machines as devices on real buses."""
+"""Watched machines: from buses to stored findings."""

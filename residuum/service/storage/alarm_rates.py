@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Connection, func, select
 
-from residuum.service.alarm_states import ACTIVE, AlarmEvent, AlarmState
+from residuum.service.alarms.alarm_states import ACTIVE, AlarmEvent, AlarmState
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import AlarmRates
 

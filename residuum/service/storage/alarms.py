@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.service import alarm_states
-from residuum.service.alarm_rules import AlarmRule, in_deadband
-from residuum.service.alarm_states import AlarmEvent, AlarmState, AlarmStatus
+from residuum.service.alarms import alarm_states
+from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
 from residuum.service.storage import audit, outbox, paging
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page

@@ -12,8 +12,8 @@ from sqlalchemy.exc import IntegrityError
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarm_rules import AlarmRule
-from residuum.service.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import (
     alarm_rates,
     alarms,

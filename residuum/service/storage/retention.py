@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, select, update
 
-from residuum.service.alarm_states import AlarmState
+from residuum.service.alarms.alarm_states import AlarmState
 from residuum.service.storage import finding_hours
 from residuum.service.storage.tables import alarms, assets, findings, windows
 

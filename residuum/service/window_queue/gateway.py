@@ -13,7 +13,7 @@ import structlog
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.scoring import PlainRecord
+from residuum.service.machines.scoring import PlainRecord
 from residuum.service.settings import BrokerAddress
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.spool import Spool

@@ -16,15 +16,15 @@ import structlog
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
-from residuum.service.baseline_files import baseline_file
-from residuum.service.scoring import score_window
+from residuum.service.machines.baseline_files import baseline_file
+from residuum.service.machines.scoring import score_window
 from residuum.service.settings import BrokerAddress
 from residuum.service.store import NotFound, StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.stored_news import StoredNews
 from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, stored_topic, windows_of_part
 from residuum.service.window_queue.window_message import WindowMessage
-from residuum.service.worker_pool import WorkerPool
+from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
 

@@ -8,11 +8,11 @@ import pytest
 from scipy.io import loadmat
 from sklearn.metrics import roc_auc_score
 
-from residuum.diagnosis.bearing_frequencies import BearingFrequencies, orders_from_geometry
-from residuum.diagnosis.bearing_model import faulty_bearing
 from residuum.diagnosis.diagnosers.bearing import Bearing
-from residuum.diagnosis.fault_lines import line_evidence
 from residuum.diagnosis.finding import Verdict
+from residuum.diagnosis.vibration.bearing_frequencies import BearingFrequencies, orders_from_geometry
+from residuum.diagnosis.vibration.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.fault_lines import line_evidence
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 

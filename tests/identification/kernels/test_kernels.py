@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernels import KERNELS
+from residuum.identification.kernel_based.kernels import KERNELS
 
 OFF_NOMINAL = {"tc": [0.87], "dc": [0.9, -0.4], "ss": [0.93], "di": [0.6]}
 

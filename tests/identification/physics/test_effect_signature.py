@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.identification.physics.effect_signature import SCENARIOS, signature
+from residuum.identification.physics.compile.effect_signature import SCENARIOS, signature
 from residuum.identification.physics.effects import EFFECTS
 
 

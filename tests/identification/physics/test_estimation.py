@@ -19,7 +19,7 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
-from residuum.identification.physics.least_squares import covariance_of, solve_scaled
+from residuum.identification.physics.estimate.least_squares import covariance_of, solve_scaled
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[4] / "shared/data/silverbox/SNLS80mV.mat"

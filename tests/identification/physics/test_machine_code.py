@@ -4,10 +4,11 @@ import gc
 
 import numpy as np
 
-from residuum.identification.physics import Experiment, Simulator, load_model, machine_code
-from residuum.identification.physics.code_generation import generate
-from residuum.identification.physics.composition import compose
-from residuum.identification.physics.kernel import _kernel
+from residuum.identification.physics import Experiment, Simulator, load_model
+from residuum.identification.physics.compile import machine_code
+from residuum.identification.physics.compile.code_generation import generate
+from residuum.identification.physics.compile.composition import compose
+from residuum.identification.physics.compile.kernel import _kernel
 
 
 def test_dropped_code_takes_nothing_along(monkeypatch):

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2
 
 from residuum.identification.errors import BadInput
-from residuum.identification.identified_model import IdentifiedModel
-from residuum.identification.prediction_error import in_confidence_ellipsoid
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error import in_confidence_ellipsoid
 
 
 def model(covariance, numerator=(0.5, 0.2), denominator=(1.0, -0.7)):

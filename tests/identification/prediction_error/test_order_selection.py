@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.prediction_error import STRUCTURES, identify
+from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.record import Record
 
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadRecord, NotIdentifiable
-from residuum.identification.prediction_error import STRUCTURES, Orders, identify
-from residuum.identification.prediction_error.criterion import Criterion
-from residuum.identification.prediction_error.data import signals
-from residuum.identification.prediction_error.polynomials import reflected
+from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
+from residuum.identification.linear_models.prediction_error.criterion import Criterion
+from residuum.identification.linear_models.prediction_error.data import signals
+from residuum.identification.linear_models.prediction_error.polynomials import reflected
 from residuum.identification.record import Record
 
 TRUE = {

@@ -5,9 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.prediction_error import STRUCTURES, Orders, identify
-from residuum.identification.prediction_error.data import signals
-from residuum.identification.prediction_error.regularised_regression import _splits, identify_regularised
+from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
+from residuum.identification.linear_models.prediction_error.data import signals
+from residuum.identification.linear_models.prediction_error.regularised_regression import _splits, identify_regularised
 from residuum.identification.record import Record
 
 

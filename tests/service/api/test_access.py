@@ -5,9 +5,9 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.access import new_key
 from residuum.service.app import create_app
-from residuum.service.pipeline import Pipeline
+from residuum.service.machines.pipeline import Pipeline
+from residuum.service.security.access import new_key
 from residuum.service.settings import BadSettings, load_settings
 
 ROLES = ("monitor", "viewer", "operator", "engineer", "admin")

@@ -13,7 +13,7 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.access import new_key
+from residuum.service.security.access import new_key
 from residuum.service.settings import BadSettings, load_settings
 
 jwt = pytest.importorskip("jwt", reason="the extra 'oidc' is not installed: bearer tokens were not tried")
@@ -156,14 +156,14 @@ def test_what_is_not_the_issuers_word_is_not_believed(client, issuer):
 
 def test_a_new_key_of_the_issuer_is_taken_up_and_guesses_do_not_ask_it_again_and_again(client, issuer, monkeypatch):
     client.get("/assets", headers=shown(issuer.token()))
-    monkeypatch.setattr("residuum.service.bearer_tokens._KEYS_AGAIN", 3600.0)  # however long this takes here
+    monkeypatch.setattr("residuum.service.security.bearer_tokens._KEYS_AGAIN", 3600.0)  # however long this takes here
     before = issuer.asked
     for number in range(20):
         client.get("/assets", headers=shown(issuer.token(key="first", sub=str(number))))
         forged = jwt.encode({"iss": issuer.url}, issuer.keys["first"], "RS256", headers={"kid": f"guess-{number}"})
         assert client.get("/assets", headers=shown(forged)).status_code == 401
     assert issuer.asked == before
-    monkeypatch.setattr("residuum.service.bearer_tokens._KEYS_AGAIN", 0.0)
+    monkeypatch.setattr("residuum.service.security.bearer_tokens._KEYS_AGAIN", 0.0)
     issuer.new_key("second")
     assert client.get("/assets", headers=shown(issuer.token(key="second"))).status_code == 200
 

@@ -6,9 +6,9 @@ import socket
 import httpx
 import pytest
 
-from residuum.service.access import new_key
 from residuum.service.app import create_app
-from residuum.service.pipeline import Pipeline
+from residuum.service.machines.pipeline import Pipeline
+from residuum.service.security.access import new_key
 from residuum.service.settings import BadSettings, load_settings
 
 

@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from residuum.identification.errors import BadInput
-from residuum.identification.identified_model_file import save_identified
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.record import Record
 from residuum.service.commands.control import app
 

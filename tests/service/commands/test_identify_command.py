@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.identification.identified_model_file import load_identified
+from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.service.cli import BAD_INPUT, DONE, run

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from residuum.identification.identified_model_file import save_identified
-from residuum.identification.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.identified_model_file import save_identified
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
-from residuum.identification.transfer_function import TransferFunction
 from residuum.service.cli import run
 
 PLANT = TransferFunction([0.5], [1.0, -0.9], 0.1)

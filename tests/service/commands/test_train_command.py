@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
-from residuum.diagnosis.gate_examples import example_record
+from residuum.diagnosis.gate.gate_examples import example_record
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats.npz import write_npz
 from residuum.service.cli import BAD_INPUT, run

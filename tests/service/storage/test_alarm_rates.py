@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import update
 
 from residuum.diagnosis.finding import Finding
-from residuum.service.alarm_rules import AlarmRule
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.storage import alarm_rates, alarms, assets
 from residuum.service.storage.database import Database
 from residuum.service.storage.tables import alarms as rows

@@ -8,7 +8,7 @@ from sqlalchemy import delete, insert, select, update
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.cli import run
 from residuum.service.storage import DiskStore, audit
 from residuum.service.storage.audit import BrokenAudit

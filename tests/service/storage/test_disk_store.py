@@ -15,7 +15,7 @@ from alembic.migration import MigrationContext
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.alarm_states import ACTIVE, AlarmEvent, AlarmState, IllegalTransition
+from residuum.service.alarms.alarm_states import ACTIVE, AlarmEvent, AlarmState, IllegalTransition
 from residuum.service.settings import BadSettings
 from residuum.service.storage import DiskStore
 from residuum.service.storage.blocks import BrokenBlock

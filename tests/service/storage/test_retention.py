@@ -9,7 +9,7 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.alarm_states import AlarmEvent
+from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import DiskStore
 from residuum.service.storage.retention import Retention
 from residuum.service.store import SignalLetGo

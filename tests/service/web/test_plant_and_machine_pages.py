@@ -12,7 +12,7 @@ import residuum.service.web
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
-from residuum.service.access import new_key
+from residuum.service.security.access import new_key
 from residuum.service.storage.retention import Retention
 from residuum.service.store import NotFound
 

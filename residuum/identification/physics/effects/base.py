@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pint
 
-from residuum.identification.physics import symbolic as sp
+from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.units import parse_unit
 
 Array = npt.NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""The gate actuator: its model, movements, features and classifiers."""

@@ -1,0 +1,82 @@
+"""Which class the gate actuator's trained classifiers give at each place of a plane of two features (Fig. 87 of the source)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator
+
+from residuum.diagnosis.gate.gate_baseline import GateBaseline
+from residuum.diagnosis.gate.movement_features import FEATURES, SOURCE_FEATURES
+from residuum.diagnosis.learning.decision_regions import DecisionRegions, decision_regions
+from residuum.identification.errors import BadInput
+
+Matrix = npt.NDArray[np.float64]
+_LEAST = 1e-12  # features are positive; the margin of a plane may reach beyond
+
+
+def plane_features(baseline: GateBaseline) -> tuple[str, ...]:
+    """The features that planes can be made of; none when only healthy movements were trained."""
+    return () if baseline.classifier is None else FEATURES
+
+
+def classifier_plane(
+    baseline: GateBaseline, here: Mapping[str, float], x: str, y: str, points: npt.ArrayLike, resolution: int = 80
+) -> DecisionRegions:
+    """Regions in the plane of features x and y.
+
+    In the plane of F₁ and F₂ these are the regions of the source's support vector machine, which knows no other features. Any
+    other plane is a cut through the regions of the classifier of all features: the other features stay as they are `here`.
+
+    Parameters
+    ----------
+    baseline : GateBaseline
+        Trained with faults.
+    here : mapping of feature to value
+        One movement.
+    x, y : str
+        Two of FEATURES.
+    points : array, shape (n, 2)
+        Feature pairs that the plane is to hold.
+
+    Raises
+    ------
+    BadInput
+        Unknown or equal features, a feature that `here` lacks, a baseline of healthy movements alone.
+    """
+    known = plane_features(baseline)
+    if baseline.classifier is None or baseline.source is None:
+        raise BadInput("gate-actuator: was trained on healthy movements alone, so there are no regions")
+    if x not in known or y not in known or x == y:
+        raise BadInput(f"gate-actuator, plane of {x[:40]!r} and {y[:40]!r}: needs two of {', '.join(known)}")
+    if {x, y} == set(SOURCE_FEATURES):
+        return decision_regions(_Turned(baseline.source, x != SOURCE_FEATURES[0]), points, resolution)
+    if missing := [name for name in known if not here.get(name, np.nan) > 0]:
+        raise BadInput(f"gate-actuator, plane: the movement has no positive {missing[0]}")
+    return decision_regions(_Cut(baseline.classifier.pipeline, here, x, y), points, resolution)
+
+
+class _Turned(BaseEstimator):
+    """The source's classifier of (F₁, F₂), asked with (F₂, F₁) when `turned`."""
+
+    def __init__(self, classifier: BaseEstimator, turned: bool) -> None:
+        self.classifier, self.turned = classifier, turned
+        self.classes_ = classifier.classes_
+
+    def predict(self, points: Matrix) -> npt.NDArray[np.str_]:
+        return np.asarray(self.classifier.predict(points[:, ::-1] if self.turned else points))
+
+
+class _Cut(BaseEstimator):
+    """A classifier of all log-features as one of two features, the others held."""
+
+    def __init__(self, classifier: BaseEstimator, here: Mapping[str, float], x: str, y: str) -> None:
+        self.classifier, self.here, self.x, self.y = classifier, here, x, y
+        self.classes_ = classifier.classes_
+
+    def predict(self, points: Matrix) -> npt.NDArray[np.str_]:
+        features = np.tile([self.here[name] for name in FEATURES], (len(points), 1))
+        features[:, [FEATURES.index(self.x), FEATURES.index(self.y)]] = points
+        return np.asarray(self.classifier.predict(np.log(np.maximum(features, _LEAST))))

@@ -1,0 +1,268 @@
+"""What a trained gate-actuator diagnoser knows: limits of healthy features, classifiers, usual travel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.pipeline import Pipeline
+
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants
+from residuum.diagnosis.gate.known_gears import KnownGears, KnownTurn
+from residuum.diagnosis.gate.movement_classifier import Isolation, MovementClassifier
+from residuum.diagnosis.gate.movement_features import FEATURES, MovementFeatures
+from residuum.diagnosis.gate.notch_match import NotchMatch
+from residuum.diagnosis.gate.operating_events import Happened, manual_push
+from residuum.diagnosis.learning.stored import load_stored, save_stored
+from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN, RayDistances, source_classifier
+from residuum.diagnosis.thresholds.upper_tail import UpperTail
+from residuum.identification.errors import NotIdentifiable
+
+Matrix = npt.NDArray[np.float64]
+_VERSION = 4
+_LEAST_CHANGE = 1.3
+_LEAST_PUSHED_SPEED = 0.0075
+GEAR, PINION = "gear", "pinion"
+NOTCH = "notch_match"
+_OF_EVERY_TURN = (NOTCH, "high_crest", "periodic_pulse")
+_OF_CONTACT_LOSS = _FIXED_IN_A_GEAR = ("high_crest", "periodic_pulse")
+# Chosen on 1500 healthy gears and some with default faults, none of which is judged in docs/gate_actuator.md: by their
+# exponential tails 3 in 100 000 healthy movements pass each of these limits, and 1 in 10 000 gears looks like a notch. The
+# largest of the 1500 were 5.0, 17.9 and 7.6; a missing pinion tooth has a periodic pulse of 50 and more, a missing rack tooth
+# a single one of 17 and more, so that strict limits cost nothing.
+FALSE_ALARM_RATES = {"high_crest": 1e-6, "periodic_pulse": 1e-6, "single_pulse": 1e-6}  # if the tails were normal
+# Tooth errors are fixed in a gear: one whose errors look like a notch alarms at every movement. So gears were drawn, and what
+# few trained gears leave open raises a limit by √(1 + c/gears): c is the first number for a notch's match, whose power spectrum
+# all orders share, and the second for the distance of a peak from its median.
+LEAST_NOTCH_LIMIT = 5.45
+_FEW_GEARS_MATCH, _FEW_GEARS_PEAK = 1.7, 17.0
+_NOTCH_MARGIN = 1.1  # over the largest healthy match in training, for teeth that are not as random as assumed
+# A known gear's match with a new notch stays below 1.2 while healthy, 2.2 half worn; a notch of 0.4 reaches it.
+NEW_NOTCH_LIMIT = 3.0
+_PUSH_RATE = 5e-4
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is said of one movement; `fault_class` None is healthy.
+
+    `isolation` is None when only healthy movements were trained. `likely_part` is a hint within pinion-or-gear: a tooth that is
+    gone loses contact and excites orders above the pinion's mesh, a notch that spreads two teeth does not.
+    """
+
+    fault_class: str | None
+    isolation: Isolation | None
+    likely_part: str | None = None
+
+
+@dataclass(frozen=True)
+class TrainingMovement:
+    """Features of one movement to train on, its class, its exemplar and its travel (motor angle [rad])."""
+
+    features: MovementFeatures
+    label: str
+    exemplar: object
+    travel: float
+
+
+@dataclass(frozen=True)
+class GateBaseline:
+    """Everything learned from training movements.
+
+    `features` and `slow` hold the healthy features and the healthy slow residual; `classifier` and `source` are None when
+    only healthy movements were given. `notch` holds the pattern of healthy teeth, `notch_limit` the upper limit of its match
+    with a notch for a gear never seen, `gears` the healthy patterns of those seen, `exemplars` how many actuators were healthy.
+    `shortest_travel` [rad] and `rate` [Hz].
+    """
+
+    constants: ActuatorConstants
+    rate: float
+    shortest_travel: float
+    features: UpperTail
+    slow: UpperTail
+    notch: NotchMatch
+    notch_limit: float
+    classifier: MovementClassifier | None
+    source: Pipeline | None
+    gears: KnownGears
+    exemplars: int
+
+    @classmethod
+    def of(cls, movements: Sequence[TrainingMovement], constants: ActuatorConstants, rate: float) -> GateBaseline:
+        """Learn from movements; NotIdentifiable when a class has fewer than three."""
+        taught = [movement for movement in movements if movement.label == HEALTHY]
+        healthy = [movement.features for movement in taught]
+        if len(healthy) < 3:
+            raise NotIdentifiable(f"gate-actuator: {len(healthy)} healthy movements to train on; at least 3 are needed")
+        labels = [movement.label for movement in movements]
+        classifier = source = None
+        if len(set(labels)) > 1:
+            X = np.array([movement.features.vector() for movement in movements])
+            classifier = MovementClassifier.fit(X, labels, [movement.exemplar for movement in movements])
+            source = source_classifier().fit(np.array([movement.features.source_vector() for movement in movements]), labels)
+        turns = [features.pattern.typical for features in healthy]
+        notch = NotchMatch.of(turns, constants.gear_teeth)
+        return cls(
+            constants,
+            rate,
+            min(movement.travel for movement in movements),
+            UpperTail.of([features.vector() for features in healthy]),
+            UpperTail.of(np.log([features.slow_residual for features in healthy])),
+            notch,
+            _notch_limit(taught, constants.gear_teeth),
+            classifier,
+            source,
+            KnownGears.of(turns, notch),
+            len({movement.exemplar for movement in taught}),
+        )
+
+    def after(self, before: GateBaseline) -> GateBaseline:
+        """This baseline of one gate with what only many gates teach, from the baseline it had before: classes, tooth errors."""
+        gears = before.gears.joined(self.gears)
+        return replace(
+            self,
+            notch=before.notch,
+            notch_limit=before.notch_limit,
+            classifier=before.classifier,
+            source=before.source,
+            gears=gears,
+        )
+
+    def known(self, features: MovementFeatures) -> KnownTurn | None:
+        """The turn as a known gear explains it, or None for a gear never seen."""
+        return self.gears.recognise(features.pattern.typical, self.notch, features.motor_speed, features.model.time_constant)
+
+    def feature_limits(self, known: KnownTurn | None = None) -> dict[str, float]:
+        """Upper limit of each judged feature."""
+        limits = {NOTCH: self.notch_limit if known is None else NEW_NOTCH_LIMIT}
+        for name, rate in FALSE_ALARM_RATES.items():
+            k = FEATURES.index(name)
+            centre = float(self.features.centre[k])
+            reach = float(self.features.limit(rate)[k]) - centre
+            if name in _FIXED_IN_A_GEAR:
+                reach *= np.sqrt(1.0 + _FEW_GEARS_PEAK / self.exemplars)
+            limits[name] = float(np.exp(centre + max(reach, np.log(_LEAST_CHANGE))))
+        return limits
+
+    def indicators(self, features: MovementFeatures, known: KnownTurn | None = None) -> dict[str, float]:
+        """The features, and the match with a notch: of the typical turn, or of what is new in that of a known gear."""
+        return features.values | {NOTCH: _match(self.notch, features) if known is None else known.match}
+
+    def pushed(self, features: MovementFeatures) -> Happened | None:
+        """The event when somebody pushed the gate, or None.
+
+        The limit of the slow residual is never below 0.75 % of the motor speed. A missing pinion tooth disturbs the slow
+        residual too, but comes once a turn, which no hand does.
+        """
+        limit = max(float(np.exp(self.slow.limit(_PUSH_RATE))), _LEAST_PUSHED_SPEED * features.motor_speed)
+        once_a_turn = features.values["periodic_pulse"] > self.feature_limits()["periodic_pulse"]
+        return None if once_a_turn else manual_push(features.slow_residual, limit)
+
+    def judge(self, features: MovementFeatures) -> Judgement:
+        """Detect by the healthy limits; the one that is passed names the class by physics.
+
+        What comes once a turn is pinion or gear, whatever else it disturbs; a pulse at one place alone is the rack. What
+        fits no trained class is `unknown`, an alarm of its own. The classifier's probabilities do not alarm: of 4000 healthy
+        movements of exemplars never trained 2 % had odds above three to one.
+        """
+        beyond = self._beyond(features)
+        isolation = None if self.classifier is None else self.classifier.isolate(features.vector())
+        if isolation is not None and isolation.fits_none:
+            return Judgement(UNKNOWN, isolation)
+        if max(beyond[name] for name in _OF_EVERY_TURN) > 1.0:
+            part = PINION if max(beyond[name] for name in _OF_CONTACT_LOSS) > 1.0 else GEAR
+            return Judgement(PINION_OR_GEAR, isolation, part)
+        if max(beyond.values()) > 1.0:
+            return Judgement(RACK, isolation)
+        return Judgement(None, isolation)
+
+    def _beyond(self, features: MovementFeatures) -> dict[str, float]:
+        """Each judged feature as a multiple of its limit."""
+        known = self.known(features)
+        shown = self.indicators(features, known)
+        return {name: shown[name] / limit for name, limit in self.feature_limits(known).items()}
+
+    def save(self, path: str | Path, kind: str) -> None:
+        """Store as `kind`."""
+        meta: dict[str, Any] = {
+            "constants": asdict(self.constants),
+            "rate": self.rate,
+            "shortest_travel": self.shortest_travel,
+            "healthy": self.features.n,
+            "notch_limit": self.notch_limit,
+            "exemplars": self.exemplars,
+        }
+        arrays: dict[str, npt.ArrayLike] = {
+            "centre": self.features.centre,
+            "scatter": self.features.scatter,
+            "slow": [self.slow.centre, self.slow.scatter],
+            "notch_power": self.notch.power,
+            "gears_real": self.gears.patterns.real,
+            "gears_imaginary": self.gears.patterns.imag,
+            "gears_movements": self.gears.movements,
+        }
+        estimators: dict[str, Any] = {}
+        if self.classifier is not None and self.source is not None:
+            rays = self.classifier.rays
+            meta["classes"] = [str(label) for label in rays.classes_]
+            meta["distance_limits"] = dict(self.classifier.distance_limits)
+            arrays |= {"ray_means": rays.means_, "ray_precision": rays.precision_}
+            estimators = {"isolation": self.classifier.pipeline, "source": self.source}
+        save_stored(path, kind, _VERSION, meta, arrays, estimators)
+
+    @classmethod
+    def load(cls, path: str | Path, kind: str) -> GateBaseline:
+        """What `save` stored; BadInput when the file is another."""
+        stored = load_stored(path, kind)
+        meta, arrays, n = stored.meta, stored.arrays, int(stored.meta["healthy"])
+        classifier = source = None
+        if "classes" in meta:
+            rays = RayDistances.of(np.array(meta["classes"]), arrays["ray_means"], arrays["ray_precision"], HEALTHY)
+            classifier = MovementClassifier(stored.estimators["isolation"], rays, meta["distance_limits"])
+            source = stored.estimators["source"]
+        return cls(
+            ActuatorConstants(**meta["constants"]),
+            float(meta["rate"]),
+            float(meta["shortest_travel"]),
+            UpperTail(arrays["centre"], arrays["scatter"], n),
+            UpperTail(arrays["slow"][0], arrays["slow"][1], n),
+            NotchMatch(arrays["notch_power"], int(meta["constants"]["gear_teeth"])),
+            float(meta["notch_limit"]),
+            classifier,
+            source,
+            _stored_gears(arrays, len(arrays["notch_power"])),
+            int(meta.get("exemplars", n)),  # a file of version 3 does not say; its limits stay nearly as they were
+        )
+
+
+def _stored_gears(arrays: Mapping[str, npt.NDArray[Any]], orders: int) -> KnownGears:
+    """The known gears of a file; none in one of version 2."""
+    if "gears_real" not in arrays:
+        return KnownGears(np.zeros((0, orders), dtype=complex), np.zeros(0, dtype=np.int64))
+    return KnownGears(arrays["gears_real"] + 1j * arrays["gears_imaginary"], arrays["gears_movements"])
+
+
+def _match(notch: NotchMatch, features: MovementFeatures) -> float:
+    return notch.statistic(features.pattern.typical, features.motor_speed, features.model.time_constant)
+
+
+def _notch_limit(healthy: Sequence[TrainingMovement], gear_teeth: int) -> float:
+    """For a gear never seen: higher when the tooth errors were learned from few exemplars."""
+    exemplars = len({movement.exemplar for movement in healthy})
+    few = LEAST_NOTCH_LIMIT * float(np.sqrt(1.0 + _FEW_GEARS_MATCH / exemplars))
+    return max(few, _NOTCH_MARGIN * max(_held_out_matches(healthy, gear_teeth)))
+
+
+def _held_out_matches(healthy: Sequence[TrainingMovement], gear_teeth: int) -> list[float]:
+    """Each healthy movement's match, by the tooth errors of the other exemplars (of all, if there is one alone)."""
+    matches = []
+    for exemplar in {movement.exemplar for movement in healthy}:
+        own = [movement.features for movement in healthy if movement.exemplar == exemplar]
+        others = [movement.features for movement in healthy if movement.exemplar != exemplar] or own
+        notch = NotchMatch.of([features.pattern.typical for features in others], gear_teeth)
+        matches += [_match(notch, features) for features in own]
+    return matches

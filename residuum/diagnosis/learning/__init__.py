@@ -1,0 +1,1 @@
+"""Classifiers and trends: validation, calibration, storage."""

@@ -1,0 +1,1 @@
+"""Residuals: their generators, their statistics, and what a fault in them looks like."""

@@ -1,0 +1,347 @@
+"""A designed residual detector: model, weight, post-filter, noise model and healthy reference, as one stored thing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import signal, stats
+
+from residuum.diagnosis.learning.stored import load_stored, save_stored
+from residuum.diagnosis.residuals.approximate_fault_detection import (
+    FaultKind,
+    PostFilter,
+    approximate_fault_detection,
+    noise_path,
+)
+from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
+from residuum.diagnosis.residuals.residual_evaluation import EVALUATIONS, evaluate
+from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals, generator_of
+from residuum.diagnosis.systems.coprime import left_coprime
+from residuum.diagnosis.systems.state_space import FloatArray, StateSpace
+from residuum.diagnosis.systems.system_norms import peak_gain
+from residuum.diagnosis.thresholds.hazard_tail import HazardTail
+from residuum.diagnosis.thresholds.healthy_reference import block_peaks
+from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_healthy_tail
+from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.record import Record
+
+KIND, VERSION = "residual-design", 1
+_SWAPPED = 0.3  # of explained variance by which the reverse direction must win
+_RATE_TOLERANCE = 1e-3
+_NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
+_SETTLED = 1000  # samples of the post-filter's impulse response
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResidualDesign:
+    """Everything a residual detector of one plant consists of.
+
+    Parameters
+    ----------
+    model : IdentifiedModel
+        Nominal model with its covariance; its channel names and units are the design's.
+    post_filter : PostFilter
+        Verified AFDP filter with γ, β and the error of its reduction.
+    noise : NoiseModel
+        Of the healthy primary residual.
+    robust_noise : NoiseModel or None
+        Law of the noise in one sample of the healthy robust residual; None without healthy records.
+    W_T : TransferFunction or None
+        Multiplicative uncertainty weight the filter was designed for.
+    gamma : float
+        γ of (4.7).
+    fault : "sensor" or "actuator"
+        G_f the filter is most sensitive to.
+    input_mean, output_mean : float
+        Operating point.
+    input_bound, noise_bound : float
+        Largest |u − mean| and |e| that the `source` and `peak` thresholds assume; infinite when not known.
+    peaks : mapping of evaluation name to array
+        Healthy peaks (128 samples each) for the `calibrated` threshold; empty without healthy records.
+    structured_p : float
+        Probability that a right model shows healthy scores this far from independent normals; 1 without healthy records.
+    """
+
+    model: IdentifiedModel
+    post_filter: PostFilter
+    noise: NoiseModel
+    robust_noise: NoiseModel | None = None
+    W_T: TransferFunction | None = None
+    gamma: float = 0.1
+    fault: FaultKind = "sensor"
+    input_mean: float = 0.0
+    output_mean: float = 0.0
+    input_bound: float = float("inf")
+    noise_bound: float = float("inf")
+    peaks: dict[str, FloatArray] = field(default_factory=dict)
+    structured_p: float = 1.0
+
+    @property
+    def generator(self) -> ResidualGenerator:
+        """The filters that run on u and y."""
+        return generator_of(self.model, self.post_filter.Q, self.noise, (self.input_mean, self.output_mean))
+
+    @cached_property
+    def peak_gains(self) -> FloatArray:
+        """Σ_k |impulse response| from each fictitious noise [u; e] of (4.5), or e alone, to the robust residual."""
+        factors = left_coprime(StateSpace.from_transfer_function(self.model.transfer_function()))
+        return np.asarray(peak_gain(self.post_filter.Q @ noise_path(factors, self.W_T))[0])
+
+    @cached_property
+    def robust_spread(self) -> float:
+        """Standard deviation of the noise in the robust residual [output unit × γ]."""
+        return self.noise.output_std(self.post_filter.Q.impulse_response(_SETTLED)[:, 0, 0])
+
+    @property
+    def single_sample_noise(self) -> NoiseModel:
+        """`robust_noise`; without healthy records the noise model's own law at the size it has in the robust residual."""
+        if self.robust_noise is not None:
+            return self.robust_noise
+        noise = self.noise
+        return replace(noise, ar=np.ones(1), sigma=noise.sigma * self.robust_spread / noise.innovation_std)
+
+    def robust_error(self, u: FloatArray) -> FloatArray:
+        """√(φ_Qᵀ Σ_g φ_Q), shape (n,): standard deviation of the model error in the robust residual, φ_Q being u through Q."""
+        filtered = self.post_filter.Q.modal.simulate((u - self.input_mean)[:, None])[0][:, 0]
+        return self.model.simulation_std(filtered)
+
+    def bank(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
+        """A likelihood-ratio bank that knows how uncertain this model and its operating point are."""
+        model, level_variance = self.model, self.noise.level_variance
+        return LikelihoodRatioBank(
+            1e-3, model.covariance, model.delay, threshold=threshold, level_variance=level_variance, restart=restart
+        )
+
+    def bank_threshold(self, rate: float) -> float:
+        """b at which that bank alarms `rate` times per healthy sample, averaged over the healthy records σ may come from."""
+        return self.noise.allowing_for_size(bank_threshold(rate))
+
+    def signals_of(self, record: Record) -> tuple[FloatArray, FloatArray]:
+        """u and y of a record in the design's units.
+
+        Raises
+        ------
+        BadRecord
+            A channel is absent, or the record has another sample time.
+        BadUnit
+            A channel's unit cannot be converted.
+        """
+        u = record.in_unit(self.model.input_name, self.model.input_unit)
+        y = record.in_unit(self.model.output_name, self.model.output_unit)
+        if abs(record.sample_time / self.model.sample_time - 1.0) > _RATE_TOLERANCE:
+            raise BadRecord(
+                f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs {self.model.sample_time:g} s"
+            )
+        return u, y
+
+    def refuse_swapped(self, record: Record) -> None:
+        """BadRecord when the record fits far better with input and output exchanged."""
+        if (reason := self.swapped(record.source, *self.signals_of(record))) is not None:
+            raise BadRecord(reason)
+
+    def swapped(self, source: str, u: FloatArray, y: FloatArray) -> str | None:
+        """What says that u and y, each of shape (n,), are exchanged, or None."""
+        forward, backward = self._explained(u, y), self._explained(y, u)
+        if not (backward > _SWAPPED and forward < backward - _SWAPPED):
+            return None
+        return (
+            f"record {source!r}: {self.model.input_name!r} and {self.model.output_name!r} look swapped: the model "
+            f"explains {100 * max(forward, 0.0):.0f} % of the output as named, {100 * backward:.0f} % the other way round"
+        )
+
+    def _explained(self, u: FloatArray, y: FloatArray) -> float:
+        """Share of y's variance that the model explains once its memory is full; 0 where y does not move there."""
+        good = np.isfinite(u) & np.isfinite(y)
+        m = self.model.order + self.model.delay
+        compared = np.flatnonzero(good[m:]) + m
+        if good.sum() < 2 * m or not len(compared) or np.ptp(y[compared]) == 0.0:
+            return 0.0
+        predicted = self.model.simulate(np.where(good, u - np.mean(u[good]), 0.0)) - self.model.offset
+        return 1.0 - float(np.var(y[compared] - predicted[compared]) / np.var(y[compared]))
+
+    def save(self, path: str | Path, *, kind: str = KIND, settings: dict[str, Any] | None = None) -> None:
+        """Store the design (JSON and arrays in a zip), with the settings of a diagnoser that is built on it."""
+        model = {item.name: getattr(self.model, item.name) for item in fields(IdentifiedModel)}
+        arrays = {f"model-{name}": value for name, value in model.items() if isinstance(value, np.ndarray)}
+        arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"} | {"noise-ar": self.noise.ar}
+        arrays |= {f"peaks-{name}": value for name, value in self.peaks.items()}
+        if self.W_T is not None:
+            arrays |= {"W_T-num": self.W_T.num, "W_T-den": self.W_T.den}
+        filter_numbers = {item.name: getattr(self.post_filter, item.name) for item in fields(PostFilter) if item.name != "Q"}
+        meta = {
+            "model": {name: _jsonable(value) for name, value in model.items() if not isinstance(value, np.ndarray)},
+            "post_filter": filter_numbers,
+            "noise": _noise_numbers(self.noise),
+            "robust_noise": None if self.robust_noise is None else _noise_numbers(self.robust_noise),
+            "settings": settings or {},
+            "design": {name: _jsonable(getattr(self, name)) for name in _NUMBERS},
+        }
+        save_stored(path, kind, VERSION, meta, arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> ResidualDesign:
+        """The design stored by `save`; BadInput when the file is not one."""
+        return cls.load_with_settings(path, kind=KIND)[0]
+
+    @classmethod
+    def load_with_settings(cls, path: str | Path, *, kind: str) -> tuple[ResidualDesign, dict[str, Any]]:
+        """The design and the settings stored with it under `kind`."""
+        stored = load_stored(path, kind)
+        try:
+            model_arrays: dict[str, Any] = {name[6:]: value for name, value in stored.arrays.items() if name.startswith("model-")}
+            model = IdentifiedModel(**{name: _number(value) for name, value in stored.meta["model"].items()}, **model_arrays)
+            A, B, C, D = (stored.arrays[f"Q-{name}"] for name in "ABCD")
+            Q = StateSpace(A, B, C, D, model.sample_time)
+            robust_noise = stored.meta.get("robust_noise")
+            weight = stored.arrays.get("W_T-num")
+            design = cls(
+                model=model,
+                post_filter=PostFilter(Q=Q, **stored.meta["post_filter"]),
+                noise=_noise_of(stored.arrays["noise-ar"], stored.meta["noise"]),
+                robust_noise=None if robust_noise is None else _noise_of(np.ones(1), robust_noise),
+                W_T=None if weight is None else TransferFunction(weight, stored.arrays["W_T-den"], model.sample_time),
+                peaks={name[6:]: value for name, value in stored.arrays.items() if name.startswith("peaks-")},
+                **{name: _number(value) for name, value in stored.meta["design"].items()},
+            )
+            return design, dict(stored.meta["settings"])
+        except (KeyError, TypeError) as error:
+            raise BadInput(f"{path}: is not a residual design: {error}") from None
+
+
+_NUMBERS = ("gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
+
+
+@one_thread_if_small(LARGEST)
+def design_residual(
+    model: IdentifiedModel,
+    W_T: TransferFunction | None,
+    healthy: Sequence[Record] = (),
+    *,
+    fault: FaultKind = "sensor",
+    gamma: float = 0.1,
+) -> ResidualDesign:
+    """Design the detector of an identified model; Algorithm 5 of the source, then all that healthy records teach.
+
+    Without healthy records the noise is what the model says (white of variance σ², or its H), and the bounds and the
+    calibrated threshold are not known.
+
+    Raises
+    ------
+    BadModel
+        W_T is unstable or improper, γ ≤ 0.
+    BadRecord, BadUnit
+        A healthy record of another rate, unit or channel, or with input and output swapped.
+    """
+    factors = left_coprime(StateSpace.from_transfer_function(model.transfer_function()))
+    post_filter = approximate_fault_detection(factors, W_T, fault=fault, gamma=gamma)
+    noise = model_noise(model)
+    bare = ResidualDesign(model=model, post_filter=post_filter, noise=noise, W_T=W_T, gamma=gamma, fault=fault,
+                          output_mean=model.offset)  # fmt: skip
+    return with_healthy_records(bare, healthy) if healthy else bare
+
+
+def model_noise(model: IdentifiedModel) -> NoiseModel:
+    """The noise that an identified model claims, as an autoregression."""
+    freedom = float(model.provenance.get("n", np.inf))
+    if model.noise_numerator is None or model.noise_denominator is None:
+        return NoiseModel(np.ones(1), float(np.sqrt(model.noise_variance)), freedom=freedom)
+    impulse = np.concatenate([[1.0], np.zeros(200)])
+    inverse = signal.lfilter(model.noise_denominator, model.noise_numerator, impulse)
+    length = int(np.flatnonzero(np.abs(inverse) > 1e-6)[-1]) + 1
+    return NoiseModel(inverse[:length], float(np.sqrt(model.noise_variance)), freedom=freedom)
+
+
+def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> ResidualDesign:
+    """The design with operating point, noise model, bounds and peaks taken from healthy records."""
+    for record in healthy:
+        design.refuse_swapped(record)
+    pairs = [design.signals_of(record) for record in healthy]
+    input_mean = float(np.nanmean(np.concatenate([u for u, _ in pairs])))
+    gain = float(design.model.frequency_response([0.0])[0].real)
+    first = _replaced(design, input_mean=input_mean, output_mean=design.model.offset + gain * input_mean)
+    level = float(np.nanmean(np.concatenate([_primary(first.generator, u, y) for u, y in pairs])))
+    centred = _replaced(first, output_mean=first.output_mean + level)
+    primary = [_primary(centred.generator, u, y) for u, y in pairs]
+    noise = with_unbiased_size(fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model)
+    whitened = _replaced(centred, noise=with_healthy_tail(noise, primary))
+    signals = [whitened.generator.run(u, y) for u, y in pairs]
+    second = _replaced(whitened, robust_noise=_robust_noise(whitened, [u for u, _ in pairs], signals))
+    peaks = {
+        name: block_peaks([evaluate(name, second.bank, part) for part in signals], [part.valid for part in signals])
+        for name in EVALUATIONS
+    }
+    return _replaced(
+        second,
+        peaks=peaks,
+        input_bound=float(np.nanmax([np.nanmax(np.abs(u - input_mean)) for u, _ in pairs])),
+        noise_bound=float(max(np.nanmax(np.abs(part)) for part in primary)),
+        structured_p=_structured_p(second, signals),
+    )
+
+
+def _robust_noise(design: ResidualDesign, inputs: Sequence[FloatArray], signals: Sequence[ResidualSignals]) -> NoiseModel:
+    """Law of the noise in one sample of the robust residual."""
+    errors = [
+        design.robust_error(np.where(np.isnan(u), design.input_mean, u))[part.valid]
+        for u, part in zip(inputs, signals, strict=True)
+    ]
+    robust = [np.where(part.valid, part.robust, np.nan) for part in signals]
+    return single_sample_law(robust, design.robust_spread, np.concatenate(errors))
+
+
+def _primary(generator: ResidualGenerator, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Primary residual, NaN where the memory is not full."""
+    signals = generator.run(u, y)
+    return np.where(signals.valid, signals.primary, np.nan)
+
+
+def _structured_p(design: ResidualDesign, signals: Sequence[ResidualSignals]) -> float:
+    """Chance of at least this many alarms over the healthy records, were the model right (0.3 expected)."""
+    n = sum(int(part.valid.sum()) for part in signals)
+    if n == 0:
+        return 1.0
+    expected = 0.3
+    alarms = 0
+    for part in signals:
+        bank = design.bank(bank_threshold(min(expected / n, 0.01)))
+        alarms += int(bank.process(part).alarm.sum())
+    return float(stats.poisson.sf(alarms - 1, expected)) if alarms else 1.0
+
+
+def _replaced(design: ResidualDesign, **changes: Any) -> ResidualDesign:
+    return ResidualDesign(**{item.name: getattr(design, item.name) for item in fields(design)} | changes)
+
+
+def _noise_numbers(noise: NoiseModel) -> dict[str, Any]:
+    numbers = {name: _jsonable(getattr(noise, name)) for name in _NOISE_NUMBERS}
+    return numbers | {"tail": None if noise.tail is None else asdict(noise.tail)}
+
+
+def _noise_of(ar: FloatArray, numbers: Mapping[str, Any]) -> NoiseModel:
+    known = {name: _number(value) for name, value in numbers.items() if name != "tail"}
+    tail = numbers.get("tail")
+    return NoiseModel(ar, **known, tail=None if tail is None else HazardTail(**tail))
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, float) and not np.isfinite(value):
+        return {"float": repr(value)}
+    if isinstance(value, tuple):
+        return list(value)
+    if hasattr(value, "items"):
+        return {name: _jsonable(item) for name, item in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _number(value: Any) -> Any:
+    return float(value["float"]) if isinstance(value, dict) and value.keys() == {"float"} else value

@@ -1,0 +1,67 @@
+"""Residual evaluation: from residual signals to the statistic a threshold is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
+from residuum.diagnosis.residuals.residual_generator import ResidualSignals
+from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.diagnosis.thresholds.cusum import cusum
+
+RMS_WINDOW = 50
+CUSUM_REFERENCE = 0.5
+_LAZY = 2.5  # below it the likelihood ratio need not know the model error exactly
+
+
+class BankAt(Protocol):
+    """Makes the likelihood-ratio bank of a design for a threshold."""
+
+    def __call__(self, threshold: float, *, restart: bool = True) -> LikelihoodRatioBank:
+        """The bank."""
+
+
+def _point(bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    return np.abs(signals.robust)
+
+
+def _rms(bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    return moving_rms(signals)
+
+
+def _cusum(bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    return cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic
+
+
+def _glr(bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    return bank(_LAZY, restart=False).process(signals).statistic
+
+
+EVALUATIONS: dict[str, Callable[[BankAt, ResidualSignals], FloatArray]] = {
+    "point": _point,
+    "rms": _rms,
+    "cusum": _cusum,
+    "glr": _glr,
+}
+
+
+def evaluate(name: str, bank: BankAt, signals: ResidualSignals) -> FloatArray:
+    """Undisturbed statistic (no restart after an alarm) of an evaluation, shape (n,), zero where the residual is not valid.
+
+    `point` |r| [output unit × γ]; `rms` root mean square of 50 whitened scores; `cusum` two-sided CUSUM of the scores;
+    `glr` generalised likelihood ratio of offset, gain and power over windows of 1 … 1024 samples, by the design's `bank`.
+    """
+    return np.where(signals.valid, EVALUATIONS[name](bank, signals), 0.0)
+
+
+def moving_rms(signals: ResidualSignals, window: int = RMS_WINDOW) -> FloatArray:
+    """√(mean of the last `window` squared scores), zero until that many valid ones in a row are there."""
+    squares = np.where(signals.valid, signals.scores**2, 0.0)
+    total = np.cumsum(np.concatenate([np.zeros(window), squares]))
+    good = np.cumsum(np.concatenate([np.zeros(window), signals.valid]))
+    full = good[window:] - good[:-window] == window
+    mean = np.maximum(total[window:] - total[:-window], 0.0) / window
+    return np.where(full, np.sqrt(mean), 0.0)

@@ -1,0 +1,1 @@
+"""Linear systems: state space, factorisations, norms."""

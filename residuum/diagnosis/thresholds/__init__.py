@@ -1,0 +1,1 @@
+"""Limits, each with the false-alarm rate that it promises."""

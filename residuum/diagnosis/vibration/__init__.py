@@ -1,0 +1,1 @@
+"""Vibration: bands, envelopes, orders and fault lines."""

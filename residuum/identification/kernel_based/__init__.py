@@ -1,0 +1,1 @@
+"""Kernel-based identification: impulse responses with honest uncertainty."""

@@ -1,0 +1,119 @@
+"""Records → the sums of a lagged regression: channels checked, missing samples left out, constant levels eliminated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LaggedData:
+    """Sums over all records, and what is needed to bring levels and units back.
+
+    `levels` holds for every record its own sums (signals taken from `input_levels`, `output_level`).
+    """
+
+    sums: RegressionSums
+    sample_time: float
+    input_units: tuple[str, ...]
+    output_unit: str
+    sources: tuple[str, ...]
+    levels: tuple[tuple[RegressionSums, FloatArray, float], ...] = ()
+
+    def offset(self, coefficients: FloatArray) -> float:
+        """Output level at zero input that the coefficients leave, averaged over the records by their rows."""
+        if not self.levels:
+            return 0.0
+        per_input = coefficients.reshape(len(self.input_units), -1).sum(axis=1)
+        offsets = [
+            output_level - per_input @ input_levels + (sums.output_sum - sums.regressor_sum @ coefficients) / sums.rows
+            for sums, input_levels, output_level in self.levels
+        ]
+        return float(np.average(offsets, weights=[sums.rows for sums, _, _ in self.levels]))
+
+
+def lagged_data(
+    records: Record | Sequence[Record], inputs: Sequence[str], output: str, order: int, delay: int, *, offset: bool = True
+) -> LaggedData:
+    """The regression of `output` on lags delay … delay + order − 1 of `inputs`, over one or several experiments.
+
+    Raises BadRecord when a channel is absent, or the records differ in sample time or units; NotIdentifiable when
+    an input or the output does not move or no row is complete.
+    """
+    experiments = [records] if isinstance(records, Record) else list(records)
+    _check_alike(experiments, [*inputs, output])
+    for name in [*inputs, output]:
+        _check_moves(experiments, name, offset=offset)
+    levels = [_record_sums(record, inputs, output, order, delay, offset=offset) for record in experiments]
+    centred = [sums.centred() if offset else sums for sums, _, _ in levels]
+    first = experiments[0]
+    return LaggedData(
+        reduce(add, centred),
+        first.sample_time,
+        tuple(first.units[name] for name in inputs),
+        first.units[output],
+        tuple(record.source for record in experiments),
+        tuple(levels) if offset else (),
+    )
+
+
+def _record_sums(
+    record: Record, inputs: Sequence[str], output: str, order: int, delay: int, *, offset: bool
+) -> tuple[RegressionSums, FloatArray, float]:
+    """Sums of one record. Signals are taken from their own mean when a level is fitted, so that no digits are lost."""
+    input_levels = np.array([_mean(record[name]) if offset else 0.0 for name in inputs])
+    output_level = _mean(record[output]) if offset else 0.0
+    signals = [record[name] for name in inputs]
+    try:
+        sums = regression_sums(signals, record[output], order, delay, input_levels=list(input_levels), output_level=output_level)
+    except NotIdentifiable as error:
+        raise NotIdentifiable(f"{record.source or 'record'}: {error}") from None
+    return sums, input_levels, output_level
+
+
+def _check_alike(records: Sequence[Record], names: Sequence[str]) -> None:
+    if not records:
+        raise BadRecord("no record: at least one is needed")
+    first = records[0]
+    if len(set(names)) != len(names):
+        raise BadRecord(f"channels {', '.join(names)}: each may be used once, as an input or as the output")
+    for record in records:
+        for name in names:
+            record[name]
+            if record.units[name] != first.units[name]:
+                where = f"{record.source or 'record'}, channel {name!r}"
+                raise BadRecord(f"{where}: unit {record.units[name]!r}, others have {first.units[name]!r}")
+        if not math.isclose(record.sample_time, first.sample_time, rel_tol=1e-6):
+            raise BadRecord(f"{record.source or 'record'}: sample time {record.sample_time} s, others have {first.sample_time} s")
+
+
+def _check_moves(records: Sequence[Record], name: str, *, offset: bool) -> None:
+    """Refuse a signal that is constant (or zero, when its level counts) in every record, or never there."""
+    spans = []
+    for record in records:
+        lowest, highest = float(np.fmin.reduce(record[name])), float(np.fmax.reduce(record[name]))
+        if not math.isnan(lowest):
+            size = max(abs(lowest), abs(highest))
+            spans.append(highest - lowest > 1e-13 * size if offset else size > 0)
+    if not any(spans):
+        found = "is constant" if spans and offset else "is zero" if spans else "has no sample"
+        raise NotIdentifiable(
+            f"channel {name!r} {found}: it is persistently exciting of order 0; nothing can be identified from it"
+        )
+
+
+def _mean(signal: npt.NDArray[np.floating]) -> float:
+    mean = float(signal.mean(dtype=float))
+    return float(np.nanmean(signal, dtype=float)) if math.isnan(mean) else mean

@@ -1,0 +1,1 @@
+"""Linear models: parametric identification, uncertainty, model error."""

@@ -1,0 +1,34 @@
+"""Prediction error methods: one search for the family A y = B/F u + C/D e, a file a structure.
+
+>>> import numpy as np
+>>> from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
+>>> from residuum.identification.record import Record
+>>> rng = np.random.default_rng(1)
+>>> u, e, y = rng.normal(size=500), 0.1 * rng.normal(size=500), np.zeros(500)
+>>> for t in range(1, 500):
+...     y[t] = -0.4 * y[t - 1] + 0.6 * u[t - 1] + e[t]
+>>> model = identify(STRUCTURES["arx"], [Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)], "u", "y", order=1)
+>>> model.numerator.round(1).tolist(), model.denominator.round(1).tolist()
+([0.6], [1.0, 0.4])
+"""
+
+from residuum.identification.linear_models.prediction_error.armax import ARMAX
+from residuum.identification.linear_models.prediction_error.arx import AR, ARX, FIR
+from residuum.identification.linear_models.prediction_error.base import Structure
+from residuum.identification.linear_models.prediction_error.box_jenkins import BoxJenkins
+from residuum.identification.linear_models.prediction_error.confidence import in_confidence_ellipsoid
+from residuum.identification.linear_models.prediction_error.identify import identify
+from residuum.identification.linear_models.prediction_error.order_selection import CRITERIA
+from residuum.identification.linear_models.prediction_error.output_error import OutputError
+from residuum.identification.linear_models.prediction_error.polynomials import Orders
+
+STRUCTURES: dict[str, Structure] = {
+    "ar": AR(),
+    "arx": ARX(),
+    "fir": FIR(),
+    "armax": ARMAX(),
+    "oe": OutputError(),
+    "bj": BoxJenkins(),
+}
+
+__all__ = ["CRITERIA", "STRUCTURES", "Orders", "Structure", "identify", "in_confidence_ellipsoid"]

@@ -1,0 +1,198 @@
+"""Ridge and lasso regression of FIR and ARX models, the penalty chosen by blocked cross-validation.
+
+    ridge   θ̂ = arg min Σ (y − φᵀθ)² + λ ‖θ‖₂²           lasso   θ̂ = arg min Σ (y − φᵀθ)² / (2n) + λ ‖θ‖₁
+
+Signals are scaled to unit power first, so that one λ serves all coefficients. (A.8)–(A.13) of the source, appendix A.3.
+
+A ridge treats the first lag like the last; the kernels (`identify_impulse_response`) know that a stable response decays, and do
+better on FIR models. The lasso is for responses of which few lags matter (pure delays, echoes, sparse couplings).
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.linear_model import Lasso, LassoCV, Ridge, RidgeCV
+
+from residuum.identification.blas_threads import one_thread_if_small
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error.arx import ARX, FIR
+from residuum.identification.linear_models.prediction_error.data import Signals, signals
+from residuum.identification.linear_models.prediction_error.order_selection import block_folds
+from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
+from residuum.identification.linear_models.prediction_error.result import description, identified_model
+from residuum.identification.linear_models.prediction_error.starts import regression
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+
+PENALTIES = ("ridge", "lasso")
+_STRENGTHS = {"ridge": np.geomspace(1e-4, 1e6, 21), "lasso": np.geomspace(1e-6, 1.0, 49)}
+_SWEEPS = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """θ, level, λ, covariance over σ², degrees of freedom, warnings; in scaled units."""
+
+    theta: FloatArray
+    level: float
+    strength: float
+    covariance: FloatArray
+    freedom: float
+    warnings: tuple[str, ...]
+
+
+def identify_regularised(
+    records: Sequence[Record],
+    input: str,
+    output: str,
+    *,
+    orders: Orders,
+    penalty: str = "ridge",
+    strength: float | None = None,
+    offset: bool = True,
+    folds: int = 5,
+) -> IdentifiedModel:
+    """Identify an FIR (`na` = 0) or ARX model by least squares with a penalty on its coefficients.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Complete; regressors do not reach across their seams.
+    orders : Orders
+        Of A and B only. More coefficients than samples are allowed: the penalty determines them.
+    penalty : {"ridge", "lasso"}
+    strength : float or None
+        λ for signals of unit power; None: the smallest mean square error on held-out blocks of time.
+    offset : bool
+        Estimate a constant level as well (it is not penalised).
+    folds : int
+        Contiguous blocks of each record; rows that share samples with the held-out block are left out of the fit.
+
+    Returns
+    -------
+    IdentifiedModel
+        `hyper_parameters` holds `strength` and `degrees_of_freedom`. Its covariance is, for the ridge, that of the posterior
+        with the prior θ ~ N(0, σ²/λ); for the lasso, that of least squares on the coefficients it kept, as if they had been
+        known beforehand: too small, and the model's warnings say so.
+
+    Raises
+    ------
+    BadInput
+        Unknown penalty, orders with F, C or D, a strength that is not positive.
+    BadRecord, NotIdentifiable
+        As `identify`; records too short for the regressor or the folds.
+
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.normal(size=400)
+    >>> y = 2.0 * np.r_[np.zeros(7), u[:-7]] + 0.1 * rng.normal(size=400)
+    >>> record = Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0)
+    >>> model = identify_regularised([record], "u", "y", orders=Orders(nb=30), penalty="lasso")
+    >>> int(np.argmax(np.abs(model.impulse_response))) + model.delay
+    7
+    """
+    started = time.perf_counter()
+    _check(orders, penalty, strength)
+    data = signals(records, input, output, offset=offset)
+    where = records[0].source or "record"
+    if min(len(y) for _, y in data.pairs) < orders.memory + 10:
+        raise NotIdentifiable(f"{where}: every record needs {orders.memory + 10} samples, ten beyond the reach of the regressor")
+    phi, target = regression(data, orders)
+    splits = _splits(data, orders, folds) if strength is None else []
+    with one_thread_if_small(phi.shape[1]):
+        fit = (_ridge if penalty == "ridge" else _lasso)(phi, target, splits, strength, offset)
+    residual = target - phi @ fit.theta - fit.level
+    n = len(target)
+    variance = float(residual @ residual) / max(n - fit.freedom - int(offset), 1.0)
+    described = description(ARX() if orders.na else FIR(), records, input, output, orders, n)
+    described["method"] = f"{described['method']}-{penalty}"
+    described["warnings"] = fit.warnings
+    described["hyper_parameters"] = {"strength": fit.strength, "degrees_of_freedom": fit.freedom}
+    described["provenance"] |= {"seconds": time.perf_counter() - started}
+    # y = φᵀθ + level is A (y − y₀) = B u: y₀ = level / A(1)
+    polynomials = Polynomials.from_vector(fit.theta, orders)
+    return identified_model(
+        polynomials, variance * fit.covariance, variance, fit.level / float(polynomials.a.sum()), data, described
+    )
+
+
+def _check(orders: Orders, penalty: str, strength: float | None) -> None:
+    if penalty not in PENALTIES:
+        raise BadInput(f"penalty {penalty!r}: must be one of {', '.join(PENALTIES)}")
+    if orders.nf or orders.nc or orders.nd or not orders.nb:
+        raise BadInput(f"regularised regression: orders are {orders}; must have B, may have A, nothing else")
+    if strength is not None and not (np.isfinite(strength) and strength > 0):
+        raise BadInput(f"strength {strength!r}: must be a positive number")
+
+
+def _splits(data: Signals, orders: Orders, count: int) -> list[tuple[IntArray, IntArray]]:
+    """(training rows, held-out rows) of each fold; a training row shares no sample with the held-out block."""
+    reach = orders.memory
+    row = [np.arange(reach, len(y)) for _, y in data.pairs]  # sample that each row explains, record by record
+    splits = []
+    block_folds(data, count)  # refuses blocks that are too short
+    for k in range(count):
+        held_out, training = [], []
+        for samples, (_, y) in zip(row, data.pairs, strict=True):
+            start, stop = k * len(y) // count, (k + 1) * len(y) // count
+            held_out.append((samples >= start) & (samples < stop))
+            training.append((samples < start) | (samples >= stop + reach))
+        splits.append((np.flatnonzero(np.concatenate(training)), np.flatnonzero(np.concatenate(held_out))))
+    usable = [(training, held_out) for training, held_out in splits if len(training) and len(held_out)]
+    if len(usable) < 2:
+        raise NotIdentifiable(f"{count} folds: the regressor reaches back {reach} samples and leaves none; give the strength")
+    return usable
+
+
+def _ridge(
+    phi: FloatArray, target: FloatArray, splits: list[tuple[IntArray, IntArray]], strength: float | None, offset: bool
+) -> _Fit:
+    if strength is None:
+        search = RidgeCV(_STRENGTHS["ridge"], fit_intercept=offset, cv=splits, scoring="neg_mean_squared_error")
+        strength = float(search.fit(phi, target).alpha_)
+    found = Ridge(strength, fit_intercept=offset).fit(phi, target)
+    centred = phi - phi.mean(axis=0) if offset else phi
+    _, singular, axes = np.linalg.svd(centred, full_matrices=False)
+    unseen = np.eye(phi.shape[1]) - axes.T @ axes
+    covariance = (axes.T / (singular**2 + strength)) @ axes + unseen / strength
+    freedom = float(np.sum(singular**2 / (singular**2 + strength)))
+    return _Fit(np.asarray(found.coef_), float(found.intercept_), strength, covariance, freedom, _at_edge("ridge", strength))
+
+
+def _lasso(
+    phi: FloatArray, target: FloatArray, splits: list[tuple[IntArray, IntArray]], strength: float | None, offset: bool
+) -> _Fit:
+    """Degrees of freedom: the number of coefficients kept (H. Zou, T. Hastie, R. Tibshirani, Annals of Statistics 35, 2007)."""
+    says = ["the covariance takes the lags that the lasso kept as known beforehand; it is too small"]
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always", ConvergenceWarning)
+        if strength is None:
+            search = LassoCV(alphas=_STRENGTHS["lasso"], fit_intercept=offset, cv=splits, max_iter=_SWEEPS)
+            strength = float(search.fit(phi, target).alpha_)
+        raised.clear()  # a weak penalty that did not converge while searching is of no consequence unless it is the one chosen
+        found = Lasso(strength, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
+    if any(issubclass(warning.category, ConvergenceWarning) for warning in raised):
+        says.append("the lasso did not converge; its coefficients are not to be trusted")
+    theta = np.asarray(found.coef_)
+    kept = np.flatnonzero(theta)
+    centred = (phi - phi.mean(axis=0) if offset else phi)[:, kept]
+    covariance = np.zeros((len(theta), len(theta)))
+    covariance[np.ix_(kept, kept)] = np.linalg.pinv(centred.T @ centred, hermitian=True)
+    says += _at_edge("lasso", strength)
+    return _Fit(theta, float(found.intercept_), strength, covariance, float(len(kept)), tuple(says))
+
+
+def _at_edge(penalty: str, strength: float) -> tuple[str, ...]:
+    """A warning when cross-validation would have gone on to a stronger penalty."""
+    if strength < _STRENGTHS[penalty][-1]:
+        return ()
+    return (f"cross-validation chose the strongest penalty tried, {strength:g}: the input explains next to nothing",)

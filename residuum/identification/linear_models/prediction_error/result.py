@@ -1,0 +1,140 @@
+"""From polynomials and their covariance to an IdentifiedModel in the record's units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.prediction_error.base import Structure
+from residuum.identification.linear_models.prediction_error.data import Signals
+from residuum.identification.linear_models.prediction_error.filtering import filtered
+from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+_LONGEST_RESPONSE = 400
+_NEGLIGIBLE = 1e-4
+
+
+def identified_model(
+    polynomials: Polynomials,
+    covariance: FloatArray,
+    innovation_variance: float,
+    level: float,
+    data: Signals,
+    described: Mapping[str, Any],
+) -> IdentifiedModel:
+    """The result of a prediction error method, unscaled.
+
+    Parameters
+    ----------
+    covariance : array, shape (count, count)
+        Of θ, (1.104) of the source.
+    innovation_variance, level : float
+        In scaled units.
+    described : mapping
+        What else IdentifiedModel takes (names, units, likelihood, criteria, warnings, provenance).
+    """
+    gain = data.y_scale / data.u_scale
+    num, den, jacobian = _plant(polynomials)
+    scale = np.r_[np.full(len(num), gain), np.ones(len(den) - 1)]
+    parameter_covariance = (jacobian @ covariance @ jacobian.T) * np.outer(scale, scale)
+    g, dg = _impulse_response(polynomials)
+    noise_num, noise_den = _noise(polynomials)
+    return IdentifiedModel(
+        impulse_response=g * gain,
+        covariance=(dg @ covariance @ dg.T) * gain**2,
+        noise_variance=innovation_variance * data.y_scale**2,
+        delay=polynomials.orders.delay,
+        offset=data.y_level + level * data.y_scale - float(num.sum() / den.sum()) * gain * data.u_level,
+        numerator=num * gain,
+        denominator=den,
+        parameter_covariance=parameter_covariance,
+        noise_numerator=noise_num,
+        noise_denominator=noise_den,
+        **described,
+    )
+
+
+def description(
+    structure: Structure, records: Sequence[Record], input: str | None, output: str, orders: Orders, n: int
+) -> dict[str, Any]:
+    """Names, units and provenance of a result, as IdentifiedModel takes them; `n` is the number of samples used."""
+    driven = input if structure.has_input and input else ""
+    return {
+        "method": structure.name,
+        "sample_time": records[0].sample_time,
+        "input_name": driven,
+        "input_unit": records[0].units[driven] if driven else "",
+        "output_name": output,
+        "output_unit": records[0].units[output],
+        "provenance": {
+            "records": [record.source for record in records],
+            "n": n,
+            "structure": structure.equation,
+            "orders": orders_text(orders),
+        },
+    }
+
+
+def _plant(p: Polynomials) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(numerator, denominator, ∂[numerator, denominator₁…]/∂θ) of z^{−n_k} B/(A F) in descending powers of z."""
+    o = p.orders
+    den = np.convolve(p.a, p.f)
+    b = p.b if o.nb else np.zeros(1)
+    size = max(len(den) - 1, o.delay + len(b) - 1)
+    num = np.concatenate([b, np.zeros(size - o.delay - len(b) + 1)])
+    den = np.concatenate([den, np.zeros(size + 1 - len(den))])
+    jacobian = np.zeros((len(num) + size, o.count))
+    for k in range(o.nb):
+        jacobian[k, o.na + k] = 1.0
+    for first, count, other in ((0, o.na, p.f), (o.na + o.nb, o.nf, p.a)):
+        for k in range(count):
+            at = len(num) + k
+            jacobian[at : at + len(other), first + k] += other[: len(jacobian) - at]
+    return num, den, jacobian
+
+
+def _impulse_response(p: Polynomials) -> tuple[FloatArray, FloatArray]:
+    """g from lag n_k on until it has decayed (at most 400 coefficients), and ∂g/∂θ, shape (m, count)."""
+    o = p.orders
+    pulse = np.r_[1.0, np.zeros(_LONGEST_RESPONSE - 1)]
+    b = p.b if o.nb else np.zeros(1)
+    den = np.convolve(p.a, p.f)
+    g = np.asarray(filtered(b, den, pulse))
+    significant = np.flatnonzero(np.abs(g) > _NEGLIGIBLE * np.abs(g).max(initial=0.0))
+    m = int(max(significant[-1] + 1 if significant.size else 1, o.nb, 1))
+    dg = np.zeros((_LONGEST_RESPONSE, o.count))
+    by_b = np.asarray(filtered([1.0], den, pulse))
+    for first, count, signal, lag in (
+        (0, o.na, -filtered([1.0], p.a, g), 1),
+        (o.na, o.nb, by_b, 0),
+        (o.na + o.nb, o.nf, -filtered([1.0], p.f, g), 1),
+    ):
+        for k in range(count):
+            dg[lag + k :, first + k] = signal[: _LONGEST_RESPONSE - lag - k]
+    return g[:m], dg[:m]
+
+
+def _noise(p: Polynomials) -> tuple[FloatArray | None, FloatArray | None]:
+    """H = C/(D A) in descending powers of z, both polynomials of equal length; (None, None) for white noise."""
+    den = np.convolve(p.d, p.a)
+    size = max(len(p.c), len(den))
+    if size == 1:
+        return None, None
+    return np.r_[p.c, np.zeros(size - len(p.c))], np.r_[den, np.zeros(size - len(den))]
+
+
+def orders_text(orders: Orders) -> str:
+    """Orders as a reader wants them: only those that the structure has.
+
+    >>> orders_text(Orders(nb=2, nf=2))
+    'nb = 2, nf = 2, nk = 1'
+    """
+    parts = [f"{name} = {value}" for name, value in vars(orders).items() if name != "delay" and value]
+    return ", ".join([*parts, f"nk = {orders.delay}"])

@@ -1,0 +1,184 @@
+"""Uncertainty weight W_T: from the distribution of an identified model to a bound on its relative error (Algorithm 1).
+
+Random models are drawn from the distribution of the estimate, Ω(ω) is the largest error among them at each frequency
+(2.21), and a stable proper transfer function is fitted above it (2.22), (2.23).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput, BadModel
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.magnitude_fit import fit_magnitude
+from residuum.identification.linear_models.transfer_function import TransferFunction
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+Form = Literal["multiplicative", "additive", "inverse-multiplicative"]
+Rule = Literal["chernoff", "worst-case"]
+_ERRORS: dict[str, Callable[[ComplexArray, ComplexArray], ComplexArray]] = {
+    "multiplicative": lambda sampled, nominal: sampled / nominal - 1,
+    "additive": lambda sampled, nominal: sampled - nominal,
+    "inverse-multiplicative": lambda sampled, nominal: 1 - nominal / sampled,
+}
+_MODELS_AT_ONCE = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class UncertaintyWeight:
+    """W_T above the sampled error magnitudes Ω, and what the number of samples promises.
+
+    Attributes
+    ----------
+    weight : TransferFunction
+        Stable, proper, minimum phase; |weight| ≥ Ω at every ω, and on straight lines between them.
+    omega, magnitude : array, shape (k,)
+        ω [rad/s] and Ω(ω); dimensionless, or [output unit/input unit] for additive uncertainty.
+    form : {"multiplicative", "additive", "inverse-multiplicative"}
+        G = G₀(1 + Δ W), G₀ + Δ W, or G₀/(1 − Δ W) with |Δ| ≤ 1.
+    n_samples : int
+    promise : str
+        What n_samples guarantees, in one sentence.
+    """
+
+    weight: TransferFunction
+    omega: FloatArray
+    magnitude: FloatArray
+    form: str
+    n_samples: int
+    promise: str
+
+    @property
+    def critical_frequency(self) -> float | None:
+        """First frequency [rad/s] from which |weight| ≥ 1; None when it stays below."""
+        crossed = np.flatnonzero(np.abs(self.weight.frequency_response(self.omega)) >= 1.0)
+        return float(self.omega[crossed[0]]) if len(crossed) else None
+
+
+def chernoff_samples(accuracy: float, confidence: float) -> int:
+    """n ≥ ln(2/ζ)/(2ε²) with ε = `accuracy`, ζ = 1 − `confidence`; (2.24), (2.28), Hoeffding's inequality.
+
+    Promises that the *fraction* of random models with any property fixed beforehand differs from its probability by less
+    than ε, with confidence 1 − ζ. The source reads it as a bound on the gap between Ŵ_T and W_T; it is not.
+
+    >>> chernoff_samples(0.05, 0.95), chernoff_samples(0.01, 0.95)
+    (738, 18445)
+    """
+    _check_levels(accuracy, confidence)
+    return math.ceil(math.log(2 / (1 - confidence)) / (2 * accuracy**2) - 1e-9)
+
+
+def worst_case_samples(accuracy: float, confidence: float) -> int:
+    """n ≥ ln(1/ζ)/ln(1/(1−ε)); Tempo, Bai, Dabbene, Systems & Control Letters 30 (1997) 237–242.
+
+    Promises that one more random model exceeds the largest value among n with probability at most ε, with confidence
+    1 − ζ: the bound that suits Ω(ω), at each single frequency.
+
+    >>> worst_case_samples(0.05, 0.95)
+    59
+    """
+    _check_levels(accuracy, confidence)
+    return math.ceil(math.log(1 / (1 - confidence)) / math.log(1 / (1 - accuracy)) - 1e-9)
+
+
+def worst_case_accuracy(n_samples: int, confidence: float) -> float:
+    """The ε that n samples promise for a worst case: 1 − ζ^{1/n}."""
+    return -math.expm1(math.log(1 - confidence) / n_samples)
+
+
+SAMPLE_SIZE_RULES: dict[str, Callable[[float, float], int]] = {"chernoff": chernoff_samples, "worst-case": worst_case_samples}
+
+
+def design_uncertainty_weight(
+    model: IdentifiedModel,
+    *,
+    omega: npt.ArrayLike | None = None,
+    accuracy: float = 0.05,
+    confidence: float = 0.95,
+    rule: Rule = "chernoff",
+    form: Form = "multiplicative",
+    order: int | None = None,
+    seed: int = 0,
+) -> UncertaintyWeight:
+    """W_T(z) of an identified model (Algorithm 1).
+
+    Parameters
+    ----------
+    model : IdentifiedModel
+        Nominal model Ĝ₀ and the distribution that random models are drawn from.
+    omega : array or None
+        Frequencies [rad/s], increasing, up to π/Ts; None: 600, log-spaced over five and a half decades below π/Ts.
+    accuracy, confidence : float
+        ε and 1 − ζ of the sample-size rule.
+    rule : {"chernoff", "worst-case"}
+        See `chernoff_samples` and `worst_case_samples`.
+    form : {"multiplicative", "additive", "inverse-multiplicative"}
+    order : int or None
+        Order of the fitted weight; None: chosen by `fit_magnitude`.
+    seed : int
+
+    Raises
+    ------
+    BadModel
+        The nominal response (or a random one, for the inverse form) is zero at a frequency, where a relative error means nothing.
+
+    Examples
+    --------
+    >>> model = IdentifiedModel(method="by hand", sample_time=1.0, impulse_response=[1.0, 0.5],
+    ...                         covariance=[[1e-4, 0], [0, 1e-4]], noise_variance=0.1)
+    >>> weight = design_uncertainty_weight(model, rule="worst-case", order=1)
+    >>> weight.n_samples, weight.promise
+    (59, 'a further random model exceeds Ω at a given frequency with probability at most 0.05, with confidence 0.95')
+    """
+    if rule not in SAMPLE_SIZE_RULES or form not in _ERRORS:
+        raise BadInput(
+            f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form {form!r} one of {list(_ERRORS)}"
+        )
+    n_samples = SAMPLE_SIZE_RULES[rule](accuracy, confidence)
+    nyquist = math.pi / model.sample_time
+    frequencies = np.geomspace(nyquist / 10**5.5, nyquist, 600) if omega is None else np.asarray(omega, dtype=float)
+    magnitude = error_envelope(model, frequencies, n_samples, form=form, seed=seed)
+    weight = fit_magnitude(frequencies, magnitude, order=order, bound="above", sample_time=model.sample_time)
+    return UncertaintyWeight(weight, frequencies, magnitude, form, n_samples, _promise(rule, accuracy, confidence, n_samples))
+
+
+def error_envelope(
+    model: IdentifiedModel, omega: npt.ArrayLike, n_samples: int, *, form: Form = "multiplicative", seed: int = 0
+) -> FloatArray:
+    """Ω(ω), the largest error among `n_samples` random models (2.21), shape of `omega`."""
+    omega = np.asarray(omega, dtype=float)
+    nominal, rng = model.frequency_response(omega), np.random.default_rng(seed)
+    largest = np.zeros(len(omega))
+    for start in range(0, n_samples, _MODELS_AT_ONCE):
+        sampled = model.sample_frequency_responses(min(_MODELS_AT_ONCE, n_samples - start), omega, rng)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            errors = np.abs(_ERRORS[form](sampled, nominal))
+        largest = np.maximum(largest, errors.max(axis=0))
+    if not np.isfinite(largest).all():
+        zero = omega[np.argmin(np.isfinite(largest))]
+        raise BadModel(f"uncertainty weight: the response is zero at {zero:g} rad/s, where no {form} error exists; use additive")
+    return np.maximum(largest, np.finfo(float).tiny)
+
+
+def _promise(rule: str, accuracy: float, confidence: float, n_samples: int) -> str:
+    confident = f"with confidence {confidence:g}"
+    if rule == "worst-case":
+        return f"a further random model exceeds Ω at a given frequency with probability at most {accuracy:g}, {confident}"
+    implied = worst_case_accuracy(n_samples, confidence)
+    return (
+        f"the fraction of random models with a property fixed beforehand is within {accuracy:g} of its probability, {confident}; "
+        f"for Ω at a given frequency: exceeded with probability at most {implied:.2g}"
+    )
+
+
+def _check_levels(accuracy: float, confidence: float) -> None:
+    for name, value in (("accuracy", accuracy), ("confidence", confidence)):
+        if not 0 < value < 1:
+            raise BadInput(f"{name}: is {value}; must lie between 0 and 1")

@@ -1,0 +1,1 @@
+"""From balances to compiled equations."""

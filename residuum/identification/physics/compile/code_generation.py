@@ -1,0 +1,314 @@
+"""Equations → LLVM assembly: rates, exact Jacobians, outputs and signals, as functions called by address.
+
+The functions are straight-line arithmetic, so they are written in the compiler's own language: translating a Python text of
+them (type inference above all) takes ten times as long as compiling what comes out of it. Every expression is computed once
+a function, however often it occurs; branches are selections, so nothing is skipped and nothing can trap.
+
+Each function is `void name(x, u, ur, p, s, m, r₀, r₁, r₂)` of pointers to doubles: states, inputs (time last), their slopes,
+parameters, directions, motion of each surface, and three arrays for results.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
+from typing import Any, ClassVar
+
+import sympy as sp
+
+from residuum.identification.physics.compile.composition import TIME, Equations
+from residuum.identification.physics.compile.machine_code import FUNCTIONS
+from residuum.identification.physics.compile.stepping_code import FREE, stepping
+from residuum.identification.physics.simulate.stepped_round import SteppedRound
+
+ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
+_COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "!=": "une"}
+
+Slot = tuple[str, int]
+"""Where a value goes: a result array and the place in it."""
+Assignments = Mapping[Slot, sp.Expr]
+
+
+class InverseRoot(sp.Function):
+    """1/√x in the slope of a root, kept finite where the root is zero (an empty tank)."""
+
+    nargs = 1
+
+
+class Direction(sp.Function):
+    """sign(x) of what cannot be seen to be real (a current by cases), so that its slope is nothing rather than complex."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """Nothing."""
+        return sp.S.Zero
+
+
+class Magnitude(sp.Function):
+    """|x| of what cannot be seen to be real."""
+
+    nargs = 1
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """The direction."""
+        return Direction(self.args[0])
+
+
+_REAL = {sp.Abs: Magnitude, sp.sign: Direction}
+_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", Magnitude: "fabs", sp.floor: "floor"}
+
+
+def names_of(equations: Equations) -> dict[str, list[Any]]:
+    """What the functions are about: names and counts, in their order."""
+    eq = equations
+    return {
+        "states": list(eq.x),
+        "inputs": list(eq.u),
+        "parameters": list(eq.p),
+        "outputs": list(eq.outputs),
+        "signals": list(eq.signals),
+        "deviating": list(eq.deviating),
+        "sizes": list(map(len, (eq.x, eq.u, eq.p, eq.outputs, eq.signals))),
+        "surfaces": list(eq.surfaces),
+        "delays": [-1 if name not in eq.delays else _index(eq.p.values(), eq.delays[name]) for name in eq.u],
+        "own": [list(eq.x).index(name) for name in eq.initial],
+        "remembered": [list(eq.x).index(name) for name in eq.initial if name not in eq.deviating],
+    }
+
+
+def generate(equations: Equations) -> str:
+    """The assembly of one function for each of `FUNCTIONS` and of `STEPPING`."""
+    loads, assignments, nx = _loads(equations), _assignments(equations), len(equations.x)
+    bodies = [_Function(name, loads).text(a) for name, a in zip(FUNCTIONS, assignments, strict=True)]
+    A, B = _places(assignments[1], "r1", nx), _places(assignments[1], "r2", len(equations.p) + nx)
+    used = {*_INTRINSICS.values(), "pow", "sqrt"}
+    declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
+    return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations, A, B)]) + "\n"
+
+
+def _places(slopes: Assignments, matrix: str, width: int) -> list[tuple[int, int]]:
+    """Row and column of what a matrix of slopes holds beside zeros."""
+    return [divmod(k, width) for array, k in slopes if array == matrix]
+
+
+def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:
+    return list(symbols).index(wanted)
+
+
+def _assignments(eq: Equations) -> list[Assignments]:
+    x, p = list(eq.x.values()), list(eq.p.values())
+    y, z = map(_real, eq.outputs.values()), map(_real, eq.signals.values())
+    moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
+    each = [_real(rate) for rate in eq.rates]
+    rates: dict[Slot, sp.Expr] = {("r0", i): moving.get(i, sp.S.One) * rate for i, rate in enumerate(each)}
+    slopes = dict(rates)
+    for i, rate in enumerate(each):
+        slopes |= {at: moving.get(i, sp.S.One) * e for at, e in _row(("r1", "r2"), i, rate, x, p, eq).items()}
+    own = {list(eq.x).index(name): _real(expression) for name, expression in eq.initial.items()}
+    start: dict[Slot, sp.Expr] = {("r0", i): e for i, e in own.items()}
+    for i, expression in own.items():
+        start |= _row(("r1", "r2"), i, expression, x, p, eq)
+    outputs: dict[Slot, sp.Expr] = {("r0", o): h for o, h in enumerate(y)}
+    output_slopes: dict[Slot, sp.Expr] = {}
+    for (_, o), h in outputs.items():
+        output_slopes |= _row(("r0", "r1"), o, h, x, p, eq)
+    return [rates, slopes, start, outputs, output_slopes, {("r0", o): h for o, h in enumerate(z)}]
+
+
+def _real(expression: sp.Expr) -> sp.Expr:
+    """The expression with sizes and signs that differentiate as those of real values do."""
+    return sp.sympify(expression).replace(
+        lambda e: type(e) in _REAL and not e.args[0].is_extended_real, lambda e: _REAL[type(e)](e.args[0])
+    )
+
+
+def _row(
+    matrices: tuple[str, str], i: int, expression: sp.Expr, x: list[sp.Symbol], p: list[sp.Symbol], eq: Equations
+) -> dict[Slot, sp.Expr]:
+    """Nonzero partial derivatives of one expression by states and by parameters (delays through the input), by slot."""
+    by_state, by_parameter = matrices
+    present, width = expression.free_symbols, len(p) + len(x)
+    row: dict[Slot, sp.Expr] = {(by_state, i * len(x) + j): sp.diff(expression, v) for j, v in enumerate(x) if v in present}
+    row |= {(by_parameter, i * width + j): sp.diff(expression, v) for j, v in enumerate(p) if v in present}
+    for k, (name, u) in enumerate(eq.u.items()):
+        if name in eq.delays and u in present:
+            slot = (by_parameter, i * width + _index(p, eq.delays[name]))
+            row[slot] = row.get(slot, sp.S.Zero) - sp.diff(expression, u) * sp.Symbol(f"ur_{k}", real=True)
+    return {slot: _finite(derivative) for slot, derivative in row.items() if derivative != 0}
+
+
+def _finite(slope: sp.Expr) -> sp.Expr:
+    return slope.replace(lambda e: e.is_Pow and e.exp == -sp.Rational(1, 2), lambda e: InverseRoot(e.base))
+
+
+def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
+    loads = {symbol: ("x", k) for k, symbol in enumerate(eq.x.values())}
+    loads |= {symbol: ("u", k) for k, symbol in enumerate(eq.u.values())}
+    loads |= {sp.Symbol(f"ur_{k}", real=True): ("ur", k) for k in range(len(eq.u))}
+    loads |= {symbol: ("p", k) for k, symbol in enumerate(eq.p.values())}
+    loads |= {symbol: ("s", k) for k, symbol in enumerate(eq.surfaces.values())}
+    loads |= {sp.Symbol(f"m_{k}", real=True): ("m", k) for k in range(len(eq.surfaces))}
+    return loads | {TIME: ("u", len(eq.u))}
+
+
+class _Function:
+    """The body of one function while it is written: a line an operation, the value of each expression remembered."""
+
+    def __init__(self, name: str, loads: Mapping[sp.Symbol, Slot]) -> None:
+        self.name, self.loads = name, loads
+        self.lines: list[str] = []
+        self.known: dict[Any, str] = {}
+
+    def text(self, assignments: Assignments) -> str:
+        """All values first, then the stores: a result array may be one of the arguments."""
+        stores = [(self.value(sp.sympify(e)), slot) for slot, e in assignments.items()]
+        for value, (array, index) in stores:
+            self.lines.append(f"store double {value}, ptr {self._place(array, index)}")
+        arguments = ", ".join(f"ptr %{name}" for name in ARGUMENTS)
+        return "\n".join([f"define void @{self.name}({arguments}) {{", *(f"  {line}" for line in self.lines), "  ret void", "}"])
+
+    def value(self, e: Any) -> str:
+        """The name of the register, or the constant, that holds an expression."""
+        if e not in self.known:
+            self.known[e] = self._write(e)
+        return self.known[e]
+
+    def _write(self, e: Any) -> str:
+        if e.is_Symbol:
+            array, index = self.loads[e]
+            return self._new(f"load double, ptr {self._place(array, index)}")
+        if e in (sp.true, sp.false):
+            return "true" if e else "false"
+        if e.is_number and not e.is_Boolean:
+            return _constant(float(e))
+        if type(e) in _INTRINSICS:
+            return self._call(f"llvm.{_INTRINSICS[type(e)]}.f64", e.args[0])
+        if e.is_Relational:
+            return self._new(f"fcmp {_COMPARISONS[e.rel_op]} double {self.value(e.lhs)}, {self.value(e.rhs)}")
+        rule = self._RULES.get(type(e))
+        if rule is None:
+            raise NotImplementedError(f"no code for {type(e).__name__}")
+        return rule(self, *e.args)
+
+    def _add(self, *terms: sp.Expr) -> str:
+        positive = [t for t in terms if not t.could_extract_minus_sign()]
+        negative = [-t for t in terms if t.could_extract_minus_sign()]
+        total = self._fold("fadd", [self.value(t) for t in positive]) if positive else _constant(0.0)
+        for term in negative:
+            total = self._new(f"fsub {FREE} double {total}, {self.value(term)}")
+        return total
+
+    def _mul(self, *factors: sp.Expr) -> str:
+        above = [f for f in factors if not _is_reciprocal(f)]
+        below = [f.base**-f.exp for f in factors if _is_reciprocal(f)]
+        negative = above[:1] == [sp.S.NegativeOne]
+        product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_constant(1.0)])
+        if below:
+            product = self._new(f"fdiv {FREE} double {product}, {self._fold('fmul', [self.value(f) for f in below])}")
+        return self._new(f"fneg {FREE} double {product}") if negative else product
+
+    def _pow(self, base: sp.Expr, exponent: sp.Expr) -> str:
+        if exponent == sp.Rational(1, 2):
+            return self._call("llvm.sqrt.f64", base)
+        if exponent.is_Integer and 1 <= abs(int(exponent)) <= 4:
+            product = self._fold("fmul", [self.value(base)] * abs(int(exponent)))
+            return product if exponent > 0 else self._new(f"fdiv {FREE} double {_constant(1.0)}, {product}")
+        return self._new(f"call double @llvm.pow.f64(double {self.value(base)}, double {self.value(exponent)})")
+
+    def _tanh(self, a: sp.Expr) -> str:
+        return self._call("tanh", a)
+
+    def _sign(self, a: sp.Expr) -> str:
+        negative = self._select(self._compare("olt", a, sp.S.Zero), _constant(-1.0), _constant(0.0))
+        return self._select(self._compare("ogt", a, sp.S.Zero), _constant(1.0), negative)
+
+    def _heaviside(self, a: sp.Expr, *_: sp.Expr) -> str:
+        return self._select(self._compare("ogt", a, sp.S.Zero), _constant(1.0), _constant(0.0))
+
+    def _nothing(self, *_: sp.Expr) -> str:
+        return _constant(0.0)
+
+    def _rounded(self, a: sp.Expr) -> str:
+        return self._call("llvm.floor.f64", a + sp.Rational(1, 2))
+
+    def _inverse_root(self, a: sp.Expr) -> str:
+        return self._new(f"fdiv {FREE} double {_constant(1.0)}, {self.value(sp.sqrt(sp.Max(a, sp.Float(1e-12))))}")
+
+    def _max(self, *choices: sp.Expr) -> str:
+        return self._extreme("ogt", choices)
+
+    def _min(self, *choices: sp.Expr) -> str:
+        return self._extreme("olt", choices)
+
+    def _extreme(self, comparison: str, choices: Iterable[sp.Expr]) -> str:
+        def better(best: str, other: str) -> str:
+            return self._select(self._new(f"fcmp {comparison} double {other}, {best}"), other, best)
+
+        return reduce(better, map(self.value, choices))
+
+    def _piecewise(self, *pieces: Any) -> str:
+        chosen = _constant(0.0)
+        for value, condition in reversed(pieces):
+            chosen = self.value(value) if condition == sp.true else self._select(self.value(condition), self.value(value), chosen)
+        return chosen
+
+    def _and(self, *conditions: Any) -> str:
+        return self._fold_bits("and", conditions)
+
+    def _or(self, *conditions: Any) -> str:
+        return self._fold_bits("or", conditions)
+
+    def _if_then_else(self, condition: Any, yes: Any, no: Any) -> str:
+        return self._new(f"select i1 {self.value(condition)}, i1 {self.value(yes)}, i1 {self.value(no)}")
+
+    def _fold_bits(self, operation: str, conditions: Iterable[Any]) -> str:
+        return reduce(lambda a, b: self._new(f"{operation} i1 {a}, {b}"), map(self.value, conditions))
+
+    def _fold(self, operation: str, values: Iterable[str]) -> str:
+        return reduce(lambda a, b: self._new(f"{operation} {FREE} double {a}, {b}"), values)
+
+    def _compare(self, comparison: str, left: sp.Expr, right: sp.Expr) -> str:
+        return self._new(f"fcmp {comparison} double {self.value(left)}, {self.value(right)}")
+
+    def _select(self, condition: str, yes: str, no: str) -> str:
+        return self._new(f"select i1 {condition}, double {yes}, double {no}")
+
+    def _call(self, function: str, argument: sp.Expr) -> str:
+        return self._new(f"call double @{function}(double {self.value(argument)})")
+
+    def _place(self, array: str, index: int) -> str:
+        return self._new(f"getelementptr double, ptr %{array}, i64 {index}")
+
+    def _new(self, operation: str) -> str:
+        name = f"%v{len(self.lines)}"
+        self.lines.append(f"{name} = {operation}")
+        return name
+
+    _RULES: ClassVar[dict[Any, Callable[..., str]]] = {
+        sp.Add: _add,
+        sp.Mul: _mul,
+        sp.Pow: _pow,
+        sp.tanh: _tanh,
+        sp.sign: _sign,
+        Direction: _sign,
+        sp.Heaviside: _heaviside,
+        sp.DiracDelta: _nothing,
+        SteppedRound: _rounded,
+        InverseRoot: _inverse_root,
+        sp.Max: _max,
+        sp.Min: _min,
+        sp.Piecewise: _piecewise,
+        sp.And: _and,
+        sp.Or: _or,
+        sp.ITE: _if_then_else,
+    }
+
+
+def _is_reciprocal(factor: sp.Expr) -> bool:
+    return bool(factor.is_Pow and factor.exp.is_number and factor.exp.is_negative)
+
+
+def _constant(value: float) -> str:
+    return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"

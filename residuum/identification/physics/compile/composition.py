@@ -1,0 +1,323 @@
+"""Composition: a PhysicalModel becomes explicit equations, symbolically.
+
+Each balance `storage · dx/dt = Σ terms` is solved for its derivative; a balance without storage is solved for the
+variable it defines. The result is
+
+    dx/dt = f(x, u, p, s),   y = h(x, u, p)
+
+with states x (the model's, then those of effects), inputs u, parameters p (the model's, those of effects, and one
+additive *missing term* a balance, zero unless a smoother estimates it) and directions s.
+
+**Standstill is exact.** `sign(v)` of a state v in the balance that gives dv/dt is not evaluated but becomes a direction
+s ∈ {−1, 0, 1} that the integrator switches: with f⁺ and f⁻ the right-hand sides at v = 0 for s = ±1, the machine
+sticks while f⁺ ≤ 0 ≤ f⁻ (Filippov's sliding condition, which is Coulomb's law), so no smoothing width is chosen.
+
+**A balance without storage** may contain its variable linearly, and in `sign()` and `abs()`: with residual
+r + a·i + b·sign(i) + c·|i| it is solved piecewise. Anything else is refused as an algebraic loop.
+
+Reference: A. F. Filippov, *Differential Equations with Discontinuous Righthand Sides*, 1988.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import sympy as sp
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics.effects.base import Contribution, Scene
+from residuum.identification.physics.files.consistency import owners_of
+from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
+from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name
+
+TIME = sp.Symbol("t", real=True)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Explicit equations of a model, as SymPy expressions.
+
+    Attributes
+    ----------
+    x, u, p : mapping of name to symbol
+        States, inputs, parameters (`missing@balance` last) in kernel order.
+    rates : tuple of expression
+        dx/dt, one a state.
+    outputs : mapping of name to expression
+    signals : mapping of name to expression
+        What else can be looked at: variables that balances define, `balance.term` of every term, `storage:balance` and
+        `drive:balance` (the sum of its terms that contain an input or a current).
+    initial : mapping of state to expression
+        Initial values of the effects' own states.
+    deviating : tuple of str
+        Those of them that may begin away from it; a first value is then the deviation.
+    surfaces : mapping of state index to direction symbol
+        Velocities (or currents) that can stand still.
+    delays : mapping of input to symbol
+        Parameter by which an input is delayed [s].
+    """
+
+    x: Mapping[str, sp.Symbol]
+    u: Mapping[str, sp.Symbol]
+    p: Mapping[str, sp.Symbol]
+    rates: tuple[sp.Expr, ...]
+    outputs: Mapping[str, sp.Expr]
+    signals: Mapping[str, sp.Expr]
+    initial: Mapping[str, sp.Expr]
+    deviating: tuple[str, ...]
+    surfaces: Mapping[int, sp.Symbol]
+    delays: Mapping[str, sp.Symbol]
+
+
+def compose(model: PhysicalModel) -> Equations:
+    """Explicit equations of the model with its effects.
+
+    Raises
+    ------
+    BadModel
+        A balance without storage that cannot be solved for its variable (algebraic loop), a storage that is zero.
+    """
+    return _Composer(model).equations()
+
+
+@dataclass
+class _Sides:
+    """The two sides of one balance while effects are added."""
+
+    balance: Balance
+    terms: dict[str, sp.Expr]
+    state: str | None
+    coefficient: sp.Expr
+    defines: sp.Symbol | None
+    direction: sp.Expr = sp.S.Zero
+    roles: dict[str, sp.Expr] = field(default_factory=dict)
+
+    @property
+    def storage(self) -> sp.Expr:
+        """What multiplies the derivative, or for a balance without storage the slope of its terms by the variable it defines."""
+        if self.state is not None or self.defines is None:
+            return self.coefficient
+        return -sp.diff(sum(self.terms.values()), self.defines)
+
+
+class _Composer:
+    """Holds the symbols of one model while its equations are put together."""
+
+    def __init__(self, model: PhysicalModel) -> None:
+        self.model = model
+        self.x = {name: sp.Symbol(f"x_{k}", real=True) for k, name in enumerate(model.states)}
+        self.u = {name: sp.Symbol(f"u_{k}", real=True) for k, name in enumerate(model.inputs)}
+        names = [*model.all_parameters, *map(missing_name, model.balances)]
+        self.p = {name: sp.Symbol(f"p_{k}", real=True) for k, name in enumerate(names)}
+        self.variables = {v: sp.Symbol(f"i_{b.name}", real=True) for b in model.balances.values() if (v := b.defines)}
+        self.paths: dict[str, sp.Expr] = {name: self._recorded_or_default(name) for name in model.inputs}
+        self.rates: dict[str, sp.Expr] = {s.name: self.x[s.rate] for s in model.states.values() if s.rate}
+        self.initial: dict[str, sp.Expr] = {}
+        self.deviating: list[str] = []
+        self.delays: dict[str, sp.Symbol] = {}
+        self.directions: dict[str, sp.Symbol] = {}
+        self.became_state: dict[sp.Symbol, sp.Expr] = {}
+
+    def equations(self) -> Equations:
+        for use in self.model.effects:
+            if use.effect.place == "input":
+                self._add_to_path(use, self.paths)
+        sides = {name: self._sides(balance) for name, balance in self.model.balances.items()}
+        for use in self.model.effects:
+            if use.effect.place == "balance":
+                self._add_to_balance(use, sides[use.target])
+        defined = self._solve_defined(sides)
+        for side in sides.values():
+            if side.state is not None:
+                self.rates[side.state] = sum(side.terms.values()) / side.coefficient
+        outputs = {name: self._symbolic(output.value.tree, None) for name, output in self.model.outputs.items()}
+        for use in self.model.effects:
+            if use.effect.place == "output":
+                self._add_to_path(use, outputs)
+        return self._explicit(sides, outputs, defined)
+
+    def _explicit(self, sides: dict[str, _Sides], outputs: dict[str, sp.Expr], defined: dict[sp.Symbol, sp.Expr]) -> Equations:
+        def put(expression: sp.Expr) -> sp.Expr:
+            return sp.sympify(expression).subs(defined)
+
+        moving = {s: sp.sign(self.x[name]) for name, s in self.directions.items()}
+        terms = {f"{n}.{term}": put(e).subs(moving) for n, side in sides.items() for term, e in side.terms.items()}
+        variables = {name: defined[symbol] for name, symbol in self.variables.items() if symbol in defined}
+        for name, side in sides.items():
+            variables[f"storage:{name}"] = put(side.storage).subs(moving)
+            variables[f"drive:{name}"] = put(side.roles["drive"]).subs(moving)
+        rates = tuple(put(self.rates[name]) for name in self.x)
+        order = list(self.x)
+        surfaces = {order.index(name): s for name, s in self.directions.items() if any(r.has(s) for r in rates)}
+        initial = {name: put(e) for name, e in self.initial.items()}
+        y = {name: put(e) for name, e in outputs.items()}
+        deviating = tuple(self.deviating)
+        return Equations(self.x, self.u, self.p, rates, y, variables | terms, initial, deviating, surfaces, self.delays)
+
+    def _recorded_or_default(self, name: str) -> sp.Expr:
+        signal = self.model.inputs[name]
+        if not signal.absent or signal.default is None:
+            return self.u[name]
+        return self.p[signal.default] if signal.default in self.p else sp.Float(float(signal.default), 17)
+
+    def _sides(self, balance: Balance) -> _Sides:
+        owner = next(iter(owners_of(balance)), None)
+        state = owner
+        defines = self.variables[balance.defines] if balance.defines else None
+        coefficient = sp.S.Zero
+        direction: sp.Expr = sp.sign(defines) if defines is not None else sp.S.Zero
+        if state is not None:
+            direction = self.directions.setdefault(state, sp.Symbol(f"s_{len(self.directions)}", real=True))
+            derivative = sp.Symbol("derivative", real=True)
+            storage = sp.expand(self._symbolic(balance.storage.tree, None, derivative))
+            coefficient = storage.coeff(derivative, 1)
+            if sp.expand(storage - coefficient * derivative) != 0 or coefficient.has(derivative):
+                raise balance.storage.place.refuse(f"storage {balance.storage.text!r} must be linear in der({state})")
+        terms = {name: self._symbolic(term.tree, state) for name, term in balance.terms.items()}
+        terms["missing"] = self.p[missing_name(balance.name)]
+        side = _Sides(balance, terms, state, coefficient, defines, direction)
+        side.roles = self._roles(side)
+        return side
+
+    def _roles(self, side: _Sides) -> dict[str, sp.Expr]:
+        balance = side.balance
+        roles = {role: self._name(name) for role, name in balance.variables.items()}
+        own = side.state if side.state is not None else balance.defines
+        supply = self.model.supply_input(balance)
+        with_input = [n for n, t in balance.terms.items() if supply is not None and supply in t.names]
+        currents = {b.variables["current"] for b in self.model.balances.values() if "current" in b.variables} - {own}
+        driving = [n for n, t in balance.terms.items() if t.names & {*self.model.inputs, *currents}]
+        if supply is not None:
+            roles["supply"] = self.paths[supply]
+        roles |= {name: self.paths[name] for name in CHANNELS if name in self.paths}
+        roles["supply_terms"] = sum((side.terms[name] for name in with_input), sp.S.Zero)
+        roles["drive"] = sum((side.terms[name] for name in driving), sp.S.Zero)
+        roles["storage"] = side.coefficient
+        return roles
+
+    def _add_to_balance(self, use: EffectUse, side: _Sides) -> None:
+        added = self._contribution(use, side.roles, side.direction, sp.S.Zero)
+        side.terms[use.id if use.instance == 1 else f"{use.id}#{use.instance}"] = sp.sympify(added.term)
+        side.coefficient = side.coefficient * added.storage_factor
+        if added.inductance is not None:
+            self._give_storage(side, added.inductance, use)
+
+    def _give_storage(self, side: _Sides, inductance: sp.Expr, use: EffectUse) -> None:
+        name = side.balance.defines
+        if side.state is not None or name is None or side.defines is None:
+            raise BadModel(f"effect {use.label!r}: balance {side.balance.name!r} has a storage already")
+        state = sp.Symbol(f"x_{len(self.x)}", real=True)
+        resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
+        direction = self.directions.setdefault(name, sp.Symbol(f"s_{len(self.directions)}", real=True))
+        self.initial[name] = resting
+        self.deviating.append(name)
+        self.x[name] = state
+        swap = {sp.sign(side.defines): direction, side.defines: state}
+        side.terms = {term: e.subs(swap) for term, e in side.terms.items()}
+        self.became_state[side.defines] = state
+        side.state, side.coefficient = name, inductance
+
+    def _add_to_path(self, use: EffectUse, paths: dict[str, sp.Expr]) -> None:
+        added = self._contribution(use, {}, sp.S.Zero, paths[use.target])
+        if added.signal is not None:
+            paths[use.target] = added.signal
+        if added.delay is not None:
+            self.delays[use.target] = added.delay
+
+    def _contribution(self, use: EffectUse, roles: Mapping[str, sp.Expr], direction: sp.Expr, signal: sp.Expr) -> Contribution:
+        site = self.model.site(use.target, use.effect)
+        p = {name: self.p[f"{use.label}.{name}"] for name in use.parameters}
+        own = {}
+        for name in use.effect.states(site):
+            full = f"{use.label}.{name}"
+            own[name] = self.x[full] = sp.Symbol(f"x_{len(self.x)}", real=True)
+        added = use.effect.contribution(Scene(site, p, own, roles, direction, signal, TIME))
+        self.rates.update({f"{use.label}.{name}": rate for name, rate in added.rates.items()})
+        self.initial.update({f"{use.label}.{name}": sp.sympify(value) for name, value in added.initial.items()})
+        self.deviating += [f"{use.label}.{name}" for name in added.deviating]
+        return added
+
+    def _solve_defined(self, sides: Mapping[str, _Sides]) -> dict[sp.Symbol, sp.Expr]:
+        solved: dict[sp.Symbol, sp.Expr] = dict(self.became_state)
+        open_sides = [side for side in sides.values() if side.state is None and side.defines is not None]
+        while open_sides:
+            pending = {side.defines for side in open_sides}
+            ready = [s for s in open_sides if not (sum(s.terms.values()).subs(solved).free_symbols & (pending - {s.defines}))]
+            if not ready:
+                names = ", ".join(side.balance.name for side in open_sides)
+                place = open_sides[0].balance.storage.place
+                raise place.refuse(f"algebraic loop: balances {names} define each other's variables")
+            for side in ready:
+                solved[side.defines] = self._solve(side.defines, sum(side.terms.values()).subs(solved), side.balance)
+                open_sides.remove(side)
+        return self._substituted(solved)
+
+    def _substituted(self, solved: dict[sp.Symbol, sp.Expr]) -> dict[sp.Symbol, sp.Expr]:
+        for _ in solved:
+            solved = {
+                symbol: sp.sympify(e).subs({k: v for k, v in solved.items() if k != symbol}) for symbol, e in solved.items()
+            }
+        return solved
+
+    def _solve(self, i: sp.Symbol, total: sp.Expr, balance: Balance) -> sp.Expr:
+        """The root i of r + a·i + b·sign(i) + c·|i| = 0."""
+        sign, size = sp.Symbol("sign_of_variable"), sp.Symbol("size_of_variable")
+        flat = sp.expand(sp.expand(total).subs({sp.sign(i): sign, sp.Abs(i): size}))
+        a, b, c = (flat.coeff(symbol, 1) for symbol in (i, sign, size))
+        r = flat.subs({i: 0, sign: 0, size: 0})
+        if a == 0 or {i, sign, size} & (a.free_symbols | b.free_symbols | c.free_symbols):
+            raise self._loop(balance)
+        if flat.has(i) and sp.expand(flat - r - a * i - b * sign - c * size) != 0:
+            raise self._loop(balance)
+        if b == 0 and c == 0:
+            return -r / a
+        free, gap = -r / a, b / a
+        return sp.Piecewise((-(r + b) / (a + c), free > gap), (-(r - b) / (a - c), free < -gap), (0, True))
+
+    def _loop(self, balance: Balance) -> BadModel:
+        return balance.storage.place.refuse(
+            f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {balance.defines!r}, which it defines"
+        )
+
+    def _symbolic(self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None) -> sp.Expr:
+        if isinstance(tree, Number):
+            return sp.Integer(int(tree.value)) if tree.value == int(tree.value) else sp.Float(tree.value, 17)
+        if isinstance(tree, Name):
+            return self._name(tree.name)
+        if isinstance(tree, Call) and tree.function == "der":
+            return derivative
+        if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
+            return self.directions[surface]
+        operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
+        return _MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*operands)
+
+    def _name(self, name: str) -> sp.Expr:
+        for family in (self.x, self.paths, self.p, self.variables):
+            if name in family:
+                return family[name]
+        raise BadModel(f"model {self.model.name!r}: name {name!r} is not declared")
+
+
+def _is_name(tree: Node, name: str) -> bool:
+    return isinstance(tree, Name) and tree.name == name
+
+
+_MEANING = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "**": lambda a, b: a**b,
+    "neg": lambda a: -a,
+    "sin": sp.sin,
+    "cos": sp.cos,
+    "tanh": sp.tanh,
+    "exp": sp.exp,
+    "log": sp.log,
+    "sqrt": sp.sqrt,
+    "abs": sp.Abs,
+    "sign": sp.sign,
+    "min": sp.Min,
+    "max": sp.Max,
+}

@@ -1,0 +1,124 @@
+"""Kernels: the compiled form of a model's structure, kept on disk so that only the first use of a structure compiles.
+
+The key of a kernel is a digest of the model's structure (balances, effects, paths; not parameter values, bounds or
+units), of this package's own sources and of the processor. Names and machine code are written once to the cache folder
+(`$RESIDUUM_CACHE`, else `~/.cache/residuum`); a warm start therefore neither composes symbolically nor compiles.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.physics.compile import machine_code
+from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulate.integration import System
+
+_LOADED = (*FUNCTIONS, *STEPPING)
+_COUNTED = ("sizes", "surfaces", "delays", "own", "remembered")
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """A structure's compiled equations and the names of what they are about, in their order."""
+
+    states: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outputs: tuple[str, ...]
+    signals: tuple[str, ...]
+    deviating: tuple[str, ...]
+    system: System
+
+
+def kernel_of(model: PhysicalModel) -> Kernel:
+    """The compiled kernel of the model's structure, from memory, from disk, or newly generated."""
+    return _kernel(_structure(model), _Deferred(model))
+
+
+def cache_folder() -> Path:
+    """Where generated kernels are kept: `$RESIDUUM_CACHE`, else `~/.cache/residuum`, else a folder for temporary files."""
+    chosen = os.environ.get("RESIDUUM_CACHE")
+    folder = Path(chosen) if chosen else Path.home() / ".cache" / "residuum"
+    try:
+        (folder / "kernels").mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        folder = Path(tempfile.gettempdir()) / f"residuum-{os.getuid()}"
+        (folder / "kernels").mkdir(parents=True, exist_ok=True, mode=0o700)
+    return folder / "kernels"
+
+
+class _Deferred:
+    """A model that does not take part in a cache's key (the structure does)."""
+
+    def __init__(self, model: PhysicalModel) -> None:
+        self.model = model
+
+    def __hash__(self) -> int:
+        return 0
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Deferred)
+
+
+@lru_cache(maxsize=256)
+def _kernel(structure: str, deferred: _Deferred) -> Kernel:
+    machine = machine_code.target()
+    digest = hashlib.sha256((structure + machine + _sources()).encode()).hexdigest()[:24]
+    path = cache_folder() / f"kernel_{digest}"
+    if not path.exists():
+        _write(path, _made(deferred.model))
+    header, _, code = path.read_bytes().partition(b"\n")
+    told = json.loads(header)
+    functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
+    numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in _COUNTED}
+    names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
+    return Kernel(**names, system=System(**functions, **numbers))
+
+
+def _made(model: PhysicalModel) -> bytes:
+    """What a kernel's file holds. SymPy is imported here: where all kernels are on disk it is not needed."""
+    from residuum.identification.physics.compile.code_generation import generate, names_of  # noqa: PLC0415
+    from residuum.identification.physics.compile.composition import compose  # noqa: PLC0415
+
+    equations = compose(model)
+    return json.dumps(names_of(equations)).encode() + b"\n" + machine_code.compiled(generate(equations))
+
+
+def _structure(model: PhysicalModel) -> str:
+    balances = [
+        (b.name, b.kind, b.storage.text, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
+        for b in model.balances.values()
+    ]
+    effects = [(use.id, use.target, use.instance) for use in model.effects]
+    inputs = [(i.name, i.absent and i.default, i.unit) for i in model.inputs.values()]
+    states = [(s.name, s.rate, s.unit) for s in model.states.values()]
+    outputs = [(o.name, o.value.text) for o in model.outputs.values()]
+    return repr((inputs, states, list(model.parameters), balances, outputs, effects))
+
+
+@lru_cache(maxsize=1)
+def _sources() -> str:
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(sys.version.encode())
+    for file in sorted(package.rglob("*.py")):
+        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write so that another process sees the whole file or none."""
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    with os.fdopen(handle, "wb") as file:
+        file.write(content)
+    os.replace(name, path)

@@ -1,0 +1,215 @@
+"""A Runge–Kutta step of a structure, and of its sensitivities, as LLVM assembly: unrolled over the states.
+
+    advance(x, u₀, u₁, u₂, p, s, m, work, step)
+    advance_slopes(x, u₀, u₁, u₂, p, s, m, work, step, S, columns, count)
+    observe(x, u, ur, p, s, m, work, y, dy, S, columns, count)
+
+`u₀ u₁ u₂` are the inputs at the beginning, middle and end of the step, each followed by its slopes; `step` holds its length h.
+With k₁ … k₄ the rates of the four stages, x ← x + h/6·(k₁ + 2k₂ + 2k₃ + k₄); a column of S obeys d = A·S + B, A and B taken
+at the same four stages, so S stays the exact derivative of the computed x. `work`, of 5·NX + 4·NX·(NP + 2·NX) doubles (NY·(NP
++ 2·NX) for `observe`), is zero at first: the places of A and B that are always zero are never written. No two arrays
+overlap, so that what depends on p alone is computed once a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from functools import reduce
+
+from residuum.identification.physics.compile.composition import Equations
+
+FREE = "nsz arcp contract"
+"""What the compiler may do beyond IEEE 754: share a reciprocal, fuse a product with a sum."""
+_VECTORS = (4, 1)
+"""Columns side by side in a vector, the widest first."""
+_STAGES = ("0", "1", "1", "2")
+"""Which of the three inputs each stage takes."""
+
+
+Places = Collection[tuple[int, int]]
+"""Row and column of what need not be zero in a matrix."""
+
+
+def stepping(equations: Equations, A: Places, B: Places) -> str:
+    """The assembly of the three functions; it calls the structure's `rates`, `slopes`, `outputs` and `output_slopes`.
+
+    `A` and `B` say where the slopes of the rates need not be zero.
+    """
+    sizes = len(equations.x), len(equations.u), len(equations.p), len(equations.outputs)
+    return "\n\n".join([_advance(*sizes[:3]), _advance(*sizes[:3], (A, B)), _observe(*sizes)])
+
+
+class _Lines:
+    """Assembly text while it is written; every value has a name of its own. Sums and products are of `kind`."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.kind = "double"
+
+    def new(self, operation: str) -> str:
+        name = f"%t{len(self.lines)}"
+        self.lines.append(f"  {name} = {operation}")
+        return name
+
+    def place(self, array: str, index: int | str) -> str:
+        return self.new(f"getelementptr double, ptr {array}, i64 {index}")
+
+    def load(self, array: str, index: int | str) -> str:
+        return self.new(f"load double, ptr {self.place(array, index)}")
+
+    def store(self, value: str, array: str, index: int | str) -> None:
+        self.lines.append(f"  store double {value}, ptr {self.place(array, index)}")
+
+    def add(self, a: str, b: str) -> str:
+        return self.new(f"fadd {FREE} {self.kind} {a}, {b}")
+
+    def times(self, a: str, b: str) -> str:
+        return self.new(f"fmul {FREE} {self.kind} {a}, {b}")
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = None) -> str:
+    t, width = _Lines(), n_p + nx
+    name = "advance_slopes" if slopes else "advance"
+    given = ("x", "u0", "u1", "u2", "p", "s", "m", "work", "step", *(("S", "columns") if slopes else ()))
+    t.say(f"define void @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{")
+    t.say("entry:")
+    h = t.load("%step", 0)
+    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
+    third = t.add(sixth, sixth)
+    x0 = [t.load("%x", i) for i in range(nx)]
+    xs = t.place("%work", 4 * nx)
+    A = [t.place("%work", 5 * nx + r * nx * nx) for r in range(4)]
+    B = [t.place("%work", 5 * nx + 4 * nx * nx + r * nx * width) for r in range(4)]
+    slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
+    rates: list[list[str]] = []
+    for r, j in enumerate(_STAGES):
+        k = t.place("%work", r * nx)
+        inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
+        function, results = ("slopes", (k, A[r], B[r])) if slopes else ("rates", (k, k, k))
+        at = "%x" if r == 0 else xs
+        t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in results)})")
+        rates.append([t.load(k, i) for i in range(nx)])
+        if r < 3:
+            reach = h if r == 2 else half
+            for i in range(nx):
+                t.store(t.add(x0[i], t.times(reach, rates[r][i])), xs, i)
+    for i in range(nx):
+        t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
+    if slopes:
+        _columns_loop(t, lambda column: _column_step(t, nx, width, (A, B), slopes, column, (h, half, sixth, third)))
+    t.say("  ret void")
+    t.say("}")
+    return "\n".join(t.lines)
+
+
+class _Column:
+    """One sensitivity column, or as many as a vector holds side by side: how their values are read, written and repeated."""
+
+    def __init__(self, t: _Lines, c: str, together: int) -> None:
+        self.t, self.c, self.together = t, c, together
+        t.kind = "double" if together == 1 else f"<{together} x double>"
+        numbers = [c] + [t.new(f"add i64 {c}, {lane}") for lane in range(1, together)]
+        self.columns = [t.new(f"load i64, ptr {t.new(f'getelementptr i64, ptr %columns, i64 {number}')}") for number in numbers]
+
+    def load(self, array: str, row: int) -> str:
+        """Of an array with a place for each column in every row."""
+        return self.t.new(f"load {self.t.kind}, ptr {self._place(array, row)}, align 8")
+
+    def store(self, value: str, array: str, row: int) -> None:
+        """Into such an array."""
+        self.t.say(f"  store {self.t.kind} {value}, ptr {self._place(array, row)}, align 8")
+
+    def pick(self, array: str, row: int) -> str:
+        """Of a row of a matrix the values in the places that the columns name."""
+        t = self.t
+        values = [t.load(array, t.new(f"add i64 {row}, {column}")) for column in self.columns]
+        return values[0] if self.together == 1 else self._joined(values)
+
+    def all(self, value: str) -> str:
+        """The same value for every column."""
+        if self.together == 1:
+            return value
+        first = self.t.new(f"insertelement {self.t.kind} poison, double {value}, i32 0")
+        return self.t.new(f"shufflevector {self.t.kind} {first}, {self.t.kind} poison, <{self.together} x i32> zeroinitializer")
+
+    def _joined(self, values: Sequence[str]) -> str:
+        joined = "poison"
+        for lane, value in enumerate(values):
+            joined = self.t.new(f"insertelement {self.t.kind} {joined}, double {value}, i32 {lane}")
+        return joined
+
+    def _place(self, array: str, row: int) -> str:
+        return self.t.place(array, self.t.new(f"add i64 {self.t.new(f'mul i64 {row}, %count')}, {self.c}"))
+
+
+def _column_step(
+    t: _Lines,
+    nx: int,
+    width: int,
+    matrices: tuple[Sequence[str], Sequence[str]],
+    places: tuple[Places, Places],
+    column: _Column,
+    lengths: tuple[str, str, str, str],
+) -> None:
+    h, half, sixth, third = map(column.all, lengths)
+    S0 = [column.load("%S", i) for i in range(nx)]
+    own = {i for i, _ in places[1]}
+    S, found = S0, []
+    for r, (A, B) in enumerate(zip(*matrices, strict=True)):
+        d = []
+        for i in range(nx):
+            terms = [column.pick(B, i * width)] if i in own else []
+            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places[0]]
+            d.append(reduce(t.add, terms) if terms else column.all("0.0"))
+        found.append(d)
+        S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
+    for i in range(nx):
+        column.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", i)
+
+
+def _columns_loop(t: _Lines, body: Callable[[_Column], None], begun: str = "entry") -> None:
+    """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those left one by one."""
+    first = "0"
+    for together in _VECTORS:
+        n = str(together)
+        t.say(f"  br label %head{n}\nhead{n}:\n  %c{n} = phi i64 [ {first}, %{begun} ], [ %next{n}, %body{n} ]")
+        t.say(f"  %next{n} = add i64 %c{n}, {n}\n  %more{n} = icmp sle i64 %next{n}, %count")
+        t.say(f"  br i1 %more{n}, label %body{n}, label %done{n}\nbody{n}:")
+        body(_Column(t, f"%c{n}", together))
+        t.say(f"  br label %head{n}\ndone{n}:")
+        first, begun = f"%c{n}", f"done{n}"
+    t.kind = "double"
+
+
+def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -> str:
+    outer = t.times(sixth, t.add(k[0], k[3]))
+    return t.add(start, t.add(outer, t.times(third, t.add(k[1], k[2]))))
+
+
+def _observe(nx: int, nu: int, n_p: int, ny: int) -> str:
+    t, width = _Lines(), n_p + nx
+    arrays = ("x", "u", "ur", "p", "s", "m", "work", "y", "dy", "S", "columns")
+    t.say(f"define void @observe({', '.join(f'ptr noalias %{a}' for a in arrays)}, i64 %count) {{")
+    t.say("entry:")
+    given = ", ".join(f"ptr %{a}" for a in arrays[:6])
+    t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
+    t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %observed\nend:\n  ret void\nobserved:")
+    D = t.place("%work", ny * nx)
+    t.say(f"  call void @output_slopes({given}, ptr %work, ptr {D}, ptr %work)")
+    C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
+
+    def column_of(column: _Column) -> None:
+        S = [column.load("%S", i) for i in range(nx)]
+        for o in range(ny):
+            total = column.pick(D, o * width)
+            for i in range(nx):
+                total = t.add(total, t.times(column.all(C[o][i]), S[i]))
+            column.store(total, "%dy", o)
+
+    _columns_loop(t, column_of, "observed")
+    t.say("  ret void")
+    t.say("}")
+    return "\n".join(t.lines)

@@ -1,0 +1,1 @@
+"""Frictions and drags."""

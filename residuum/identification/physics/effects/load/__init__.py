@@ -1,0 +1,1 @@
+"""Loads, springs and position-dependent forces."""

@@ -1,0 +1,120 @@
+"""A load that repeats with every tooth, ball or pole."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from residuum.identification.physics.compile import symbolic as sp
+from residuum.identification.physics.effects.base import (
+    Array,
+    Conditions,
+    Contribution,
+    Effect,
+    Example,
+    Parameter,
+    Scene,
+    Site,
+    quotient,
+)
+from residuum.identification.physics.effects.example_models import axis_example, drive_example
+
+_FEWEST, _MANY = 5.0, 12.0
+"""Periods over the travel from which on a wave may be a ripple, and up to which it may be a load that depends on the position."""
+_REFINED_ON = 10_000
+"""Samples on which a wave number is refined."""
+
+
+def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewest_periods: float = _FEWEST) -> list[float]:
+    """Wave numbers [rad / position unit] at which a signal varies most along the position.
+
+    The signal is averaged in cells of position, a slow trend over the travel is taken out, and the highest separate peaks
+    of the cells' spectrum are returned, strongest first; waves with under `fewest_periods` over the travel are left out.
+    """
+    travel = float(np.ptp(position))
+    if travel <= 0.0:
+        return []
+    cells = int(min(4096, max(64, position.size // 4)))
+    cell = np.minimum(((position - position.min()) / travel * cells).astype(int), cells - 1)
+    weight = np.bincount(cell, minlength=cells)
+    mean = np.bincount(cell, weights=signal - signal.mean(), minlength=cells) / np.maximum(weight, 1)
+    spectrum = np.abs(np.fft.rfft(mean * np.hanning(cells), 4 * cells))
+    first = int(4 * fewest_periods)
+    wave_numbers: list[float] = []
+    for index in np.argsort(spectrum[first:])[::-1] + first:
+        wave_number = 2.0 * np.pi * index / (4.0 * travel)
+        if all(abs(wave_number - other) > 4.0 * np.pi / travel for other in wave_numbers):
+            wave_numbers.append(float(wave_number))
+        if len(wave_numbers) == count:
+            break
+    every = slice(None, None, max(1, position.size // _REFINED_ON))
+    return [_refined(position[every], signal[every], wave_number, np.pi / (2.0 * travel)) for wave_number in wave_numbers]
+
+
+def _refined(position: Array, signal: Array, wave_number: float, width: float) -> float:
+    """The wave number within ± `width` at which the samples themselves, not their cells, vary most."""
+    tried = wave_number + width * np.linspace(-1.0, 1.0, 9)
+    turned, turn = np.exp(-1j * tried[0] * position) * signal, np.exp(-1j * (tried[1] - tried[0]) * position)
+    sizes = [abs(turned.sum())]
+    for _ in tried[1:]:
+        turned *= turn
+        sizes.append(abs(turned.sum()))
+    return float(tried[np.argmax(sizes)])
+
+
+class ToothRipple(Effect):
+    """Gear meshing, cogging, ball passages: −(a·sin nq + b·cos nq) with many periods over the travel.
+
+    `a`, `b` [balance unit]; `n` [rad / position unit] > 0, ripples a radian of angle (2π over the pitch of a length). The
+    first values of n are the strongest periods over position of what is missing, where that is known.
+    """
+
+    id = "tooth-ripple"
+    title = "Tooth ripple"
+    equation = "−(a·sin nq + b·cos nq)"
+    reference = "R. G. Munro, Transmission error, in: Dudley's Gear Handbook"
+    acts_on = ("torque", "force")
+    needs = ("position",)
+    sizes = ("a", "b")
+    follows = ("innovations", "lack")
+    generalises = "position-load"
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("a", 0.0, site.unit, meaning="sine amplitude"),
+            Parameter("b", 0.0, site.unit, meaning="cosine amplitude"),
+            Parameter(
+                "n", 1.0, quotient("rad", site.units["position"]), lower=1e-9, meaning="ripples per radian or 2π per pitch"
+            ),
+        )
+
+    def contribution(self, scene: Scene) -> Contribution:
+        p, angle = scene.p, scene.p["n"] * scene["position"]
+        return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        if conditions.missing is None:
+            orders = [2.0 * np.pi * periods / travel for periods in (10.0, 40.0)]
+            orders += [order for order in (1.0, 2.0, 6.0, 12.0) if order * travel > 8.0 * np.pi]
+        else:
+            orders = strongest_wave_numbers(conditions.variables["position"], conditions.missing)
+            if len(orders) > 1 and abs(orders[0] - orders[1]) < 24.0 * np.pi / travel:
+                orders.append(0.5 * (orders[0] + orders[1]))  # a response that lags differently both ways splits the peak
+        return [{"a": size, "b": size, "n": float(order)} for order in orders]
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """The same wave, where it is short."""
+        short = special["kappa"] * conditions.span("position") > 2.0 * np.pi * _FEWEST
+        return [{"a": special["a"], "b": special["b"], "n": special["kappa"]}] if short else []
+
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
+        """The same wave, where it is long."""
+        long = general["n"] * conditions.span("position") < 2.0 * np.pi * _MANY
+        return {"a": general["a"], "b": general["b"], "kappa": general["n"]} if long else {}
+
+    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
+        """Bounded by its amplitude."""
+        return bool(np.all(np.abs(term) <= np.hypot(values["a"], values["b"]) * (1 + 1e-12)))
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example()]

@@ -1,0 +1,1 @@
+"""Effects on input and output paths."""

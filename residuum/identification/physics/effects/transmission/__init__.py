@@ -1,0 +1,1 @@
+"""Transmissions: elasticity, play and stops."""

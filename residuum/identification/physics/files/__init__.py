@@ -1,0 +1,1 @@
+"""Model files: YAML text to a checked physical model."""

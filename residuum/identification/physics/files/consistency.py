@@ -1,0 +1,250 @@
+"""What must hold of a model read from a file before it is composed: names, states, units, no division by zero."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from residuum.identification.physics.files.dimension import Dimension, dimension_of, dimension_of_unit
+from residuum.identification.physics.files.expression import Call, Expression, Name, Node, Operation, Place, evaluate, walk
+from residuum.identification.physics.files.yaml_tree import Table
+from residuum.identification.physics.model import Balance, Output, PhysicalModel, State
+
+_OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
+    "torque": ("mN*m", "N*cm", "N*mm", "kN*m"),
+    "force": ("mN", "kN"),
+    "voltage": ("mV", "kV"),
+    "heat": ("mW", "kW", "MW", "J/min", "kJ/min", "J/hour", "kJ/hour"),
+    "volume": ("cm**3/s", "mm**3/s", "l/s", "l/min", "cm**3/min", "m**3/min", "m**3/hour", "l/hour"),
+}
+"""Units a balance may be kept in besides its kind's SI unit, when all its terms agree on it."""
+
+
+def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    """The model with the unit of each balance filled in; BadModel with line and column for the first thing wrong."""
+    _unique_names(model, tree)
+    _known_names(model)
+    _inputs(model, tree)
+    _states_have_rates(model, tree)
+    _variables(model, tree)
+    for expression in _expressions(model):
+        _no_division_by_zero(expression, model.values)
+    for balance in model.balances.values():
+        _storage_is_not_zero(balance, model.values)
+    _defined_variables_can_be_solved(model)
+    return _with_units(model)
+
+
+def _expressions(model: PhysicalModel) -> list[Expression]:
+    parts = [expression for b in model.balances.values() for expression in (b.storage, *b.terms.values())]
+    return [*parts, *(output.value for output in model.outputs.values())]
+
+
+def _unique_names(model: PhysicalModel, tree: Table) -> None:
+    seen: dict[str, str] = {}
+    for section in ("inputs", "states", "parameters"):
+        for name, place in tree.table(section, "model file").keys.items():
+            if name in seen:
+                raise place.refuse(f"{name!r} is declared in {seen[name]} already")
+            seen[name] = section
+
+
+def _known_names(model: PhysicalModel) -> None:
+    defined = [variable for b in model.balances.values() if (variable := b.defines)]
+    known = {*model.inputs, *model.states, *model.parameters, *defined}
+    for expression in _expressions(model):
+        for node in walk(expression.tree):
+            if isinstance(node, Name) and node.name not in known:
+                raise node.place.refuse(f"name {node.name!r} is not declared; there are {', '.join(sorted(known))}")
+
+
+def _inputs(model: PhysicalModel, tree: Table) -> None:
+    for name, signal in model.inputs.items():
+        if signal.default is not None and signal.default not in model.parameters and not _is_number(signal.default):
+            place = tree.table("inputs", "model file").keys[name]
+            raise place.refuse(f"input {name!r}: default {signal.default!r} is neither a number nor a parameter")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _states_have_rates(model: PhysicalModel, tree: Table) -> None:
+    places = tree.table("states", "model file").keys
+    owners: dict[str, str] = {}
+    for balance in model.balances.values():
+        for node in _derivatives(balance.storage):
+            _check_der(node, balance, model, owners)
+        if not owners_of(balance) and balance.storage.text not in ("0", "0.0"):
+            raise balance.storage.place.refuse(f"balance {balance.name!r}: storage has no der() of a state and is not 0")
+    elsewhere = [term for b in model.balances.values() for term in b.terms.values()] + [o.value for o in model.outputs.values()]
+    for expression in elsewhere:
+        for node in _derivatives(expression):
+            raise node.place.refuse("der() may only stand in a storage")
+    for name, state in model.states.items():
+        _check_rate(state, model, owners, places[name])
+
+
+def _check_rate(state: State, model: PhysicalModel, owners: Mapping[str, str], place: Place) -> None:
+    name, rate = state.name, state.rate
+    if rate is None:
+        if name not in owners:
+            raise place.refuse(f"state without a balance: no storage has der({name}) and it has no 'rate'")
+        return
+    if rate not in model.states:
+        raise place.refuse(f"state {name!r}: rate {rate!r} is not a state")
+    if name in owners:
+        raise place.refuse(f"state {name!r} has a 'rate' and der({name}) in balance {owners[name]!r}; only one may be")
+    change = dimension_of_unit(state.unit) / dimension_of_unit("s")
+    if not change.agrees(dimension_of_unit(model.states[rate].unit)):
+        raise place.refuse(f"unit clash: the rate of {name!r} is in {change}, {rate!r} is in {model.states[rate].unit}")
+
+
+def _derivatives(expression: Expression) -> list[Call]:
+    return [node for node in walk(expression.tree) if isinstance(node, Call) and node.function == "der"]
+
+
+def owners_of(balance: Balance) -> list[str]:
+    """The states whose derivative stands in the storage of a balance."""
+    found = _derivatives(balance.storage)
+    return [node.operands[0].name for node in found if isinstance(node.operands[0], Name)]
+
+
+def _check_der(node: Call, balance: Balance, model: PhysicalModel, owners: dict[str, str]) -> None:
+    operand = node.operands[0]
+    if not isinstance(operand, Name) or operand.name not in model.states:
+        raise node.place.refuse(f"der() takes the name of a state; there are {', '.join(model.states) or 'none'}")
+    if owners.setdefault(operand.name, balance.name) != balance.name:
+        raise node.place.refuse(f"der({operand.name}) stands in balances {owners[operand.name]!r} and {balance.name!r}")
+    if len(set(owners_of(balance))) > 1:
+        raise node.place.refuse(f"balance {balance.name!r}: storage has the derivative of more than one state")
+
+
+def _variables(model: PhysicalModel, tree: Table) -> None:
+    section = tree.table("balances", "model file")
+    defined: set[str] = set()
+    for name, balance in model.balances.items():
+        table = section.table(name, "balances")
+        if balance.storage.text in ("0", "0.0"):
+            if balance.defines is None:
+                raise section.keys[name].refuse(f"balance {name!r}: storage is 0, so it must name the variable that it defines")
+            declared = {*model.states, *model.inputs, *model.parameters}
+            if balance.defines in declared or balance.defines in defined:
+                raise section.keys[name].refuse(f"balance {name!r}: {balance.defines!r} is defined elsewhere already")
+            if not any(balance.defines in term.names for term in balance.terms.values()):
+                raise section.keys[name].refuse(f"balance {name!r}: no term contains {balance.defines!r}, which it must define")
+            defined.add(balance.defines)
+            continue
+        for role, variable in balance.variables.items():
+            if variable not in model.states and variable not in model.inputs and variable not in model.parameters:
+                raise table.scalar(role, name).place.refuse(f"balance {name!r}: {role} {variable!r} is not declared")
+
+
+def _no_division_by_zero(expression: Expression, values: Mapping[str, float]) -> None:
+    for node in walk(expression.tree):
+        if isinstance(node, Operation) and node.operator == "/" and evaluate(node.operands[1], values) == 0:
+            raise node.place.refuse(f"division by zero: the divisor in {expression.text!r} is 0 at the given parameter values")
+
+
+def _storage_is_not_zero(balance: Balance, values: Mapping[str, float]) -> None:
+    if balance.defines is None and evaluate(balance.storage.tree, values) == 0:
+        raise balance.storage.place.refuse(
+            f"division by zero: storage {balance.storage.text!r} is 0 at the given parameter values"
+        )
+
+
+def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
+    """Each balance without storage is linear in its variable with a slope that is not zero, and none define each other."""
+    defined = {variable: balance for balance in model.balances.values() if (variable := balance.defines)}
+    needs = {
+        variable: {name for term in balance.terms.values() for name in term.names} & (set(defined) - {variable})
+        for variable, balance in defined.items()
+    }
+    for variable, balance in defined.items():
+        for term in balance.terms.values():
+            if _degree(term.tree, variable) > 1:
+                raise term.place.refuse(
+                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, which it defines"
+                )
+        zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
+        slope = [evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero) for t in balance.terms.values()]
+        if sum(slope) == 0:
+            raise balance.storage.place.refuse(
+                f"division by zero: the terms with {variable!r}, which balance {balance.name!r} defines, add up to 0"
+            )
+        if _reaches(needs, variable, variable):
+            raise balance.storage.place.refuse(
+                f"algebraic loop: balance {balance.name!r} and another define each other's variables"
+            )
+
+
+def _reaches(needs: Mapping[str, set[str]], start: str, goal: str) -> bool:
+    seen, open_ = set(), set(needs[start])
+    while open_:
+        name = open_.pop()
+        if name == goal:
+            return True
+        seen.add(name)
+        open_ |= needs[name] - seen
+    return False
+
+
+def _degree(tree: Node, name: str) -> int:
+    """0: `name` does not occur; 1: linearly, or as sign() or abs() of it alone; 2: otherwise."""
+    if isinstance(tree, Name):
+        return int(tree.name == name)
+    if not isinstance(tree, Operation | Call):
+        return 0
+    degrees = [_degree(operand, name) for operand in tree.operands]
+    if max(degrees) == 0:
+        return 0
+    if isinstance(tree, Call):
+        return 1 if tree.function in ("sign", "abs") and isinstance(tree.operands[0], Name) else 2
+    if tree.operator in ("+", "-", "neg"):
+        return max(degrees)
+    if (tree.operator == "*" and min(degrees) == 0) or (tree.operator == "/" and degrees[1] == 0):
+        return max(degrees)
+    return 2
+
+
+def _with_units(model: PhysicalModel) -> PhysicalModel:
+    declared = [*model.inputs, *model.states, *model.parameters]
+    names = {name: dimension_of_unit(model.unit_of(name)) for name in declared}
+    names |= {v: dimension_of_unit(model.unit_of(v)) for b in model.balances.values() if (v := b.defines) and v not in names}
+    balances = {name: _with_unit(balance, names) for name, balance in model.balances.items()}
+    for output in model.outputs.values():
+        _check_output(output, names)
+    return replace(model, balances=MappingProxyType(balances))
+
+
+def _with_unit(balance: Balance, names: Mapping[str, Dimension]) -> Balance:
+    standard = dimension_of_unit(balance.unit)
+    scale: Dimension | None = None
+    sides = [("storage", balance.storage), *((f"term {name!r}", term) for name, term in balance.terms.items())]
+    for what, expression in sides:
+        dimension = dimension_of(expression.tree, names)
+        if dimension.literal:
+            continue
+        wanted = scale or (dimension if balance.kind == "signal" else replace(standard, scale=dimension.scale))
+        if not dimension.agrees(wanted):
+            raise expression.place.refuse(
+                f"unit clash: {what} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {wanted}"
+            )
+        scale = wanted
+    if scale is None or scale.agrees(standard) or balance.kind == "signal":
+        return balance
+    for unit in _OTHER_UNITS[balance.kind]:
+        if scale.agrees(dimension_of_unit(unit)):
+            return replace(balance, unit=unit)
+    raise balance.storage.place.refuse(f"unit clash: {balance.kind} balance {balance.name!r} is in {scale}; use {balance.unit}")
+
+
+def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
+    dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
+    if not dimension.agrees(declared):
+        raise output.value.place.refuse(f"unit clash: output {output.name!r} is in {dimension}, declared in {declared}")

@@ -1,0 +1,281 @@
+"""Model files: YAML text → PhysicalModel, with every refusal at its line and column, and back."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+
+from residuum.identification.errors import BadInput, BadModel, BadUnit
+from residuum.identification.physics.effects.base import Parameter
+from residuum.identification.physics.files.consistency import check
+from residuum.identification.physics.files.expression import Expression, parse
+from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
+from residuum.identification.physics.model import (
+    BALANCE_KINDS,
+    Balance,
+    Input,
+    Output,
+    PhysicalModel,
+    State,
+)
+from residuum.identification.units import parse_unit
+
+BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
+_KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "effects", "initial")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max"}
+
+
+def load_model(name_or_path: str | Path) -> PhysicalModel:
+    """The built-in model of this name, or the model in this file.
+
+    Raises
+    ------
+    BadModel
+        Neither a built-in name nor a readable file, or anything wrong in the file (with line and column).
+
+    Examples
+    --------
+    >>> load_model("linear-axis").free
+    ('M',)
+    """
+    if str(name_or_path) in BUILT_IN:
+        resource = files("residuum.identification.physics") / "models" / f"{str(name_or_path).replace('-', '_')}.yaml"
+        return read_model(resource.read_text(encoding="utf-8"), str(name_or_path))
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise BadModel(f"model {str(name_or_path)!r}: no such file, and the built-in models are {', '.join(BUILT_IN)}")
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(1_000_000)
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadModel(f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
+    return read_model(text, path.name)
+
+
+def read_model(text: str, source: str = "model") -> PhysicalModel:
+    """The model that a YAML text describes (the format is in the README's "Model files"); `source` names it in refusals."""
+    tree = read_tree(text, source)
+    tree.only(_KEYS, "model file")
+    for section in ("balances", "outputs"):
+        if not list(tree.table(section, "model file", required=True)):
+            raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
+    inputs = {name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")}
+    states = {name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")}
+    parameters = {name: _parameter(name, tree.table("parameters", "model file")) for name in _names(tree, "parameters")}
+    balances = {name: _balance(name, tree.table("balances", "model file", required=True)) for name in _names(tree, "balances")}
+    outputs = {name: _output(name, tree.table("outputs", "model file", required=True)) for name in _names(tree, "outputs")}
+    name = tree.scalar("name", "model file").text
+    model = PhysicalModel(
+        name,
+        MappingProxyType(inputs),
+        MappingProxyType(states),
+        MappingProxyType(parameters),
+        MappingProxyType(balances),
+        MappingProxyType(outputs),
+    )
+    model = check(model, tree)
+    model = replace(model, initial=_initial(tree, model))
+    return _with_effects(model, tree)
+
+
+def write_model(model: PhysicalModel) -> str:
+    """The YAML text of a model, effects and their provenance included; `read_model` gives the same model back."""
+    document: dict[str, Any] = {
+        "name": model.name,
+        "inputs": {
+            i.name: i.unit if i.default is None else {"unit": i.unit, "default": i.default} for i in model.inputs.values()
+        },
+        "states": {s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {}) for s in model.states.values()},
+        "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
+        "balances": {
+            b.name: {"kind": b.kind, "storage": b.storage.text, "terms": {n: t.text for n, t in b.terms.items()}}
+            | dict(b.variables)
+            for b in model.balances.values()
+        },
+        "outputs": {o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()},
+    }
+    if model.initial:
+        document["initial"] = dict(model.initial)
+    if model.effects:
+        document["effects"] = [
+            {"id": use.id, use.effect.place: use.target}
+            | {"parameters": {name: _written(parameter) for name, parameter in use.parameters.items()}}
+            | ({"provenance": dict(use.provenance)} if use.provenance else {})
+            for use in model.effects
+        ]
+    return str(yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
+
+
+class _Dumper(yaml.SafeDumper):
+    """SafeDumper without anchors (the reader refuses them)."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _names(tree: Table, section: str) -> list[str]:
+    table = tree.table(section, "model file")
+    for name, place in table.keys.items():
+        if section not in ("outputs", "balances") and (not _NAME.fullmatch(name) or name in _RESERVED):
+            raise place.refuse(f"{section}: {name!r} is not a name (letters, digits and _; no function's name)")
+    return list(table)
+
+
+def _unit(text: Scalar) -> str:
+    try:
+        parse_unit(text.text)
+    except BadUnit as error:
+        raise text.place.refuse(str(error)) from None
+    return text.text
+
+
+def _input(name: str, section: Table) -> Input:
+    tree = section.entries[name]
+    if isinstance(tree, Scalar):
+        return Input(name, _unit(tree))
+    table = section.table(name, "inputs")
+    table.only(("unit", "default"), f"input {name!r}")
+    default = table.optional("default", f"input {name!r}")
+    return Input(name, _unit(table.scalar("unit", f"input {name!r}")), default.text if default else None)
+
+
+def _state(name: str, section: Table) -> State:
+    table = section.table(name, "states")
+    table.only(("unit", "rate"), f"state {name!r}")
+    rate = table.optional("rate", f"state {name!r}")
+    return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
+
+
+def _parameter(name: str, section: Table) -> Parameter:
+    what = f"parameter {name!r}"
+    table = section.table(name, "parameters")
+    table.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), what)
+    unit = table.optional("unit", what)
+    fixed, meaning = table.optional("fixed", what), table.optional("meaning", what)
+    lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
+    upper = _bound(table.optional("upper", what), f"{what}: upper", 1)
+    value = table.scalar("value", what)
+    number = value.number(f"{what}: value")
+    if lower >= upper:
+        raise table.place.refuse(f"{what}: lower is {lower:g} and upper is {upper:g}; lower must be below upper")
+    if not lower <= number <= upper:
+        raise value.place.refuse(f"{what}: value is {number:g}; must be within {lower:g} to {upper:g}")
+    return Parameter(
+        name,
+        number,
+        _unit(unit) if unit else "",
+        lower,
+        upper,
+        fixed=fixed.truth(f"{what}: fixed") if fixed else False,
+        meaning=meaning.text if meaning else "",
+    )
+
+
+def _bound(text: Scalar | None, what: str, infinite: int) -> float:
+    return infinite * math.inf if text is None else text.number(what)
+
+
+def _expression(text: Scalar) -> Expression:
+    return parse(text.text, text.place)
+
+
+def _balance(name: str, section: Table) -> Balance:
+    what = f"balance {name!r}"
+    table = section.table(name, "balances")
+    kind = table.scalar("kind", what)
+    if kind.text not in BALANCE_KINDS:
+        raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; there are {', '.join(BALANCE_KINDS)}")
+    roles = BALANCE_KINDS[kind.text][1]
+    table.only(("kind", "storage", "terms", *roles), what)
+    terms = table.table("terms", what, required=True)
+    return Balance(
+        name,
+        kind.text,
+        _expression(table.scalar("storage", what)),
+        MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms")) for term in terms}),
+        MappingProxyType({role: table.scalar(role, what).text for role in roles if role in table.entries}),
+        BALANCE_KINDS[kind.text][0],
+    )
+
+
+def _output(name: str, section: Table) -> Output:
+    table = section.table(name, "outputs")
+    table.only(("value", "unit"), f"output {name!r}")
+    value, unit = table.scalar("value", f"output {name!r}"), table.optional("unit", f"output {name!r}")
+    return Output(name, _expression(value), _unit(unit) if unit else "")
+
+
+def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
+    table = tree.table("initial", "model file")
+    for name, place in table.keys.items():
+        if name not in model.states:
+            raise place.refuse(f"initial: {name!r} is not a state; there are {', '.join(model.states)}")
+    return {name: table.scalar(name, "initial").number(f"initial: {name}") for name in table}
+
+
+def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    listing = tree.entries.get("effects")
+    if listing is None:
+        return model
+    if not isinstance(listing, Listing):
+        raise listing.place.refuse("effects must be a list")
+    for item in listing.items:
+        if not isinstance(item, Table):
+            raise item.place.refuse("effects: each entry is a mapping with 'id'")
+        model = _with_effect(model, item)
+    return model
+
+
+def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
+    what = "effect"
+    item.only(("id", "balance", "input", "output", "parameters", "provenance"), what)
+    targets = [key for key in ("balance", "input", "output") if key in item.entries]
+    if len(targets) != 1:
+        raise item.place.refuse("effect: exactly one of 'balance', 'input', 'output' says where it is")
+    target = item.scalar(targets[0], what)
+    table = item.table("parameters", what)
+    values: dict[str, float] = {}
+    fixed: list[str] = []
+    for name in table:
+        entry = table.entries[name]
+        value = entry if isinstance(entry, Scalar) else table.table(name, what).scalar("value", what)
+        values[name] = value.number(f"effect parameter {name!r}")
+        if isinstance(entry, Table):
+            entry.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), f"effect parameter {name!r}")
+            flag = entry.optional("fixed", what)
+            fixed += [name] if flag and flag.truth(what) else []
+    provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}
+    try:
+        return model.with_effect(item.scalar("id", what).text, target.text, values, fixed=fixed, provenance=provenance)
+    except BadInput as error:
+        raise item.place.refuse(str(error)) from None
+
+
+def _plain(tree: Scalar | Listing | Table) -> Any:
+    if isinstance(tree, Scalar):
+        return yaml.safe_load(tree.text) if re.fullmatch(r"[-+.\deE]+|true|false|null", tree.text) else tree.text
+    if isinstance(tree, Listing):
+        return [_plain(item) for item in tree.items]
+    return {key: _plain(value) for key, value in tree.entries.items()}
+
+
+def _written(parameter: Parameter) -> dict[str, Any]:
+    written: dict[str, Any] = {"value": float(parameter.value), "unit": parameter.unit}
+    if math.isfinite(parameter.lower):
+        written["lower"] = float(parameter.lower)
+    if math.isfinite(parameter.upper):
+        written["upper"] = float(parameter.upper)
+    if parameter.fixed:
+        written["fixed"] = True
+    if parameter.meaning:
+        written["meaning"] = parameter.meaning
+    return written

@@ -1,0 +1,154 @@
+"""YAML with places: mappings and scalars that know their line and column, so that a refusal can name them.
+
+Only plain data is read (mappings, sequences, scalars): no tags, no anchors or aliases (a few lines of them can
+expand to gigabytes), a bound on size and on nesting, no key twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import yaml
+
+from residuum.identification.physics.files.expression import Place
+
+LARGEST = 200_000
+DEEPEST = 12
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A scalar as it was written."""
+
+    text: str
+    place: Place
+
+    def number(self, what: str) -> float:
+        """The scalar as a finite number."""
+        try:
+            value = float(self.text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.place.refuse(f"{what} is {self.text!r}; must be a finite number")
+        return value
+
+    def truth(self, what: str) -> bool:
+        """The scalar as true or false."""
+        if self.text.lower() not in ("true", "false"):
+            raise self.place.refuse(f"{what} is {self.text!r}; must be true or false")
+        return self.text.lower() == "true"
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A sequence."""
+
+    items: Sequence[Tree]
+    place: Place
+
+
+@dataclass(frozen=True)
+class Table:
+    """A mapping with the places of its keys."""
+
+    entries: Mapping[str, Tree]
+    keys: Mapping[str, Place]
+    place: Place
+
+    def only(self, allowed: Sequence[str], what: str) -> None:
+        """Refuse a key that is not allowed."""
+        for key, place in self.keys.items():
+            if key not in allowed:
+                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}")
+
+    def table(self, key: str, what: str, *, required: bool = False) -> Table:
+        """The mapping under `key` (empty when absent and not required)."""
+        tree = self._get(key, what, required)
+        if tree is None:
+            return Table({}, {}, self.place)
+        if not isinstance(tree, Table):
+            raise tree.place.refuse(f"{what}: {key!r} must be a mapping")
+        return tree
+
+    def scalar(self, key: str, what: str) -> Scalar:
+        """The scalar under `key`."""
+        tree = self._get(key, what, True)
+        if not isinstance(tree, Scalar):
+            raise (tree or self).place.refuse(f"{what}: {key!r} must be a single value")
+        return tree
+
+    def optional(self, key: str, what: str) -> Scalar | None:
+        """The scalar under `key`, or None."""
+        return self.scalar(key, what) if key in self.entries else None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def _get(self, key: str, what: str, required: bool) -> Tree | None:
+        if key not in self.entries and required:
+            raise self.place.refuse(f"{what}: {key!r} is missing")
+        return self.entries.get(key)
+
+
+Tree = Scalar | Listing | Table
+
+
+def read_tree(text: str, source: str) -> Table:
+    """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
+    start = Place(source)
+    if len(text) > LARGEST:
+        raise start.refuse(f"{len(text)} characters; a model file has at most {LARGEST}")
+    try:
+        _bounded(text, source)
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = Place(source, mark.line + 1, mark.column + 1) if mark else start
+        raise place.refuse(f"not YAML: {error.problem}") from None
+    except yaml.YAMLError as error:
+        raise start.refuse(f"not YAML: {' '.join(str(error).split())[:120]}") from None
+    tree = _tree(node, source) if node is not None else None
+    if not isinstance(tree, Table):
+        raise start.refuse("a model file is a mapping that begins with 'name:'")
+    return tree
+
+
+def _bounded(text: str, source: str) -> None:
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        mark = event.start_mark
+        place = Place(source, mark.line + 1, mark.column + 1) if mark else Place(source)
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise place.refuse("anchors and aliases are not allowed")
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > DEEPEST:
+            raise place.refuse(f"nested more than {DEEPEST} deep")
+
+
+def _tree(node: yaml.Node, source: str) -> Tree:
+    place = Place(source, node.start_mark.line + 1, node.start_mark.column + 1)
+    if isinstance(node, yaml.ScalarNode):
+        return Scalar(str(node.value), place.right(1) if node.style in ("'", '"') else place)
+    if isinstance(node, yaml.SequenceNode):
+        return Listing([_tree(item, source) for item in node.value], place)
+    entries: dict[str, Tree] = {}
+    keys: dict[str, Place] = {}
+    last = ""
+    for key_node, value_node in node.value:
+        key = _tree(key_node, source)
+        if not isinstance(key, Scalar):
+            raise key.place.refuse("a key must be a single word")
+        before = entries.get(last)
+        if isinstance(before, Scalar) and before.text.count("(") > before.text.count(")"):
+            entries[last] = Scalar(f"{before.text}, {key.text}", before.place)  # `{a: max(b, 0)}`: YAML split at the comma
+            continue
+        if key.text in entries:
+            raise key.place.refuse(f"key {key.text!r} stands twice")
+        entries[key.text], keys[key.text], last = _tree(value_node, source), key.place, key.text
+    return Table(entries, keys, place)

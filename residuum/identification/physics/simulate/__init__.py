@@ -1,0 +1,1 @@
+"""Simulation, Kalman filter and smoother of compiled models."""

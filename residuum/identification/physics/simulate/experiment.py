@@ -1,0 +1,156 @@
+"""A record seen through a model: inputs and outputs in the model's order and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulate.block_means import block_means
+from residuum.identification.record import Record
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One record in the model's terms.
+
+    Attributes
+    ----------
+    U : array, shape (n, inputs)
+        Complete (a gap in an input is refused).
+    Y : array, shape (n, outputs)
+        NaN where a sample is missing; a whole column of NaN for an output that the record lacks.
+    hold : array, shape (inputs,)
+        1 where the input moves linearly between samples, 0 where it is held over the sample.
+    sample_time, t0 : float
+        [s].
+    block : int
+        Statistics of residuals are taken over means of so many samples (`means`); the simulation is not affected.
+    known : mapping of state to value
+        Initial values that are known from what went before, and not estimated.
+    """
+
+    U: Array
+    Y: Array
+    hold: Array
+    sample_time: float
+    t0: float = 0.0
+    source: str = ""
+    block: int = 1
+    known: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return int(self.U.shape[0])
+
+    @property
+    def measured(self) -> npt.NDArray[np.bool_]:
+        """Which outputs the record has, shape (outputs,)."""
+        return ~np.all(np.isnan(self.Y), axis=0)
+
+    def follows(self, other: Experiment) -> bool:
+        """Whether this one's first sample is the next after the other's last, in the same record."""
+        end = other.t0 + other.n * other.sample_time
+        return self.source == other.source and self.t0 > other.t0 and abs(self.t0 - end) < 0.5 * self.sample_time
+
+    def means(self, values: Array) -> Array:
+        """`block_means` over this experiment's blocks."""
+        return block_means(values, self.block)
+
+    def window(self, start: int, stop: int) -> Experiment:
+        """Samples start … stop − 1."""
+        known = self.known if start == 0 else {}
+        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=self.t0 + start * self.sample_time, known=known)
+
+
+def match(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    hold: Mapping[str, str] | str = "auto",
+) -> tuple[PhysicalModel, list[Experiment]]:
+    """The records as experiments of the model, and the model with the optional inputs that they lack marked absent.
+
+    Parameters
+    ----------
+    mapping : mapping of model name to column
+        For columns that are not named as the model's inputs and outputs are.
+    hold : "auto", "zero-order", "linear", or a mapping of input to one of these
+        How inputs move between samples. "auto": linear for a signal whose steps are mostly small (under 2 % of its span) or
+        that moves at nearly every sample with under 5 % of its power above three quarters of the Nyquist frequency; held
+        otherwise.
+
+    Raises
+    ------
+    BadRecord
+        A required input is absent or has missing samples, a mapped name or column does not exist, no output is there.
+    BadUnit
+        A column's unit cannot be converted to the model's.
+    """
+    columns = _columns(model, mapping or {})
+    lacking = [n for n, i in model.inputs.items() if i.default is not None and not all(columns[n] in r.names for r in records)]
+    inputs = {name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()}
+    model = replace(model, inputs=MappingProxyType(inputs))
+    return model, [_experiment(model, record, columns, hold) for record in records]
+
+
+def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]:
+    known = [*model.inputs, *model.outputs]
+    for name in mapping:
+        if name not in known:
+            raise BadRecord(
+                f"map {name}={mapping[name]}: the model has no input or output {name!r}; there are {', '.join(known)}"
+            )
+    return {name: mapping.get(name, name) for name in known}
+
+
+def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str], hold: Mapping[str, str] | str) -> Experiment:
+    U = np.zeros((record.n, len(model.inputs)))
+    for k, signal in enumerate(model.inputs.values()):
+        if not signal.absent:
+            U[:, k] = _input(record, columns[signal.name], signal.name, signal.unit)
+    Y = np.full((record.n, len(model.outputs)), np.nan)
+    for k, output in enumerate(model.outputs.values()):
+        if columns[output.name] in record.names:
+            Y[:, k] = record.in_unit(columns[output.name], output.unit)
+    if np.all(np.isnan(Y)):
+        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
+        raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})")
+    wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
+    linear = [_is_linear(how, U[:, k]) for k, how in enumerate(wanted)]
+    return Experiment(U, Y, np.array(linear, dtype=float), record.sample_time, record.t0, record.source)
+
+
+def _input(record: Record, column: str, name: str, unit: str) -> Array:
+    if column not in record.names:
+        raise BadRecord(f"record {record.source!r}: input {name!r} is missing; the columns are {', '.join(record.names)}")
+    gaps = np.flatnonzero(record.missing(column))
+    if gaps.size:
+        raise BadRecord(f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}; inputs must be complete")
+    return record.in_unit(column, unit)
+
+
+def _is_linear(how: str, u: Array) -> bool:
+    if how in ("linear", "zero-order"):
+        return how == "linear"
+    if how != "auto":
+        raise BadRecord(f"hold {how!r}: must be auto, linear or zero-order")
+    steps = np.abs(np.diff(u))
+    moving, span = steps[steps > 0], float(np.ptp(u))
+    if moving.size == 0 or np.median(moving) < 0.02 * span:
+        return moving.size > 0
+    return moving.size > 0.9 * steps.size and _power_above(0.75, u) < 0.05
+
+
+def _power_above(fraction: float, u: Array) -> float:
+    """Share of a signal's power above this fraction of the Nyquist frequency."""
+    spectrum = np.abs(np.fft.rfft((u - u.mean()) * np.hanning(u.size))) ** 2
+    return float(np.sum(spectrum[int(fraction * spectrum.size) :]) / np.sum(spectrum))

@@ -1,0 +1,72 @@
+"""Operating conditions of a place in a model: the scales an effect's first values are chosen by."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics.effects.base import Conditions, Effect
+from residuum.identification.physics.model import Balance, PhysicalModel
+from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.simulation import Simulator
+
+Array = npt.NDArray[np.float64]
+
+
+def conditions_at(
+    model: PhysicalModel, effect: Effect, target: str, experiment: Experiment, X: Array, missing: Array | None = None
+) -> Conditions:
+    """Scales of the balance, input or output that an effect acts on, along the states X (simulated or smoothed) of an experiment.
+
+    `missing` is the balance's smoothed missing term along the same samples, when there is one.
+    """
+    simulator = Simulator(model)
+    duration = experiment.n * experiment.sample_time
+    if effect.place == "balance":
+        balance = model.balances[target]
+        variables = balance_variables(simulator, balance, experiment, X)
+        terms = [variables[name] for name in variables if name.startswith("term:")]
+        driving = variables.get("supply_terms", np.zeros(1))
+        rms = _rms(driving) or max(map(_rms, terms), default=0.0) or 1.0
+        storage = float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{target}"]))) or 1.0
+        return Conditions(experiment.sample_time, duration, rms, storage, variables, missing)
+    if effect.place == "input":
+        signal = experiment.U[:, list(model.inputs).index(target)]
+        return Conditions(experiment.sample_time, duration, _rms(signal) or 1.0, variables={"signal": signal})
+    column = list(model.outputs).index(target)
+    run = simulator.look_outputs(experiment, X)[:, column]
+    measured = experiment.Y[:, column]
+    return Conditions(experiment.sample_time, duration, _rms(run) or 1.0, variables={"signal": run, "measured": measured})
+
+
+def balance_variables(simulator: Simulator, balance: Balance, experiment: Experiment, X: Array) -> dict[str, Array]:
+    """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`, and effects' own states."""
+    model, look = simulator.model, simulator.look(experiment, X)
+    states = {name: X[:, k] for k, name in enumerate(simulator.states)}
+    inputs = {name: experiment.U[:, k] for k, name in enumerate(model.inputs)}
+    known = states | {n: look[n] for n in look if "." not in n} | inputs
+    found = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
+    for use in model.effects:
+        if use.effect.place == "balance" and use.target == balance.name:
+            found |= {name.removeprefix(f"{use.label}."): x for name, x in states.items() if name.startswith(f"{use.label}.")}
+    supply = model.supply_input(balance)
+    if supply is not None:
+        found["supply"] = inputs[supply]
+        with_input = [name for name, term in balance.terms.items() if supply in term.names]
+        found["supply_terms"] = np.sum([look[f"{balance.name}.{name}"] for name in with_input], axis=0)
+    prefix = f"{balance.name}."
+    found |= {f"term:{name.removeprefix(prefix)}": z for name, z in look.items() if name.startswith(prefix)}
+    return found | {name: inputs[name] for name in ("conveyor", "door") if name in inputs}
+
+
+def _value(model: PhysicalModel, name: str, known: dict[str, Array], n: int) -> Array:
+    signal = model.inputs.get(name)
+    if signal is not None and signal.absent and signal.default is not None:
+        name = signal.default
+    if name in known:
+        return known[name]
+    return np.full(n, model.parameters[name].value if name in model.parameters else float(name))
+
+
+def _rms(signal: Array) -> float:
+    return float(np.sqrt(np.mean(signal**2)))

@@ -1,0 +1,1 @@
+"""Certificates: norms and margins computed anew from the closed loop."""

@@ -1,0 +1,1 @@
+"""Synthesis of controllers of fixed and full order."""

@@ -1,0 +1,232 @@
+"""Controllers of fixed structure: frequency response and its exact gradient by the parameters."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.transfer_function import TransferFunction
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+class ControllerStructure(ABC):
+    """K(z, ρ) with a fixed number of parameters.
+
+    `names` and `units` (of a dimensionless loop) describe ρ; `lower`, `upper` bound it.
+    """
+
+    name: ClassVar[str]
+    equation: ClassVar[str]
+    names: tuple[str, ...]
+
+    def __init__(self, sample_time: float) -> None:
+        if not sample_time > 0:
+            raise BadInput(f"controller {self.name!r}, sample_time: {sample_time!r}; must be positive")
+        self.sample_time = sample_time
+
+    @abstractmethod
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ) at z, shapes (k,) and (k, parameters)."""
+
+    @abstractmethod
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator) of K, descending powers of z."""
+
+    def transfer_function(self, rho: FloatArray) -> TransferFunction:
+        """K(z)."""
+        return TransferFunction(*self.polynomials(rho), self.sample_time)
+
+    @abstractmethod
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """Bounds of ρ that keep K proper and causal."""
+
+    @abstractmethod
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """First values for a plant of static gain `gain` whose response takes about `time_constant` [s]."""
+
+    def sizes(self, gain: float, time_constant: float) -> FloatArray:
+        """How large each parameter typically is for such a plant; ρ mixes units, so a search must not compare them."""
+        sizes = np.abs(self.starts(gain, time_constant)).max(axis=0)
+        return np.where(sizes > 0, sizes, 1.0)
+
+
+class PI(ControllerStructure):
+    """Proportional and integral."""
+
+    name, equation, names = "pi", "k_p + k_i Ts/(z − 1)", ("k_p", "k_i")
+
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ)."""
+        gradient = np.ones((len(z), 2), dtype=complex)
+        gradient[:, 1] = self.sample_time / (z - 1)
+        return np.asarray(gradient @ rho, dtype=complex), gradient
+
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator)."""
+        kp, ki = rho
+        return np.array([kp, ki * self.sample_time - kp]), np.array([1.0, -1.0])
+
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """None needed."""
+        return [(None, None)] * 2
+
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """Slow to brisk integral action."""
+        return [np.array([p / gain, i / gain / time_constant]) for p, i in ((0.0, 0.02), (0.05, 0.2), (0.3, 1.0))]
+
+
+class PID(ControllerStructure):
+    """Proportional, integral and unfiltered derivative by the backward difference."""
+
+    name, equation, names = "pid", "k_p + k_i Ts/(z − 1) + k_d (z − 1)/(Ts z)", ("k_p", "k_i", "k_d")
+
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ)."""
+        gradient = np.empty((len(z), 3), dtype=complex)
+        gradient[:, 0] = 1.0
+        gradient[:, 1] = self.sample_time / (z - 1)
+        gradient[:, 2] = (1 - 1 / z) / self.sample_time
+        return np.asarray(gradient @ rho, dtype=complex), gradient
+
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator)."""
+        kp, ki, kd = rho[0], rho[1] * self.sample_time, rho[2] / self.sample_time
+        return np.array([kp + kd, ki - kp - 2 * kd, kd]), np.array([1.0, -1.0, 0.0])
+
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """None needed."""
+        return [(None, None)] * 3
+
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """The PI starts with no and with some derivative action."""
+        lead = 0.1 * abs(max(0.1 * time_constant, self.sample_time) / gain)
+        return [np.r_[pair, d] for pair in PI(self.sample_time).starts(gain, time_constant) for d in (0.0, lead)]
+
+
+class PIDN(ControllerStructure):
+    """Proportional, integral and filtered derivative, (2.39) of the source."""
+
+    name, equation = "pidn", "k_p + k_i Ts/(z − 1) + k_d/(N_d + Ts/(z − 1))"
+    names = ("k_p", "k_i", "k_d", "N_d")
+
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ)."""
+        kd, nd = rho[2:]
+        x = self.sample_time / (z - 1)
+        derivative = 1.0 / (nd + x)
+        gradient = np.empty((len(z), 4), dtype=complex)
+        gradient[:, 0] = 1.0
+        gradient[:, 1] = x
+        gradient[:, 2] = derivative
+        gradient[:, 3] = -kd * derivative * derivative
+        return np.asarray(gradient[:, :3] @ rho[:3], dtype=complex), gradient
+
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator): (z − 1)(z − p) below, p = 1 − Ts/N_d."""
+        kp, ki, kd, p = rho[0], rho[1] * self.sample_time, rho[2] / rho[3], 1.0 - self.sample_time / rho[3]
+        num = np.array([kp + kd, ki - kp * (1.0 + p) - 2.0 * kd, (kp - ki) * p + kd])
+        return num, np.array([1.0, -1.0 - p, p])
+
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """N_d > Ts/2 keeps the pole 1 − Ts/N_d of the derivative's filter inside the unit circle."""
+        return [(None, None), (None, None), (None, None), (0.55 * self.sample_time, 1e4 * self.sample_time)]
+
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """The PI starts with no and with some derivative action, and integrators rolled off: k_i/(s(1 + N_d s))."""
+        filters = max(0.1 * time_constant, self.sample_time)
+        pairs = PI(self.sample_time).starts(gain, time_constant)
+        found = [np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)]
+        for _, ki in pairs:
+            lag = max(0.3 / abs(ki * gain), self.sample_time)
+            found.append(np.array([-ki * lag, ki, ki * lag**2, lag]))
+        return found
+
+
+class LeadLag(ControllerStructure):
+    """One lead or lag section, without integral action."""
+
+    name, equation, names = "lead-lag", "k (z − c)/(z − p)", ("k", "c", "p")
+
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ)."""
+        k, c, p = rho
+        shape = (z - c) / (z - p)
+        return np.asarray(k * shape), np.stack([shape, -k / (z - p), k * shape / (z - p)], axis=1)
+
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator)."""
+        k, c, p = rho
+        return np.array([k, -k * c]), np.array([1.0, -p])
+
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """Zero and pole inside the unit circle, on the side of slow dynamics."""
+        return [(None, None), (0.0, 1.0 - 1e-9), (0.0, 1.0 - 1e-9)]
+
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """Proportional control with a slow lag, and with a fast lead."""
+        slow = np.exp(-self.sample_time / time_constant)
+        return [np.array([size / gain, c, p]) for size in (0.1, 1.0) for c, p in ((slow**3, slow), (slow, slow**5))]
+
+
+class Rational(ControllerStructure):
+    """Numerator and denominator of free coefficients, with an integrator when asked.
+
+    Parameters
+    ----------
+    order : int
+        Degree of the denominator, the integrator's included, 1 to 20.
+    numerator : int or None
+        Degree of the numerator, at most `order`; None: `order`.
+    """
+
+    name, equation = "rational", "(b₀ zᵏ + …)/((z − 1)(zᵐ + a₁ zᵐ⁻¹ + …))"
+
+    def __init__(self, sample_time: float, *, order: int = 2, numerator: int | None = None, integrator: bool = True) -> None:
+        super().__init__(sample_time)
+        degree = order if numerator is None else numerator
+        if not 1 <= order <= 20:
+            raise BadInput(f"controller 'rational', order: is {order}; must be from 1 to 20")
+        if not 0 <= degree <= order:
+            raise BadInput(f"controller 'rational', numerator: is {degree}; must be from 0 to the order, {order}")
+        self.integrator = integrator
+        self.above, self.below = degree + 1, order - int(integrator)
+        self.names = tuple([f"b_{k}" for k in range(self.above)] + [f"a_{k + 1}" for k in range(self.below)])
+
+    def response(self, rho: FloatArray, z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """(K, ∂K/∂ρ)."""
+        q = self.above
+        powers = np.vander(z, q)
+        free = np.polyval(np.r_[1.0, rho[q:]], z)
+        den = free * ((z - 1) if self.integrator else 1.0)
+        K = powers @ rho[:q] / den
+        by_den = -K[:, None] * np.vander(z, self.below + 1)[:, 1:] / free[:, None]
+        return np.asarray(K), np.hstack([powers / den[:, None], by_den])
+
+    def polynomials(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(numerator, denominator)."""
+        den = np.r_[1.0, rho[self.above :]]
+        return rho[: self.above], np.convolve(den, [1.0, -1.0]) if self.integrator else den
+
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """None; stability of the loop is checked as a whole."""
+        return [(None, None)] * len(self.names)
+
+    def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
+        """PI controllers written in this form, the other poles at zero; integrators alone when the numerator is a constant."""
+        found = []
+        for kp, ki in PI(self.sample_time).starts(gain, time_constant):
+            leading = (kp, ki * self.sample_time - kp) if self.integrator else (kp + ki * time_constant, 0.0)
+            rho = np.zeros(len(self.names))
+            rho[: min(2, self.above)] = leading if self.above > 1 else sum(leading)
+            found.append(rho)
+        return found
+
+    def sizes(self, gain: float, time_constant: float) -> FloatArray:
+        """The largest numerator coefficient of the starts for all of them, 1 for the denominator's."""
+        return np.r_[np.full(self.above, np.abs(self.starts(gain, time_constant)).max()), np.ones(self.below)]

@@ -1,0 +1,1 @@
+"""Alarm rules, states, events and notifications."""

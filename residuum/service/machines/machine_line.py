@@ -1,0 +1,201 @@
+"""MachineLine: the way of one machine's signals from its buses to stored findings."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import structlog
+
+from residuum.diagnosis.finding import Finding
+from residuum.identification.record import Record
+from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.block import Block
+from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.machines.windows import make_cutter
+
+log = structlog.get_logger()
+
+_MOST_BLOCKS = 4096
+_MOST_WINDOWS = 32
+_AT_ONCE = 2
+_WAIT = 0.2
+_LAST_WINDOW = 3.0
+
+Handle = Callable[[MachineSettings, Record, str, threading.Event], Callable[[], Finding | None]]
+"""Begins with a window: (machine, window, file of the baseline, stopped). The call that it returns ends it, in the windows'
+order, and gives the finding that was stored, if any was."""
+Changed = Callable[[str], None]
+"""Told when the state of the machine of this name has changed."""
+
+
+class MachineLine:
+    """One machine: its sources, the cutter of its windows, and the judging of them, each in a thread of its own.
+
+    No part waits for the one behind it: blocks and windows that find no room are dropped and counted, and a failure of one
+    machine stays with it.
+
+    Parameters
+    ----------
+    settings : MachineSettings
+    handle : callable
+        Has a window judged and kept, or sends it to where that is done; the next window is begun while one is being kept.
+    changed : callable
+
+    Raises
+    ------
+    BadInput
+        A bus description that cannot be read, or streams from which these windows cannot be cut.
+    """
+
+    def __init__(self, settings: MachineSettings, handle: Handle, changed: Changed) -> None:
+        self.settings = settings
+        self._handle, self._changed = handle, changed
+        self._blocks: queue.Queue[Block] = queue.Queue(_MOST_BLOCKS)
+        self._windows: deque[Record] = deque()
+        self._begun: deque[Callable[[], Finding | None]] = deque()
+        self._window_came = threading.Event()
+        self._stopped = threading.Event()
+        self.sources = [
+            SOURCES[source.kind](source, partial(self._take, number)) for number, source in enumerate(settings.sources)
+        ]
+        streams = {stream.name: stream for source in self.sources for stream in source.streams}
+        wanted = list(streams.values()) if settings.window.cut == "round" else list(streams.values())[:1]
+        self._cutter = make_cutter(settings.window, wanted, settings.asset)
+        self._source_of = {
+            stream.name: number for number, source in enumerate(self.sources) for stream in source.streams if stream in wanted
+        }
+        self._baseline: str | None = None
+        self._state, self._progress, self._doing = "idle", 0.0, "waiting for a baseline"
+        self._judged = self._dropped = self._errors = 0
+        self._last: tuple[float, Finding] | None = None
+        self._threads = [
+            threading.Thread(target=self._cut, name=f"windows {settings.asset}", daemon=True),
+            threading.Thread(target=self._judge, name=f"judge {settings.asset}", daemon=True),
+        ]
+
+    def start(self) -> None:
+        """Begin to read and to cut; judging begins with the baseline."""
+        for thread in self._threads:
+            thread.start()
+        for source in self.sources:
+            source.start()
+
+    def stop(self) -> None:
+        """Stop reading, finish the window that is being judged, and keep what was stored."""
+        self._stopped.set()
+        self._window_came.set()
+        for source in self.sources:
+            source.stop()
+        for source in self.sources:
+            source.join()
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join(_LAST_WINDOW)
+
+    def use_baseline(self, file: str) -> None:
+        """Judge from now on with the trained diagnoser in this file."""
+        self._baseline = file
+        self.set_state("running", 1.0, "judging windows")
+        self._window_came.set()
+
+    def set_state(self, state: str, progress: float, doing: str) -> None:
+        """What the interface shows: idle, training, running or failed, how far, and what is being done."""
+        told = (state, round(progress, 2), doing)
+        if told != (self._state, round(self._progress, 2), self._doing):
+            self._state, self._progress, self._doing = state, progress, doing
+            self._changed(self.settings.asset)
+
+    def status(self) -> dict[str, Any]:
+        """State, progress, and what became of the windows."""
+        last = self._last
+        return {
+            "state": self._state,
+            "progress": self._progress,
+            "doing": self._doing,
+            "diagnoser": self.settings.diagnoser,
+            "sources": [source.name for source in self.sources],
+            "windows_judged": self._judged,
+            "windows_waiting": len(self._windows) + len(self._begun),
+            "windows_dropped": self._dropped,
+            "scoring_errors": self._errors,
+            "last_finding_at": None if last is None else last[0],
+            "last_verdict": None if last is None else str(last[1].verdict.value),
+        }
+
+    def source_status(self) -> Mapping[str, dict[str, Any]]:
+        """Counters and rates of every source of this machine."""
+        return {
+            f"{self.settings.asset} {source.name}": {
+                "machine": self.settings.asset,
+                "streams": [stream.name for stream in source.streams],
+                **source.health.snapshot(),
+            }
+            for source in self.sources
+        }
+
+    def _take(self, source: int, block: Block) -> bool:
+        """Queue a block; where two sources describe a stream of one name, the one that is listed last carries it."""
+        if self._source_of.get(block.stream) != source:
+            return True
+        try:
+            self._blocks.put_nowait(block)
+        except queue.Full:
+            return False
+        return True
+
+    def _cut(self) -> None:
+        while not self._stopped.is_set():
+            try:
+                block = self._blocks.get(timeout=_WAIT)
+            except queue.Empty:
+                continue
+            try:
+                windows = self._cutter.push(block)
+            except Exception:  # one block must never end the machine's thread; it is counted and logged
+                self._errors += 1
+                log.exception("cutting windows", machine=self.settings.asset)
+                continue
+            for window in windows:
+                self._add_window(window)
+
+    def _add_window(self, window: Record) -> None:
+        if len(self._windows) >= _MOST_WINDOWS:
+            self._windows.popleft()
+            self._dropped += 1
+        self._windows.append(window)
+        self._window_came.set()
+
+    def _judge(self) -> None:
+        while not self._stopped.is_set():
+            if self._baseline is not None and self._windows and len(self._begun) < _AT_ONCE:
+                self._safely(partial(self._begin, self._windows.popleft(), self._baseline))
+            elif self._begun:
+                self._safely(self._end_first)
+            else:
+                self._window_came.wait(_WAIT)
+                self._window_came.clear()
+        while self._begun:
+            self._safely(self._end_first)
+
+    def _safely(self, step: Callable[[], None]) -> None:
+        try:
+            step()
+        except Exception:  # one window must never end the machine's thread; it is counted and logged
+            self._errors += 1
+            if not self._stopped.is_set():  # else its worker was ended with the service
+                log.exception("judging a window", machine=self.settings.asset)
+
+    def _begin(self, window: Record, baseline: str) -> None:
+        self._begun.append(self._handle(self.settings, window, baseline, self._stopped))
+
+    def _end_first(self) -> None:
+        finding = self._begun.popleft()()
+        if finding is not None:
+            self._judged += 1
+            self._last = (time.time(), finding)

@@ -1,0 +1,171 @@
+"""Pipeline: the machines that are watched, from their buses to stored findings."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import structlog
+
+from residuum.identification.errors import BadInput
+from residuum.service.alarms.events import Events
+from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.fieldbus.source import FaultsUnavailable, Source
+from residuum.service.machines.baseline_files import baseline_file
+from residuum.service.machines.judge_and_store import JudgeAndStore
+from residuum.service.machines.machine_line import MachineLine
+from residuum.service.settings import Settings
+from residuum.service.simulated.demo import Demo
+from residuum.service.store import NotFound, StorageUnavailable, Store
+from residuum.service.work.worker_pool import WorkerPool
+
+log = structlog.get_logger()
+
+_LOOK_FOR_BASELINE = 2.0
+
+
+class Pipeline:
+    """Reads the buses of all machines, has their windows judged, and stores what was found.
+
+    `start` returns at once: connecting, the demo's machines and the training of their diagnosers go on beside.
+
+    Parameters
+    ----------
+    settings : Settings
+        `machines` are watched; with `demo` the simulated machines are started, their diagnosers trained, and watched too.
+    store : Store
+    events : Events
+        Told `pipeline` whenever a machine's state changes.
+    executor : WorkerPool
+    """
+
+    def __init__(self, settings: Settings, store: Store, events: Events, executor: WorkerPool) -> None:
+        self._settings, self._store, self._events, self._pool = settings, store, events, executor
+        self._demo = Demo(settings.demo_speed) if settings.demo else None
+        machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
+        names = [machine.asset for machine in machines]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise BadInput(f"settings, machines: {', '.join(sorted(twice))}: there are two of this name")
+        handle = JudgeAndStore(executor, store)
+        self._lines = {machine.asset: MachineLine(machine, handle, self._announce) for machine in machines}
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def start(self) -> None:
+        """Begin to read; everything else goes on beside. A demo's machine is read once it is on its buses."""
+        for line in self._lines.values():
+            self._store.ensure_asset(line.settings.asset, diagnoser=line.settings.diagnoser)
+        for machine in self._settings.machines:
+            self._lines[machine.asset].start()
+        self._tasks = [asyncio.create_task(self._find_baseline(machine)) for machine in self._settings.machines]
+        if self._demo:
+            await asyncio.to_thread(self._demo.start)
+            self._tasks += [asyncio.create_task(self._read_when_ready(self._demo, machine)) for machine in self._demo.machines]
+            self._tasks.append(asyncio.create_task(self._train_demo(self._demo)))
+
+    async def stop(self) -> None:
+        """Stop reading, give what is being judged three seconds to finish, end the demo's machines and all worker processes."""
+        for task in self._tasks:
+            task.cancel()
+        stops = [line.stop for line in self._lines.values()] + ([self._demo.stop] if self._demo else [])
+        if stops:
+            threads = ThreadPoolExecutor(len(stops))  # of their own: those of the loop may all wait for what is stopped here
+            await asyncio.gather(*(asyncio.get_running_loop().run_in_executor(threads, stop) for stop in stops))
+            threads.shutdown(wait=False)
+        self._pool.terminate()
+
+    def status(self) -> dict[str, Any]:
+        """State of every machine, and rates and loss counters of every source."""
+        return {
+            "machines": {name: line.status() for name, line in self._lines.items()},
+            "sources": {name: state for line in self._lines.values() for name, state in line.source_status().items()},
+        }
+
+    def faults(self, machine: str) -> Mapping[str, Any]:
+        """The faults that a simulated machine offers, and the sizes of those that it reports as on."""
+        source = self._fault_source(machine)
+        on = dict(source.fault_sizes)
+        described = self._demo.describe_faults(machine) if self._demo else {}
+        return {
+            "machine": machine,
+            "faults": [
+                {"id": fault, **described.get(fault, {}), "on": fault in on, "size": on.get(fault)} for fault in source.fault_ids
+            ],
+        }
+
+    async def switch_fault(self, machine: str, fault: str, size: float | None) -> None:
+        """Send the order over the machine's own bus: `none` clears all; size None takes the default, 0 clears."""
+        source = self._fault_source(machine)
+        if fault != "none" and fault not in source.fault_ids:
+            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; known are none, {', '.join(source.fault_ids)}")
+        orders = [(name, 0.0) for name in source.fault_ids] if fault == "none" else [(fault, -1.0 if size is None else size)]
+        try:
+            for name, wanted in orders:
+                await asyncio.to_thread(source.switch_fault, name, wanted)
+        except FaultsUnavailable as error:
+            raise BadInput(str(error)) from None
+
+    def _fault_source(self, machine: str) -> Source:
+        if machine not in self._lines:
+            raise NotFound(f"machine {machine!r}: there is none of this name; known are {', '.join(self._lines) or 'none'}")
+        sources = [source for source in self._lines[machine].sources if source.fault_ids]
+        if not sources:
+            raise NotFound(f"machine {machine!r}: is not a simulated one; it has no faults to switch")
+        return sources[0]
+
+    def _announce(self, asset: str) -> None:
+        self._events.publish("pipeline", {"machine": asset, **self._lines[asset].status()})
+
+    async def _find_baseline(self, machine: MachineSettings) -> None:
+        """Wait until the machine's baseline is in the store, and take up each new version of it."""
+        line, known = self._lines[machine.asset], ""
+        while True:
+            try:
+                version = (await asyncio.to_thread(self._store.model_versions, machine.baseline or machine.asset))[0]
+                if version.checksum != known:
+                    content = await asyncio.to_thread(self._store.model_content, version.model, version.number)
+                    line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
+                    known = version.checksum
+            except NotFound:
+                line.set_state("idle", 0.0, f"waiting for a baseline: train {machine.diagnoser} and store it as {machine.asset}")
+            except (OSError, StorageUnavailable):  # the disk may come back: ask again
+                log.exception("baseline not taken up", machine=machine.asset)
+            await asyncio.sleep(_LOOK_FOR_BASELINE)
+
+    async def _read_when_ready(self, demo: Demo, machine: MachineSettings) -> None:
+        await asyncio.to_thread(demo.wait_until_ready, machine.asset)
+        self._lines[machine.asset].start()
+
+    async def _train_demo(self, demo: Demo) -> None:
+        async with asyncio.TaskGroup() as group:
+            for machine in demo.machines:
+                group.create_task(self._train(demo, machine))
+        await asyncio.to_thread(demo.end_training)
+
+    async def _train(self, demo: Demo, machine: MachineSettings) -> None:
+        line = self._lines[machine.asset]
+        line.set_state("training", 0.0, "waiting to be trained")
+        try:
+            content = await self._stored_or_trained(demo, machine, line.set_state)
+            line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
+            self._tasks.append(asyncio.create_task(self._find_baseline(machine)))
+        except Exception as error:  # the machine's state tells it, and the others go on
+            log.exception("training failed", machine=machine.asset)
+            line.set_state("failed", 0.0, f"training failed: {error}")
+
+    async def _stored_or_trained(self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]) -> bytes:
+        note = demo.training_key(machine.asset)
+        try:
+            versions = await asyncio.to_thread(self._store.model_versions, machine.asset)
+            if any(version.note == note for version in versions):  # what was stored since, somebody accepted
+                return await asyncio.to_thread(self._store.model_content, machine.asset, versions[0].number)
+        except NotFound:
+            pass
+        training = asyncio.create_task(asyncio.to_thread(demo.train, machine.asset))
+        training.add_done_callback(lambda over: over.cancelled() or over.exception())  # also when nobody waits any more
+        while not (await asyncio.wait([training], timeout=0.5))[0]:
+            tell("training", *demo.progress(machine.asset))
+        content = training.result()
+        await asyncio.to_thread(self._store.add_model_version, machine.asset, "baseline", content, note)
+        return content

@@ -1,0 +1,215 @@
+"""The gate every request passes: size of head and body, host and origin, rate, key and role, security headers, log, metrics."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import structlog
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from residuum.service.problems import problem
+from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
+from residuum.service.security.bearer_tokens import BearerTokens
+from residuum.service.security.rate_limit import RateLimit, retry_after
+from residuum.service.settings import Settings, is_loopback
+
+log = structlog.get_logger()
+
+Measure = Callable[[str, str, int, float], None]
+"""Told of every answer: (method, route, status, seconds)."""
+
+_CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
+_BURST = 2.0
+"""Seconds of the allowed rate that a client may ask for at once."""
+_HEALTH = ("/health/live", "/health/ready")
+_SAFE = ("GET", "HEAD", "OPTIONS")
+_METRICS = ("/metrics", "/api/v1/metrics")
+_OPERATOR_VERBS = ("acknowledge", "reset", "shelve", "unshelve")
+# The hash is that of an empty style element, which Plotly fills rule by rule through the style sheet interface.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; "
+    "img-src 'self' data: blob:; font-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_EVERY_ANSWER = [
+    (b"x-content-type-options", b"nosniff"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+]
+_DATA = [*_EVERY_ANSWER, (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'")]
+_PAGES = [
+    *_EVERY_ANSWER,
+    (b"content-security-policy", _POLICY.encode()),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"permissions-policy", b"camera=(), microphone=(), geolocation=()"),
+]
+
+
+class Gate:
+    """ASGI middleware around the whole app.
+
+    A body over the limit is refused by its declared length before any of it is read, or as soon as what came exceeds
+    the limit. When the service listens on this machine alone, a request must name it as this machine does (a foreign
+    name pointed at 127.0.0.1 is the usual way into a local service), and a page of another origin may not write.
+    """
+
+    def __init__(
+        self, app: ASGIApp, settings: Settings, keys: ApiKeys, measure: Measure, tokens: BearerTokens | None = None
+    ) -> None:
+        self.app = app
+        self.settings = settings
+        self.keys = keys
+        self.tokens = tokens
+        self.measure = measure
+        self.local = is_loopback(settings.host)
+        rate = settings.requests_per_second
+        self.rate_limit = None if rate is None else RateLimit(rate, max(1.0, _BURST * rate), time.monotonic)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse the request, or hand it on."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        begun = time.perf_counter()
+        status = 500
+        more = _DATA if scope["path"].startswith("/api/") else _PAGES
+
+        async def send_with_headers(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [*message["headers"], *more]
+            await send(message)
+
+        headers = dict(scope["headers"])
+        refusal = self._refusal(scope, headers)
+        if refusal is None:
+            key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)
+            caller = self.keys.caller(key)
+            if caller is None and self.tokens is not None:
+                caller = await self._owner_of_token(self.tokens, key)
+            refusal = self._refusal_of_caller(scope, key, caller)
+        try:
+            if refusal is not None:
+                await refusal(scope, receive, send_with_headers)
+            else:
+                await self.app(scope, self._limited(receive, headers), send_with_headers)
+        finally:
+            seconds = time.perf_counter() - begun
+            route = getattr(scope.get("route"), "path", "other")
+            self.measure(scope["method"], route, status, seconds)
+            if status >= 500 or self.settings.log_level == "debug":
+                note = log.error if status >= 500 else log.debug
+                note("request", method=scope["method"], path=scope["path"], status=status, seconds=round(seconds, 4))
+
+    def _refusal(self, scope: Scope, headers: dict[bytes, bytes]) -> Any:
+        """The answer to a request that may not pass, None for one that may."""
+        if sum(len(name) + len(value) for name, value in scope["headers"]) + len(scope["path"]) > self.settings.header_limit:
+            return problem(431, f"request head: larger than {self.settings.header_limit} bytes", "too-large")
+        length = headers.get(b"content-length", b"0")
+        if not length.isdigit():
+            return problem(400, "Content-Length: is not a number", "bad-request")
+        if len(length) > 18 or int(length) > self.settings.body_limit:
+            return problem(
+                413, f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken", "too-large", _CLOSE
+            )
+        host = headers.get(b"host", b"").decode("latin-1")
+        if self.local and not is_loopback(_host_name(host)):
+            return problem(421, f"Host {host[:100]!r}: this service answers to its own machine's names only", "wrong-host")
+        origin = headers.get(b"origin", b"").decode("latin-1")
+        if origin and scope["method"] not in _SAFE and urlsplit(origin).netloc != host:
+            return problem(403, f"Origin {origin[:100]!r}: another site's page may not write here", "wrong-origin")
+        return None
+
+    async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
+        """Who has this token of the issuer."""
+        if token is None or not tokens.looks_like_one(token):
+            return None
+        return tokens.known(token) or await asyncio.to_thread(tokens.caller, token)
+
+    def _refusal_of_caller(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
+        guarded = scope["path"].startswith("/api/") or scope["path"] in _METRICS
+        return self._too_often(scope, caller) or (self._without_role(scope, key, caller) if guarded else None)
+
+    def _too_often(self, scope: Scope, caller: Caller | None) -> Any:
+        """A client is the key it shows, or without a known one its address. Health is always told."""
+        if self.rate_limit is None or scope["path"].endswith(_HEALTH):
+            return None
+        address = (scope.get("client") or ("unknown", 0))[0]
+        client = address if caller is None or caller is ANYBODY else f"key {caller.name}"
+        wait = self.rate_limit.wait(client)
+        if not wait:
+            return None
+        rate = self.settings.requests_per_second
+        return problem(
+            429, f"requests: more than {rate:g} a second from {client}", "too-many-requests", retry_after(wait) | _CLOSE
+        )
+
+    def _without_role(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
+        if caller is None:
+            reason = "is not known" if key else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+            return problem(401, f"API key: {reason}", "no-key", {"WWW-Authenticate": "Bearer"})
+        needed = _role_for(scope["method"], scope["path"])
+        if caller.role < needed:
+            return problem(403, f"API key of {caller.name!r}: role {caller.role.name.lower()} may not do this", "role")
+        if caller.sites is not None and not _of_sites(scope, caller):
+            sites = ", ".join(sorted(caller.sites))
+            return problem(403, f"API key of {caller.name!r}: is limited to machines of {sites}", "site")
+        scope.setdefault("state", {})["caller"] = caller
+        return None
+
+    def _limited(self, receive: Receive, headers: dict[bytes, bytes]) -> Receive:
+        """`receive` that ends the request when more comes than may (a declared length has been checked already)."""
+        if b"transfer-encoding" not in headers:
+            return receive
+        taken = 0
+
+        async def limited() -> Message:
+            nonlocal taken
+            message = await receive()
+            taken += len(message.get("body", b""))
+            if taken > self.settings.body_limit:
+                raise HTTPException(413, f"body: more than {self.settings.body_limit} bytes came; no more are taken")
+            return message
+
+        return limited
+
+
+def _host_name(host: str) -> str:
+    """The name in a Host header, without port and brackets."""
+    return host[1:].split("]", maxsplit=1)[0] if host.startswith("[") else host.split(":", maxsplit=1)[0]
+
+
+def _bearer(headers: dict[bytes, bytes]) -> str | None:
+    scheme, _, key = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
+    return key.strip() if scheme.lower() == "bearer" and key else None
+
+
+def _role_for(method: str, path: str) -> Role:
+    """Metrics and health ask for a monitor, reading for a viewer, handling an alarm for an operator, all else for an engineer."""
+    if path in _METRICS or path.endswith(_HEALTH):
+        return Role.MONITOR
+    if method in _SAFE:
+        return Role.VIEWER
+    return Role.OPERATOR if path.rsplit("/", 1)[-1] in _OPERATOR_VERBS else Role.ENGINEER
+
+
+_FOR_EVERY_SITE = ("score", "diagnosers", "effects", "alarms", "health", "events", "status", "sources")
+"""First words of the paths that a caller of some sites may use; what they list is cut down to the sites by the routes."""
+
+
+def _of_sites(scope: Scope, caller: Caller) -> bool:
+    """Whether a path is one that a caller of some sites may use: its own assets, their alarms, and what is nobody's."""
+    words = scope["path"].split("/")[3:]  # after "", "api", "v1"; nothing is left of /metrics, which tells of the whole plant
+    query = parse_qs(scope["query_string"].decode("latin-1"))
+    if not all(caller.may_see(name) for name in query.get("baseline", [])):
+        return False
+    if words[:1] == ["assets"]:
+        return len(words) == 1 or caller.may_see(words[1])
+    return words[:1] != [] and words[0] in _FOR_EVERY_SITE and words != ["alarms", "rates"]

@@ -1,0 +1,1 @@
+"""The simulated machines as devices on real buses."""

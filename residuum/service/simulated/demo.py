@@ -1,0 +1,172 @@
+"""Demo: the three simulated machines as processes on real buses of this computer, and the training of their diagnosers."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import random
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import orjson
+import structlog
+
+import residuum
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.simulated.demo_training import TRAINING_RECIPES, train
+from residuum.service.simulated.wiring import wiring_of
+from residuum.service.work.worker_pool import WorkerPool
+from residuum.simulation import MACHINES
+
+log = structlog.get_logger()
+
+_STOP_TIMEOUT = 3.0
+_LOOK = 0.5
+
+
+class Demo:
+    """Starts the machines' processes, keeps them alive, and trains what judges them.
+
+    Everything stays on this computer: the CAN buses are multicast groups with no hop, the Modbus servers listen on the loopback
+    address. A machine's process ends when this one does, however it ends: it watches its standard input.
+
+    Training has a worker process of its own: findings of a machine that is ready do not wait for the training of another.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = speed
+        self._pool = WorkerPool(1)
+        self.machines = _demo_machines()
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._stopped = threading.Event()
+        self._watch = threading.Thread(target=self._keep_alive, name="demo machines", daemon=True)
+        self._folder = Path(tempfile.mkdtemp(prefix="residuum-training-"))
+
+    def start(self) -> None:
+        """Start every machine's process."""
+        for machine in self.machines:
+            self._processes[machine.asset] = _start(machine, self._speed)
+        self._watch.start()
+
+    def wait_until_ready(self, machine: str) -> None:
+        """Return when a machine is on its buses (its process then says so), or has ended before."""
+        said = self._processes[machine].stdout
+        if said is not None:
+            said.readline()
+
+    def stop(self) -> None:
+        """End the machines' processes."""
+        self._stopped.set()
+        self.end_training()
+        for process in self._processes.values():
+            if process.stdin:
+                with contextlib.suppress(OSError):
+                    process.stdin.close()
+        end = time.monotonic() + _STOP_TIMEOUT
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.1, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout:
+                process.stdout.close()
+
+    def _keep_alive(self) -> None:
+        backoffs = {machine.asset: Backoff(first=0.5, longest=30.0) for machine in self.machines}
+        while not self._stopped.wait(_LOOK):
+            for machine in self.machines:
+                status = self._processes[machine.asset].poll()
+                if status is not None and not self._stopped.is_set():
+                    log.warning("a demo machine ended and is started again", machine=machine.asset, status=status)
+                    if not self._stopped.wait(backoffs[machine.asset].next()):
+                        self._processes[machine.asset] = _start(machine, self._speed)
+
+    def describe_faults(self, machine: str) -> Mapping[str, dict[str, Any]]:
+        """Default size, unit and meaning of each fault of a demo machine."""
+        if machine not in TRAINING_RECIPES:
+            return {}
+        faults = MACHINES[wiring_of(machine).machine].faults
+        return {
+            name: {"default_size": fault.default_size, "unit": fault.unit, "meaning": fault.meaning}
+            for name, fault in faults.items()
+        }
+
+    def training_key(self, machine: str) -> str:
+        """Changes whenever the recipe, a diagnoser or a simulated machine does; a baseline stored under it is still right."""
+        root = Path(residuum.__file__).parent
+        digest = hashlib.sha256(machine.encode())
+        for folder in ("diagnosis", "identification", "simulation"):
+            for file in sorted((root / folder).rglob("*.py")):
+                digest.update(file.read_bytes())
+        for file in (Path(__file__).parent / "demo_training.py", root / "service" / "machines" / "windows.py"):
+            digest.update(file.read_bytes())
+        return f"demo {digest.hexdigest()[:16]}"
+
+    def train(self, machine: str) -> bytes:
+        """Train a machine's diagnoser in a worker process and return its baseline file."""
+        diagnoser = next(settings.diagnoser for settings in self.machines if settings.asset == machine)
+        return self._pool.call(train, machine, diagnoser, str(self._folder))
+
+    def progress(self, machine: str) -> tuple[float, str]:
+        """How far a training is: share done and what is being done."""
+        try:
+            done, doing = orjson.loads((self._folder / f"{machine}.progress").read_bytes())
+        except (OSError, ValueError):
+            return 0.0, "waiting to be trained"
+        return float(done), str(doing)
+
+    def end_training(self) -> None:
+        """Give the training's process and folder back."""
+        self._pool.terminate()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _demo_machines() -> list[MachineSettings]:
+    gate = SourceSettings(kind="can", channel=_free_group(), map="gate_actuator.dbc")
+    vibration = SourceSettings(kind="can", channel=_free_group(), map="gripping_pliers.dbc")
+    signals = SourceSettings(kind="modbus", port=_free_port(), map="gripping_pliers.yaml")
+    plant = SourceSettings(kind="modbus", port=_free_port(), map="process_plant.yaml")
+    sliding = WindowSettings(cut="sliding", length=30, step=5)
+    return [
+        _machine("process-plant", "robust-residual", sliding, [plant]),
+        _machine("gripping-pliers", "gripping-pliers", WindowSettings(cut="round"), [vibration, signals]),
+        _machine("gate-actuator", "gate-actuator", WindowSettings(cut="movement"), [gate]),
+    ]
+
+
+def _machine(asset: str, diagnoser: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
+    return MachineSettings(asset=asset, diagnoser=diagnoser, window=window, sources=sources)
+
+
+def _free_group() -> str:
+    """A multicast group and port of our own, chosen at random: two demos on one computer must not hear each other."""
+    numbers = random.SystemRandom()
+    group = f"239.{numbers.randint(1, 250)}.{numbers.randint(1, 250)}.{numbers.randint(1, 250)}"
+    return f"udp_multicast:{group}:{numbers.randint(20_000, 32_000)}/0"
+
+
+def _free_port() -> int:
+    """A port that nobody listens at, below those that outgoing connections are given: one of these could take it meanwhile."""
+    while True:
+        port = random.SystemRandom().randint(20_000, 32_000)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
+def _start(machine: MachineSettings, speed: float) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "machine", machine.asset, "--with-parent"]
+    command += ["--speed", str(speed)]
+    for source in machine.sources:
+        command += ["--can", source.channel] if source.kind == "can" else ["--modbus", f"{source.host}:{source.port}"]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -1,0 +1,150 @@
+"""Device: a simulated machine that lives in real time on its buses and takes orders from them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+from residuum.service.fieldbus.can import COMMAND, STATE, open_bus
+from residuum.service.fieldbus.frame_layout import FrameLayout, read_dbc
+from residuum.service.fieldbus.frame_sender import FrameSender
+from residuum.service.fieldbus.frames import FrameBus
+from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.register_server import RegisterServer
+from residuum.service.fieldbus.settings import MAPS
+from residuum.service.simulated.wiring import Wiring
+from residuum.simulation.machine import BadSetting, Machine
+
+_TICK = 0.02
+_STATE_PERIOD = 0.5
+_FURTHEST_BEHIND = 0.2
+
+
+class Device:
+    """A machine on a CAN bus, a Modbus server, or both.
+
+    Time runs `speed` times as fast as real time. When the computer cannot keep up for a fifth of a second, the machine's life
+    pauses: nothing is skipped, and nothing is sent in a burst that no machine could make and no reader be ready for.
+
+    Parameters
+    ----------
+    machine : Machine
+    wiring : Wiring
+    can_channel : str or None
+        Bus for the streams that the wiring has on CAN.
+    modbus : (host, port) or None
+        Address to serve the streams that the wiring has in registers; without it they go to CAN too, where the DBC file has them.
+    speed : float
+    say : callable
+        Told, in one line, of every order that was refused.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        wiring: Wiring,
+        can_channel: str | None,
+        modbus: tuple[str, int] | None,
+        speed: float,
+        say: Callable[[str], None],
+    ) -> None:
+        self.machine = machine
+        self._speed, self._say = speed, say
+        self._bus: FrameBus | None = open_bus(can_channel) if can_channel else None
+        layouts = read_dbc(MAPS / wiring.dbc) if can_channel else {}
+        self._command: FrameLayout | None = layouts.get(COMMAND)
+        self._state: FrameLayout | None = layouts.get(STATE)
+        self._server: RegisterServer | None = None
+        self._register_streams = dict(wiring.register_streams) if modbus else {}
+        if modbus:
+            self._server = RegisterServer(read_register_map(MAPS / wiring.registers), *modbus, self._switch)
+        on_can = {stream: message for stream, message in wiring.messages.items() if stream not in self._register_streams}
+        self._senders = {stream: FrameSender(layouts[message]) for stream, message in on_can.items()} if self._bus else {}
+
+    async def run(self, stopped: asyncio.Event, ready: Callable[[int | None], None]) -> None:
+        """Live until stopped; `ready` is told the Modbus port once the device is on its buses."""
+        ready(await self._server.start() if self._server else None)
+        try:
+            await self._live(stopped)
+        finally:
+            if self._server:
+                await self._server.stop()
+            if self._bus:
+                self._bus.close()
+
+    async def _live(self, stopped: asyncio.Event) -> None:
+        begun, lived, state_due = time.monotonic(), 0.0, 0.0
+        while not stopped.is_set():
+            now = time.monotonic()
+            due = (now - begun) * self._speed - lived
+            if due > _FURTHEST_BEHIND * self._speed:
+                begun += due / self._speed - _FURTHEST_BEHIND
+                due = _FURTHEST_BEHIND * self._speed
+            if due >= self._least_step:
+                self._advance(due)
+                lived += due
+            self._take_orders()
+            if now >= state_due:
+                self._show_state()
+                state_due = now + _STATE_PERIOD
+            await asyncio.sleep(_TICK)
+
+    @property
+    def _least_step(self) -> float:
+        """Never ask the machine for less than a few samples of its slowest stream [s]."""
+        return max(2 * self.machine.sample_time, 0.005)
+
+    def _advance(self, duration: float) -> None:
+        for stream, signals in self.machine.advance(duration).items():
+            channels = {name: np.asarray(values, np.float64) for name, values in signals.channels.items()}
+            if self._server and stream in self._register_streams:
+                self._server.pages[self._register_streams[stream]].append(channels)
+            elif self._bus and stream in self._senders:
+                self._send(self._senders[stream], channels)
+
+    def _send(self, sender: FrameSender, channels: dict[str, npt.NDArray[np.float64]]) -> None:
+        if self._bus:
+            try:
+                sender.send(self._bus, channels)
+            except (OSError, can.CanError) as error:
+                self._say(f"cannot send: {error}")
+
+    def _take_orders(self) -> None:
+        if self._bus is None:
+            return
+        batch = self._bus.read(0.0)
+        if self._command is None:
+            return
+        for frames in batch.frames.get(self._command.frame_id, ()):
+            if frames.shape[1] == self._command.length:
+                _, values = self._command.decode(frames)
+                for number, size in zip(values["fault"], values["size"], strict=True):
+                    self._switch(self._command.choices["fault"].get(int(number), ""), float(size))
+
+    def _switch(self, fault: str, size: float) -> None:
+        try:
+            if size == 0:
+                self.machine.clear_fault(fault)
+            else:
+                self.machine.set_fault(fault, None if size < 0 else size)
+        except BadSetting as error:
+            self._say(str(error))
+        self._show_state()
+
+    def _show_state(self) -> None:
+        active = self.machine.active_faults
+        if self._server:
+            self._server.show_faults(active)
+        if self._bus and self._state:
+            choices = self._state.choices["fault"]
+            sizes = [active.get(fault, 0.0) for fault in choices.values()]
+            frames = self._state.encode(np.zeros(len(sizes)), {"fault": list(choices), "size": sizes})
+            try:
+                self._bus.send_many(self._state.frame_id, frames)
+            except (OSError, can.CanError) as error:
+                self._say(f"cannot send: {error}")

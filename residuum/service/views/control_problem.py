@@ -1,0 +1,166 @@
+"""A control problem from identified models, and its solution by Algorithm 2 or 3, for the console and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
+from residuum.robust_control.loop import Loop, Weights, frequency_grid
+from residuum.robust_control.multi_model import average_plant, overall_uncertainty
+from residuum.robust_control.synthesis.controller_structure import PI, PID, PIDN, ControllerStructure, LeadLag, Rational
+from residuum.robust_control.synthesis.pareto import Point
+from residuum.robust_control.synthesis.structured_synthesis import Synthesis
+from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
+from residuum.robust_control.weights.performance_weight import MonotoneWeight
+from residuum.robust_control.weights.reference_model import ReferenceModel
+
+FloatArray = npt.NDArray[np.float64]
+AIMS = ("nominal", "robust")
+STRUCTURES: dict[str, type[ControllerStructure]] = {"pidn": PIDN, "pid": PID, "pi": PI, "lead-lag": LeadLag, "rational": Rational}
+_VALIDATION_PLANTS = 200
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user asks of the loop; the first three belong to the nominal aim.
+
+    Parameters
+    ----------
+    aim : str
+        `nominal` (Algorithm 2) or `robust` (Algorithm 3).
+    overshoot : float
+        Least overshoot that is worth having (0.01 = 1 %).
+    settling_time : float or None
+        Longest settling time [s]; None: ten times the longest impulse response.
+    slack : float
+        γ of the mixed-sensitivity bound 1 + γ.
+    only : str or None
+        One wish alone (Remark 2.7).
+    """
+
+    aim: str = "nominal"
+    overshoot: float = 0.01
+    settling_time: float | None = None
+    slack: float = 0.1
+    only: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.aim not in AIMS:
+            raise BadInput(f"aim {self.aim!r}: must be nominal or robust")
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What the two coordinates of the Pareto front are."""
+        return ("overshoot", "settling_time_s") if self.aim == "nominal" else ("high_gain_db", "critical_frequency_rad_s")
+
+    @property
+    def limit(self) -> float:
+        """What the cost must stay below."""
+        return 1.0 + self.slack if self.aim == "nominal" else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The chosen point of the Pareto front, and the whole front."""
+
+    chosen: Point[Synthesis]
+    front: tuple[Point[Synthesis], ...]
+
+
+class ControlProblem:
+    """The plant in the middle, the weight of its uncertainty, and the grid on which a controller is sought.
+
+    Parameters
+    ----------
+    models : sequence of IdentifiedModel
+        One an operating point, of one sample time.
+    seed : int
+        Of the random plants.
+
+    Attributes
+    ----------
+    W_T : TransferFunction
+    largest : array
+        Ω, the largest relative error of the drawn plants on the grid `loop.omega`.
+    magnitude : array
+        |W_T| on the grid.
+    crossing : float
+        Where |W_T| reaches 1 [rad/s]; the end of the grid when it does not.
+
+    Raises
+    ------
+    BadInput
+        No model, different sample times, an uncertainty of over 100 % at the lowest frequency.
+    """
+
+    def __init__(self, models: Sequence[IdentifiedModel], seed: int = 0) -> None:
+        self.models, self.seed = tuple(models), seed
+        self.plant = average_plant(models)
+        omega = frequency_grid([self.plant])
+        self.W_T, self.largest = overall_uncertainty(models, self.plant, omega, seed=seed)
+        self.loop = Loop([self.plant], omega)
+        self.magnitude = np.abs(self.W_T.frequency_response(omega))
+        self.crossing = _critical_frequency(omega, self.magnitude)
+
+    @property
+    def response_time(self) -> float:
+        """Ten times the length of the longest impulse response [s]."""
+        return 10.0 * max((model.delay + model.order) * model.sample_time for model in self.models)
+
+    @property
+    def horizon(self) -> float:
+        """How long step responses are followed [s]."""
+        return 0.4 * self.response_time
+
+    def solve(self, law: ControllerStructure, wishes: Wishes) -> Solution:
+        """Algorithm 2 or 3 with this controller structure.
+
+        Raises
+        ------
+        Infeasible
+            No controller of the structure meets the aim; says which constraint, where and by how much.
+        """
+        if wishes.aim == "nominal":
+            longest = self.response_time if wishes.settling_time is None else wishes.settling_time
+            wanted = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
+            nominal = design_for_nominal_performance(self.loop, self.magnitude, law, wanted, self.crossing)
+            return Solution(nominal.chosen, nominal.front)
+        aim = self._robust_aim(wishes)
+        robust = design_for_robust_performance(self.loop, self.magnitude, law, aim, self.crossing)
+        return Solution(robust.chosen, robust.front)
+
+    def weights(self, wishes: Wishes, point: Point[Synthesis]) -> Weights:
+        """The weights that a point of the front was designed with."""
+        if wishes.aim == "nominal":
+            W_S = ReferenceModel(point.first, point.second).weight_magnitude(self.loop.omega)
+            return Weights(W_S, self.magnitude)
+        gain = self._robust_aim(wishes).low_gain_db
+        return Weights(MonotoneWeight(gain, point.first, point.second).magnitude(self.loop.omega), self.magnitude, "1")
+
+    def random_plants(self, count: int = _VALIDATION_PLANTS) -> list[TransferFunction]:
+        """Plants of every model's posterior, other ones than the weight was made from."""
+        plants = []
+        each = math.ceil(count / len(self.models))
+        for number, model in enumerate(self.models):
+            den = np.r_[1.0, np.zeros(model.delay + model.order - 1)]
+            drawn = model.sample(each, np.random.default_rng([self.seed, 1, number]))
+            plants += [TransferFunction(g, den, model.sample_time) for g in drawn]
+        return plants
+
+    def _robust_aim(self, wishes: Wishes) -> RobustAim:
+        return RobustAim(lowest_critical_frequency=self.crossing / 1000.0, only=wishes.only)
+
+
+def _critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:
+    above = np.flatnonzero(magnitude >= 1.0)
+    if above.size and above[0] == 0:
+        raise BadInput("uncertainty: over 100 % already at the lowest frequency; identify with more or better data first")
+    return float(omega[above[0]] if above.size else omega[-1])

@@ -1,0 +1,238 @@
+"""What a page draws of a robust controller: the front of what is possible, and for each of its points bounds, loops and steps.
+
+The work of a job.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
+from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
+from residuum.robust_control.state_space import weighted_loop
+from residuum.robust_control.synthesis.pareto import Point
+from residuum.robust_control.synthesis.structured_synthesis import Synthesis
+from residuum.robust_control.weights.nominal_performance import Infeasible, refined
+from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Wishes
+from residuum.service.views.residual_view import read_identified
+from residuum.service.work.jobs import Progress
+
+FloatArray = npt.NDArray[np.float64]
+_FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40
+_SHOWN_SETTLING_TIMES, _FEWEST_SAMPLES = 3.0, 40
+_DIGITS = 6
+
+
+def view_control_design(
+    progress: Progress,
+    contents: Sequence[bytes],
+    structure: str,
+    wishes: Mapping[str, Any],
+    limits: tuple[float | None, float | None],
+    seed: int,
+) -> Mapping[str, Any]:
+    """Design controllers along the Pareto front, and say of each what it promises and how it behaves on drawn plants.
+
+    Parameters
+    ----------
+    contents : sequence of bytes
+        Files of identified models, one an operating point.
+    structure : str
+        A name of `STRUCTURES`.
+    wishes : mapping
+        Arguments of `Wishes`.
+    limits : (lower, upper)
+        Of the actuator, for the exported code; None: none.
+
+    Returns
+    -------
+    mapping
+        `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and `output` of the plant;
+        `points` of the front with `chosen`, the index of the preferred one. A point has its `controller`, certified `cost`, |S|,
+        |T|, |W_S|, |W_T| and their `total`, the open `loop` with the range over drawn plants, step responses (`time` [s],
+        `nominal`, `drawn`), their `figures`, and `exports`.
+
+    Raises
+    ------
+    BadInput
+        Models of different sample times, too large an uncertainty, limits in the wrong order.
+    """
+    wanted = Wishes(**wishes)
+    progress(0.05, "drawing models for the uncertainty weight")
+    problem = ControlProblem([read_identified(content) for content in contents], seed)
+    progress(0.15, "searching for the front")
+    law = STRUCTURES[structure](problem.loop.sample_time)
+    described = {
+        "structure": structure,
+        "equation": law.equation,
+        "aim": wanted.aim,
+        "wishes": wanted.names,
+        "limit": wanted.limit,
+    }
+    described |= {"sample_time": problem.loop.sample_time, "uncertainty": _uncertainty(problem), **_signals(problem)}
+    try:
+        found = problem.solve(law, wanted)
+    except Infeasible as no:
+        return described | {"feasible": False, "reason": str(no)}
+    saturation = (-math.inf if limits[0] is None else limits[0], math.inf if limits[1] is None else limits[1])
+    points, chosen = _with_chosen(problem, wanted, found.front, found.chosen)
+    plants = problem.random_plants()
+    figures = []
+    for index, point in enumerate(points):
+        progress(0.5 + 0.4 * index / len(points), f"following {len(plants)} drawn plants, point {index + 1} of {len(points)}")
+        figures.append(over_plants(plants, point.design.controller, problem.horizon))
+    progress(0.9, "preparing the charts")
+    picture = _Picture(problem, plants)
+    drawn = [
+        {**_promises(problem, point), **picture.of(wanted, point, each), **_exports(point, saturation), "figures": _figures(each)}
+        for point, each in zip(points, figures, strict=True)
+    ]
+    common = {"frequency": _plain(picture.frequency), "drawn_plants": len(plants)}
+    return described | {"feasible": True, **common, "points": drawn, "chosen": chosen}
+
+
+def _with_chosen(
+    problem: ControlProblem, wishes: Wishes, front: Sequence[Point[Synthesis]], chosen: Point[Synthesis]
+) -> tuple[list[Point[Synthesis]], int]:
+    """The front with every cost minimised to the end, and where on it the chosen point is."""
+    index = next(k for k, point in enumerate(front) if (point.first, point.second) == (chosen.first, chosen.second))
+    return [
+        chosen if k == index else refined(problem.loop, problem.weights(wishes, point), point) for k, point in enumerate(front)
+    ], index
+
+
+def _signals(problem: ControlProblem) -> dict[str, Any]:
+    first = problem.models[0]
+    return {
+        "input": {"name": first.input_name, "unit": first.input_unit},
+        "output": {"name": first.output_name, "unit": first.output_unit},
+    }
+
+
+def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
+    kept = _spread(len(problem.loop.omega), _FREQUENCIES)
+    return {
+        "frequency": _plain(problem.loop.omega[kept] / (2 * np.pi)),
+        "weight": _plain(problem.magnitude[kept]),
+        "largest": _plain(problem.largest[kept]),
+        "critical_frequency": problem.crossing / (2 * np.pi),
+    }
+
+
+def _promises(problem: ControlProblem, point: Point[Synthesis]) -> dict[str, Any]:
+    made = point.design
+    norm = h_infinity_norm(weighted_loop(problem.plant, made.controller, W_T=problem.W_T))[0] if made.stable else None
+    return {
+        "first": point.first,
+        "second": point.second,
+        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
+        "controller": {
+            "numerator": made.controller.num.tolist(),
+            "denominator": made.controller.den.tolist(),
+            "sample_time": made.controller.sample_time,
+        },
+        "cost": made.certified,
+        "worst_frequency": made.worst_frequency / (2 * np.pi),
+        "stable": made.stable,
+        "robust_stability_norm": norm,
+    }
+
+
+def _exports(point: Point[Synthesis], limits: tuple[float, float]) -> dict[str, Any]:
+    equation = DifferenceEquation(point.design.controller, *limits)
+    exports = {name: source(equation) for name, source in LANGUAGES.items()}
+    return {"difference_equation": equation.text(), "b": equation.b.tolist(), "a": equation.a.tolist(), "exports": exports}
+
+
+def _figures(steps: Sequence[StepResponse]) -> dict[str, Any]:
+    """Medians over the drawn plants, and how many are unstable."""
+    rows = [asdict(step) for step in steps]
+    medians = {name: _finite(float(np.median([row[name] for row in rows]))) for name in rows[0]}
+    return {**medians, "unstable": sum(not math.isfinite(step.integral_absolute_error) for step in steps)}
+
+
+class _Picture:
+    """Curves of one controller after the other over the same frequencies and drawn plants."""
+
+    def __init__(self, problem: ControlProblem, plants: Sequence[TransferFunction]) -> None:
+        self._problem = problem
+        self._plants = plants[:: max(1, len(plants) // _SHOWN_PLANTS)]
+        self._omega = problem.loop.omega[_spread(len(problem.loop.omega), _FREQUENCIES)]
+        self._G = np.array([plant.frequency_response(self._omega) for plant in self._plants])
+        self._nominal = problem.plant.frequency_response(self._omega)
+
+    @property
+    def frequency(self) -> FloatArray:
+        """[Hz]."""
+        return np.asarray(self._omega / (2 * np.pi))
+
+    def of(self, wishes: Wishes, point: Point[Synthesis], figures: Sequence[StepResponse]) -> dict[str, Any]:
+        """|S|, |T| and their weights, the open loop with the range over the drawn plants, and the step responses."""
+        K = point.design.controller.frequency_response(self._omega)
+        L = self._nominal * K
+        S = 1.0 / (1.0 + L)
+        weights = self._problem.weights(wishes, point)
+        W_S = np.interp(self._omega, self._problem.loop.omega, weights.W_S)
+        W_T = np.interp(self._omega, self._problem.loop.omega, weights.W_T)
+        parts = [W_S * np.abs(S), W_T * np.abs(L * S)]
+        total = parts[0] + parts[1] if weights.entries == "1" else np.hypot(*parts)
+        return {
+            "S": _plain(np.abs(S)),
+            "T": _plain(np.abs(L * S)),
+            "W_S": _plain(W_S),
+            "W_T": _plain(W_T),
+            "total": _plain(total),
+            "loop": self._loop(L, self._G * K),
+            "steps": self._steps(point.design.controller, figures),
+        }
+
+    def _loop(self, nominal: npt.NDArray[np.complex128], drawn: npt.NDArray[np.complex128]) -> dict[str, Any]:
+        """Bode points of the open loop; drawn phases are counted from the nominal one, so that none is a turn away."""
+        phase = np.unwrap(np.angle(nominal))
+        turned = phase + np.angle(drawn / nominal)
+        size = np.abs(drawn)
+        return {
+            "magnitude": _plain(np.abs(nominal)),
+            "lowest": _plain(size.min(axis=0)),
+            "highest": _plain(size.max(axis=0)),
+            "phase": _plain(np.degrees(phase)),
+            "lowest_phase": _plain(np.degrees(turned.min(axis=0))),
+            "highest_phase": _plain(np.degrees(turned.max(axis=0))),
+        }
+
+    def _steps(self, controller: TransferFunction, figures: Sequence[StepResponse]) -> dict[str, Any]:
+        """Responses until three median settling times, or the horizon that the figures were taken over."""
+        sample_time = self._problem.loop.sample_time
+        settling = float(np.median([step.settling_time for step in figures]))
+        end = max(min(_SHOWN_SETTLING_TIMES * settling, self._problem.horizon), _FEWEST_SAMPLES * sample_time)
+        kept = _spread(max(2, round(end / sample_time)), _TIMES)
+
+        def response(plant: TransferFunction) -> list[float | None]:
+            return _plain(step_response(plant, controller, end)[kept])
+
+        return {
+            "time": _plain(np.asarray(kept * sample_time, dtype=float)),
+            "nominal": response(self._problem.plant),
+            "drawn": [response(plant) for plant in self._plants],
+        }
+
+
+def _spread(n: int, most: int) -> npt.NDArray[np.intp]:
+    """At most `most` indices out of n, both ends among them."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
+
+
+def _plain(values: FloatArray) -> list[float | None]:
+    return [_finite(float(f"{value:.{_DIGITS}g}")) for value in values]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,86 @@
+"""What is done with each record of a fleet, in a worker: judge it, or identify a model from it.
+
+Every result says `by` what it was made: a mark of diagnoser, baseline and options. A run goes on only with results of its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.identification.errors import BadInput
+from residuum.service.commands.identify import METHODS, Request
+from residuum.service.commands.report import to_plain
+from residuum.service.work.fleet_source import FleetSource, Folder
+
+
+@dataclass(frozen=True)
+class Rescore:
+    """Judge a file with a diagnoser and, where there is one, its baseline."""
+
+    diagnoser: str
+    baseline: str | None
+    source: FleetSource = field(default_factory=Folder)
+
+    @property
+    def mark(self) -> str:
+        """What the results are made by."""
+        return _mark(f"rescore {self.diagnoser}", self.baseline)
+
+    def __call__(self, file: str) -> dict[str, Any]:
+        """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
+        try:
+            finding = _judge(self.diagnoser, self.baseline).score(self.source.read(file))
+        except BadInput as error:
+            return {"by": self.mark, "refused": str(error)}
+        return {"by": self.mark, "finding": to_plain(finding.to_json())}
+
+
+@dataclass(frozen=True)
+class Reidentify:
+    """Identify a model from a file."""
+
+    method: str
+    request: Request
+    source: FleetSource = field(default_factory=Folder)
+
+    @property
+    def mark(self) -> str:
+        """What the results are made by."""
+        return _mark(f"reidentify {self.method} {self.request!r}", None)
+
+    def __call__(self, file: str) -> dict[str, Any]:
+        """`{"by": …, "model": …}` or `{"by": …, "refused": …}`."""
+        try:
+            model = METHODS[self.method]([self.source.read(file)], self.request)
+        except BadInput as error:
+            return {"by": self.mark, "refused": str(error)}
+        told = {
+            "method": model.method,
+            "order": model.order,
+            "delay": model.delay,
+            "sample_time": model.sample_time,
+            "impulse_response": model.impulse_response,
+            "std": model.std,
+            "noise_variance": model.noise_variance,
+            "numerator": model.numerator,
+            "denominator": model.denominator,
+            "warnings": list(model.warnings),
+        }
+        return {"by": self.mark, "model": to_plain(told)}
+
+
+@lru_cache(maxsize=4)
+def _mark(asked: str, baseline: str | None) -> str:
+    content = b"" if baseline is None else Path(baseline).read_bytes()
+    return hashlib.sha256(asked.encode() + b"\n" + content).hexdigest()[:16]
+
+
+@lru_cache(maxsize=4)
+def _judge(diagnoser: str, baseline: str | None) -> Diagnoser:
+    return DIAGNOSERS[diagnoser]() if baseline is None else DIAGNOSERS[diagnoser].load(Path(baseline))

@@ -1,0 +1,145 @@
+"""WorkerPool: worker processes that compute for the service, and that are replaced when one of them dies."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+_ATTEMPTS = 3
+_LOOK = 0.1
+_SERVER = multiprocessing.get_context("forkserver")
+
+
+class WorkerPool(Executor):
+    """A process pool that survives a killed worker.
+
+    A pool of the standard library is of no more use once one of its processes has been killed. Here the pool is then made anew,
+    and `call` tries again: the work must therefore be such that doing it twice does no harm.
+
+    Parameters
+    ----------
+    workers : int
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._lock = threading.Lock()
+        self._closed = False
+        self._pool = self._new_pool()
+        self._server_ready = _begin_server()
+        self.replaced = 0
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        # Not forked from here: a fork would take along the threads' locks. A server without threads that has loaded what workers
+        # need makes them: a worker then costs some milliseconds instead of the seconds of its imports.
+        return ProcessPoolExecutor(self._workers, mp_context=_SERVER, initializer=_begin_worker)
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        """Hand work to a worker process; waits while the server loads, and gives up when the pool is closed meanwhile."""
+        while not self._server_ready.wait(_LOOK):
+            if self._closed:
+                raise BrokenProcessPool("the pool was closed before it had begun")
+        with self._lock:
+            pool = self._pool
+        try:
+            return pool.submit(fn, *args, **kwargs)
+        except BrokenProcessPool:
+            self._replace(pool)
+            return self._pool.submit(fn, *args, **kwargs)
+
+    def call(self, fn: Callable[..., T], *args: Any) -> T:
+        """Do work in a worker process and wait for it; when its worker is killed, do it again (three times at most)."""
+        for _ in range(_ATTEMPTS - 1):
+            pool = self._pool
+            try:
+                return self.submit(fn, *args).result()
+            except BrokenProcessPool:
+                if self._closed:
+                    raise
+                self._replace(pool)
+        return self.submit(fn, *args).result()
+
+    def begin(self, fn: Callable[..., T], *args: Any) -> Callable[[], T]:
+        """Hand work to a worker process at once; what is returned waits for it, as `call` does."""
+        pool = self._pool
+        begun = self.submit(fn, *args)
+
+        def end() -> T:
+            try:
+                return begun.result()
+            except BrokenProcessPool:
+                if self._closed:
+                    raise
+                self._replace(pool)
+                return self.call(fn, *args)
+
+        return end
+
+    def _replace(self, broken: ProcessPoolExecutor) -> None:
+        with self._lock:
+            if self._pool is broken and not self._closed:
+                broken.shutdown(wait=False, cancel_futures=True)
+                self._pool = self._new_pool()
+                self.replaced += 1
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the worker processes."""
+        with self._lock:
+            self._closed = True
+        self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+    def terminate(self) -> None:
+        """End the worker processes at once, whatever they are doing; who waits for their work gets BrokenProcessPool."""
+        with self._lock:
+            self._closed = True
+        workers = list((self._pool._processes or {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
+            worker.terminate()
+
+
+@cache
+def _begin_server() -> threading.Event:
+    """Start the server of workers, once; set when it can make them. Nothing waits for it at the end of this process."""
+    ready = threading.Event()
+
+    def begin() -> None:
+        try:
+            first = _SERVER.Process(target=_nothing, daemon=True)
+            first.start()  # returns when the server has loaded all
+            first.join()
+        finally:
+            ready.set()
+
+    _SERVER.set_forkserver_preload(["residuum.service.work.worker_preload"])
+    threading.Thread(target=begin, name="server of workers", daemon=True).start()
+    return ready
+
+
+def _nothing() -> None:
+    """The first worker's work."""
+
+
+def _begin_worker() -> None:
+    """Ctrl-C is for the service; without the service there is nothing to do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_service, name="end with the service", daemon=True).start()
+
+
+def _end_with_the_service() -> None:
+    """End this worker when the process that it works for has ended, however it did (a kill tells nobody).
+
+    A worker waits for work at a pipe whose writing end it holds itself, so the pipe never says that nobody is left; and the
+    server of workers stays as long as one of them does.
+    """
+    if (service := multiprocessing.parent_process()) is not None:
+        service.join()
+        os._exit(1)

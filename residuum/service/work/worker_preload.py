@@ -1,0 +1,13 @@
+"""What worker processes have loaded before they are made: the fork server imports this once, each worker is a copy of it.
+
+One thread a worker, set before NumPy is loaded, because the workers share the cores; a library that starts threads when it is
+loaded must not come in here, since they are not copied.
+"""
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import residuum.service.machines.scoring  # noqa: E402
+import residuum.service.work.fleet_work  # noqa: E402, F401
