@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.coarse_reading import reading_variances
+from residuum.identification.discrepancy.deadline import in_time
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.whitened_least_squares import SCORING, NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
@@ -117,6 +118,7 @@ class Ascent:
         """
         damping, refused, stretch, last, on = 1e-4, False, 1.0, np.zeros(len(self.names)), 0
         for _ in range(iterations):
+            in_time()
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             promised = equations.decrement()
             if here.log_likelihood + _OPTIMISM * promised + CLOSE < rival or (stretch == 1.0 and promised < 0.5 * _DONE):

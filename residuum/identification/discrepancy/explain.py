@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.growth import Search
+from residuum.identification.discrepancy.held_out_blocks import Remaining, remaining_on
 from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
-from residuum.identification.discrepancy.judgement import Candidate, is_incomplete, judge
+from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.judgement import Candidate, Judgement, at_the_noise, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.search import Tell, untold
+from residuum.identification.discrepancy.share import ShareSearch, search_by_share
+from residuum.identification.discrepancy.share_judgement import as_search, does_better, judged, with_shares
 from residuum.identification.discrepancy.structures import times_each_its_innovations
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
-from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, match
 from residuum.identification.record import Record
 
 _MOST_HELD = 2
@@ -47,6 +52,10 @@ class Explanation:
         How many times shorter than usual the windows of `experiments` are.
     held : tuple of HeldValue
         Parameters that the model holds fixed and that were freed, for another value does more than any effect.
+    by_share : bool
+        Whether the effects were named by what they take away on blocks kept aside, for no structure of the catalogue is exact.
+    remaining : Remaining or None
+        What the model with the accepted effects leaves on those blocks; None where the records are too short for any.
     """
 
     verdict: str
@@ -61,6 +70,8 @@ class Explanation:
     experiments: list[Experiment]
     finer: int
     held: tuple[HeldValue, ...]
+    by_share: bool
+    remaining: Remaining | None
     seconds: float
 
     @property
@@ -80,6 +91,7 @@ def explain(
     mapping: Mapping[str, str] | None = None,
     *,
     effects: Iterable[str] | None = None,
+    seconds: float | None = None,
     tell: Tell = untold,
 ) -> Explanation:
     """Name the physical effect that is missing in a model.
@@ -93,6 +105,8 @@ def explain(
     mapping : mapping of model name to column
     effects : iterable of effect id
         Consider only these (default: all that fit the model).
+    seconds : float, optional
+        Time after which the search for an exact structure is left; what explains most on blocks kept aside stands then.
     tell : callable
         Told how far the work is.
 
@@ -110,15 +124,32 @@ def explain(
     """
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
-    doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
-    while len(doubted) < _MOST_HELD and (names := wrongly_held(found, experiments)):
-        doubted.append(names)
-        again = freed(model, [names[0] for names in doubted])
-        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
+    tell(0.0, "what takes away most on blocks kept aside")
+    shares = search_by_share(model, match(model, records, mapping)[1], wanted)
+    spent = time.perf_counter() - began
+    searched_ = None
+    try:
+        with within(None if seconds is None else seconds - spent):
+            searched_ = _exact(model, records, mapping, wanted, tell)
+    except OutOfTime:
+        tell(0.7, "out of time for an exact structure")
+    doubted = searched_.doubted if searched_ is not None else []
+    by_share = searched_ is None or _is_inexact(searched_.found, shares)
+    if searched_ is None or by_share:
+        experiments, base = experiments_and_base(model, records, mapping)
+        finer, doubted = 1, []
+        count = len(candidates(model, wanted))
+        found = Search(base, base, count) if shares is None else as_search(shares, base, experiments, count)
+    else:
+        found, experiments, finer = searched_.found, searched_.experiments, searched_.finer
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
-    judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
+    if by_share:
+        judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0) if shares is None else judged(shares, found)
+    else:
+        judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
+        if shares is not None:
+            judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, shares.blocks))
     tell(0.85, "what could not have been seen, and the next experiment")
     return Explanation(
         verdict=judgement.verdict,
@@ -133,5 +164,34 @@ def explain(
         experiments=experiments,
         finer=finer,
         held=held_values(model, doubted, found.best),
+        by_share=by_share,
+        remaining=None if shares is None else remaining_on(found.best.model, shares.blocks),
         seconds=time.perf_counter() - began,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Exact:
+    """What the search for an exact structure found, the experiments, how fine they are cut, and fixed values that are doubted."""
+
+    found: Search
+    experiments: list[Experiment]
+    finer: int
+    doubted: list[list[str]]
+
+
+def _exact(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None, tell: Tell
+) -> _Exact:
+    doubted: list[list[str]] = []
+    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
+    while len(doubted) < _MOST_HELD and (names := wrongly_held(found, experiments)):
+        doubted.append(names)
+        again = freed(model, [names[0] for names in doubted])
+        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
+    return _Exact(found, experiments, finer, doubted)
+
+
+def _is_inexact(found: Search, shares: ShareSearch | None) -> bool:
+    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there."""
+    return shares is not None and bool(shares.accepted) and not at_the_noise(found.best) and does_better(shares, found.best.model)

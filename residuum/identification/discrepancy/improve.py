@@ -93,6 +93,7 @@ def improve(
     *,
     add: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
+    seconds: float | None = None,
     tell: Tell = untold,
 ) -> Improvement:
     """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after the other.
@@ -109,11 +110,11 @@ def improve(
     NotIdentifiable
         The model diverges on a record.
     """
-    found = _improved(model, records, split(records), mapping, add, effects, tell)
+    found = _improved(model, records, split(records), mapping, add, effects, tell, seconds)
     if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
     again = split(records, end=False)
-    other = _improved(model, records, again, mapping, add, effects, lambda share, doing: tell(0.8 + 0.2 * share, doing))
+    other = _improved(model, records, again, mapping, add, effects, lambda share, doing: tell(0.8 + 0.2 * share, doing), seconds)
     return found.improvement if other.strange else other.improvement
 
 
@@ -125,6 +126,7 @@ def _improved(
     add: Sequence[str] | None,
     effects: Sequence[str] | None,
     tell: Tell,
+    seconds: float | None,
 ) -> _Attempt:
     chosen = [] if add is None else [_resolved(model, id) for id in add]
     tell(0.0, "estimating the model as it is")
@@ -132,7 +134,12 @@ def _improved(
     explanation = None
     if add is None:
         explanation = explain(
-            model, parts.training, mapping, effects=effects, tell=lambda share, doing: tell(0.1 + 0.5 * share, doing)
+            model,
+            parts.training,
+            mapping,
+            effects=effects,
+            seconds=seconds,
+            tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
         )
         if explanation.finer > 1 or np.any(explanation.experiments[0].hold != experiments[0].hold):
             experiments = explanation.experiments
@@ -221,6 +228,8 @@ def _joined(
         found, highest = explanation.search, history[-1].error * (_TIMING if key in explanation.search.timing else _RISE)
         for each in found.alike(key):
             better = added(kept, experiments, each, found.values_of(each))
+            if better is not None and explanation.by_share:  # no structure is exact: the likelihood of samples is no judge
+                better = _least_simulation_error(better, experiments) or better
             error = judge.error(better) if better is not None else np.inf
             if better is not None and error <= highest:
                 kept = better

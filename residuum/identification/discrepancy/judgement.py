@@ -59,7 +59,7 @@ class Candidate:
 
     `step` counts the effects that were accepted before it; `evidence` is its log odds against "nothing more is missing";
     the errors are RMS simulation errors of `output` before and after it was added, on data that were not used for the
-    estimation where `held_out` says so.
+    estimation where `held_out` says so; `share` is the part of the error's power that it takes away on blocks kept aside.
     """
 
     effect: str
@@ -75,6 +75,7 @@ class Candidate:
     evidence: float
     step: int = 0
     held_out: bool = False
+    share: Quantity | None = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,11 @@ def _recorded(found: Search) -> bool:
 def leaves_much(structure: Structure) -> bool:
     """Whether an error stands so far above the noise of its fast part as none does with the right effects in the model."""
     return _times_left(structure) > _MUCH
+
+
+def at_the_noise(structure: Structure) -> bool:
+    """Whether no more is left of any output than the right effects leave."""
+    return not leaves_much(structure)
 
 
 def _times_left(structure: Structure) -> float:

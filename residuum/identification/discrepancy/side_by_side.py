@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
+
+from residuum.identification.discrepancy.deadline import in_time
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -15,14 +18,20 @@ _THREADS = min(4, os.cpu_count() or 1)
 def beside(function: Callable[[], R]) -> Callable[[], R]:
     """Begin a piece of work beside what follows; what is returned waits for it, and gives its result or raises its error."""
     pool = ThreadPoolExecutor(1)
-    work = pool.submit(function)
+    work = pool.submit(copy_context().run, function)
     pool.shutdown(wait=False)
     return work.result
 
 
 def side_by_side(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """`function` of each item, in order."""
+    """`function` of each item, in order; raises `OutOfTime` before the next item once a search's time is over."""
+
+    def timed(item: T) -> R:
+        in_time()
+        return function(item)
+
     if len(items) < 2:
-        return [function(item) for item in items]
+        return [timed(item) for item in items]
     with ThreadPoolExecutor(min(_THREADS, len(items))) as pool:
-        return list(pool.map(function, items))
+        contexts = [copy_context() for _ in items]
+        return list(pool.map(lambda context, item: context.run(timed, item), contexts, items))

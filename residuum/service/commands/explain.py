@@ -1,6 +1,7 @@
 """`residuum explain`: which physical effect is missing in a model?"""
 
 from dataclasses import asdict
+from math import isfinite
 from typing import Annotated, Any
 
 import typer
@@ -8,7 +9,9 @@ import typer
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.held_out_blocks import Remaining
 from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.discrepancy.trials import SLOW
 from residuum.identification.physics import load_model
@@ -19,6 +22,10 @@ from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
+
+Seconds = Annotated[
+    float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)
+]
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
@@ -35,6 +42,7 @@ def explain_command(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
+    seconds: Seconds = 15.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -46,7 +54,9 @@ def explain_command(
     mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = load_model(model)
     keep_large_arrays()
-    explanation = explain(given, loaded, mapping, effects=wanted, tell=lambda share, doing: progress(doing, 0.9 * share))
+    explanation = explain(
+        given, loaded, mapping, effects=wanted, seconds=seconds, tell=lambda share, doing: progress(doing, 0.9 * share)
+    )
     progress("comparing", 0.9)
     comparison = compare(given, loaded, mapping)
     result = comparison_json(model, [str(file) for file in records], comparison) | explanation_json(explanation)
@@ -75,6 +85,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "held_values": [asdict(held) for held in explanation.held],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
         "drifting": explanation.search.drifting,
+        "by_share": explanation.by_share,
+        "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
         "seconds": explanation.seconds,
     }
 
@@ -106,6 +118,18 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "output": candidate.output,
         "held_out": candidate.held_out,
         "within_bounds": candidate.within_bounds,
+        "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
+        "because": because(candidate),
+    }
+
+
+def remaining_json(remaining: Remaining) -> dict[str, Any]:
+    """What is left on blocks kept aside."""
+    begin, end = remaining.where
+    return {
+        "share": remaining.share,
+        "times_noise": remaining.times_noise if isfinite(remaining.times_noise) else None,
+        "where": {"axis": "time", "from": begin, "to": end, "unit": "s"},
     }
 
 

@@ -8,6 +8,7 @@ import typer
 from residuum.identification.discrepancy.improve import Improvement, improve, quantities_of
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, load_model, write_model
+from residuum.service.commands.explain import Seconds, remaining_json
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
@@ -27,6 +28,7 @@ def improve_command(
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add what explain finds until the model is adequate.")] = False,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="With --auto: consider only these effects.")] = None,
+    seconds: Seconds = 30.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -49,9 +51,11 @@ def improve_command(
         pairs("--map", channel_map),
         add=wanted,
         effects=considered,
+        seconds=seconds,
         tell=lambda share, doing: progress(doing, share),
     )
     out.write_text(write_model(improvement.model), encoding="utf-8")
+    remaining = None if improvement.explanation is None else improvement.explanation.remaining
     result = {
         "history": [
             {"added": step.added, "error": step.error} | ({"together": True} if step.together else {})
@@ -63,6 +67,7 @@ def improve_command(
         "error_unit": improvement.error_unit,
         "held_out": True,
         "kept_aside": improvement.aside,
+        "remaining": None if remaining is None else remaining_json(remaining),
         "model_file": str(out),
     }
     report(result, improvement_text(improvement, out), as_json=as_json)
