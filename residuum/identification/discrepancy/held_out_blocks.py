@@ -69,6 +69,10 @@ class Errors:
         count = self.count.sum(axis=0)
         return np.sqrt(np.divide(self.power.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
 
+    def stands_out(self, noise: FloatArray, times: float) -> bool:
+        """Whether an output's error is so many times its measurement noise."""
+        return bool(np.any(self.rms > times * noise))
+
     def relative(self, base: Errors) -> FloatArray:
         """Power of each block, outputs in units of the base's mean power, in sum one for the base itself; shape (blocks,)."""
         total = base.power.sum(axis=0)
@@ -98,8 +102,9 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
         if len(parts) < 6:
             break
         blocks = Blocks(model, parts[::2], parts[1::2], along, noise)
-        errors = errors_on(model, blocks)
-        if errors is None or np.any(errors.rms > _SHOWN * noise) or samples == _LONGEST:
+        trained = fitted(model, blocks)
+        errors = None if trained is None else errors_on(trained[0], blocks)
+        if errors is None or errors.stands_out(noise, _SHOWN) or samples == _LONGEST:
             break
     return blocks
 

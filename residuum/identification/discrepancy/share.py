@@ -24,6 +24,7 @@ from scipy import stats
 
 from residuum.identification.discrepancy.deadline import in_time
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, errors_on, fitted
+from residuum.identification.discrepancy.noise_floor import PLAINLY
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.track import regressed
 from residuum.identification.errors import BadInput
@@ -35,10 +36,14 @@ Key = tuple[str, str]
 
 LEVEL = 0.01
 """Probability that chance alone makes an effect real, all candidates counted (Bonferroni)."""
+PLAIN_LEVEL = 0.05
+"""The same of one candidate where the error stands so far above the noise that something is missing for certain."""
 LEAST = 0.05
 """Share of what is left that an effect has to take away to be worth its name."""
 ALIKE = 2.0
 """Standard errors within which two candidates cannot be told apart."""
+_MUCH = 0.5
+"""Part of the leading one's share that another has to take away to stand for it."""
 _TRIFLE = 0.01
 """Part of the mean power of a block that is too small to matter, of noise or of anything."""
 _STEPS = 4
@@ -149,8 +154,11 @@ def _step(
     judged.sort(key=lambda s: -s.share)
     if not judged:
         return ShareStep(base, before, (), (), {}, None)
-    alike = [s for s in judged if _behind(s, judged[0], before) < ALIKE and s.share > LEAST]
-    real = [s for s in alike if s.p_value * len(keys) < LEVEL]
+    worth = max(LEAST, _MUCH * judged[0].share)
+    alike = [s for s in judged if s.share > worth and _behind(s, judged[0], before) < ALIKE]
+    certain = not taken and before.stands_out(blocks.noise, PLAINLY)
+    level = PLAIN_LEVEL if certain else LEVEL / len(keys)
+    real = [s for s in alike if s.p_value < level]
     leading = min(real, key=lambda s: (s.simplicity, -round(s.share, 2)), default=None)
     ordered = sorted(judged, key=lambda s: (s is not leading, s not in alike))
     group = tuple(s.key for s in ordered if s in alike) if leading is not None else ()
@@ -181,7 +189,7 @@ def _starts(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence
     longest = int(np.argmax([e.n for e in experiments]))
     begin = sum(e.n for e in experiments[:longest])
     X = blocks.track.X[begin : begin + experiments[longest].n]
-    conditions = conditions_at(base, EFFECTS[id], target, experiments[longest], X[:, : len(base.states)])
+    conditions = conditions_at(base, EFFECTS[id], target, experiments[longest], X)
     models = []
     for start in list(EFFECTS[id].starts(conditions))[:_STARTS]:
         try:

@@ -23,9 +23,7 @@ from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
-Seconds = Annotated[
-    float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)
-]
+Seconds = Annotated[float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)]
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
