@@ -193,5 +193,10 @@ def _exact(
 
 
 def _is_inexact(found: Search, shares: ShareSearch | None) -> bool:
-    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there."""
-    return shares is not None and bool(shares.accepted) and not at_the_noise(found.best) and does_better(shares, found.best.model)
+    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there.
+
+    What drifts has a mean in every neighbouring block, and an effect would stand for it: then nothing is named.
+    """
+    if shares is None or not shares.accepted or found.drifting or at_the_noise(found.best):
+        return False
+    return does_better(shares, found.best.model)

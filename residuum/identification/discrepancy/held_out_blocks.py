@@ -94,7 +94,7 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
     }
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
     along = Track(replace(experiments[0], U=U, Y=Y, known={}), np.concatenate([s.X for s in found]), lacks)
-    noise, total = noise_floor(Y), sum(e.n for e in experiments)
+    noise, total = np.nan_to_num(noise_floor(Y)), sum(e.n for e in experiments)
     blocks = None
     for count in _BLOCKS:
         samples = int(np.clip(total // count, _SHORTEST, _LONGEST))
@@ -117,6 +117,10 @@ def _stretches(states: Sequence[str], experiments: Sequence[Experiment], X: Sequ
             if 2 * part.n > n:
                 parts.append(replace(part, known=dict(zip(states, along[row].tolist(), strict=False)), block=1))
     return parts
+
+
+def _measured(parts: Sequence[Experiment]) -> FloatArray:
+    return np.concatenate([part.Y for part in parts])
 
 
 def errors_on(model: PhysicalModel, blocks: Blocks) -> Errors | None:
@@ -148,8 +152,8 @@ def fitted(model: PhysicalModel, blocks: Blocks, *, look: bool = False) -> tuple
         found = estimate(model, blocks.train, settings=settings)
     except (NotIdentifiable, BadInput, NotImplementedError):
         return None
-    residuals = np.concatenate(found.residuals)
-    spread = np.nanstd(np.concatenate([part.Y for part in blocks.train]), axis=0)
+    residuals: FloatArray = np.concatenate(found.residuals)
+    spread = np.array([np.std(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in _measured(blocks.train).T])
     weights = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
     return found.model, float(np.nansum((residuals * weights) ** 2))
 
