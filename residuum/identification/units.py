@@ -5,6 +5,8 @@ The registry is pint's, with three changes that suit recorded signals: `g` is st
 (nobody records grams), `%` is a dimensionless hundredth, and `count` is dimensionless.
 """
 
+import re
+import threading
 from functools import lru_cache
 from typing import Any
 
@@ -34,13 +36,23 @@ _SPELLINGS = {
     "count": "dimensionless",
 }
 _LONGEST = 80
+_OWN = re.compile(r"[A-Za-z_][A-Za-z_]*")
+"""A unit that nobody knows: letters alone."""
+_MISREAD = re.compile(r"\b(pu|digits?)\b")
+"""Units of their own that the registry would read as a prefix and a unit (`pu`: pico-dalton)."""
+_MOST_OWN = 1000
+_own: set[str] = set()
+_lock = threading.Lock()
 
 
 @lru_cache(maxsize=1024)
 def parse_unit(text: str) -> pint.Unit:
-    """Return the unit that `text` names.
+    """Return the unit that `text` names; a word that nobody knows (`ticks`) is a unit of its own dimension.
 
-    Raises BadUnit when the text names none, or one whose size in base units is no number; the message repeats the text.
+    Raises BadUnit when the text is no unit, or one whose size in base units is no number; the message repeats the text.
+
+    >>> compatible("ticks/s", "ticks/min"), compatible("ticks", "rad")
+    (True, False)
 
     >>> str(parse_unit("N·m/A").dimensionality) == str(parse_unit("V*s/rad").dimensionality)
     True
@@ -49,7 +61,9 @@ def parse_unit(text: str) -> pint.Unit:
     if len(spelled) > _LONGEST:
         raise BadUnit(f"unit {spelled[:20]!r}…: longer than {_LONGEST} characters")
     spelled = _SPELLINGS.get(spelled, spelled).replace("·", "*").replace("Ω", "ohm").replace("°C", "delta_degC")
-    spelled = spelled.replace("²", "**2").replace("³", "**3").replace("^", "**")
+    spelled = _MISREAD.sub(r"own_\1", spelled).replace("²", "**2").replace("³", "**3").replace("^", "**")
+    for word in _OWN.findall(spelled):
+        _define_unknown(word)
     try:
         unit = _REGISTRY.Unit(spelled)
         factor: Any = _REGISTRY.get_base_units(unit)[0]
@@ -58,6 +72,17 @@ def parse_unit(text: str) -> pint.Unit:
         return unit
     except Exception as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
         raise BadUnit(f"unit {text!r}: not a known unit") from error
+
+
+def _define_unknown(word: str) -> None:
+    """Enter a word into the registry as a unit of its own dimension, where it is none yet."""
+    with _lock:
+        if word in _REGISTRY:
+            return
+        if len(_own) >= _MOST_OWN:
+            raise BadUnit(f"unit {word!r}: nobody knows it, and {_MOST_OWN} units of their own are in use already")
+        _REGISTRY.define(f"{word} = [{word}]")
+        _own.add(word)
 
 
 def compatible(first: str, second: str) -> bool:

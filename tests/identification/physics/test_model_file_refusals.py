@@ -52,7 +52,7 @@ def test_contract_examples_are_read_and_written(text):
         (AXIS, "drive: force", "drive: __import__(force)", r"column 64: function '__import__' is not known"),
         (AXIS, "drive: force", "drive: force.real", r"column 69: character '\.' is not allowed"),
         (AXIS, "unit: kg", "unit: parsec", r"unit clash"),
-        (AXIS, "unit: kg", "unit: wibble", r"line 4, column \d+: unit 'wibble': not a known unit"),
+        (AXIS, "unit: kg", "unit: wibble", r"line 6, column \d+: unit clash: term 'drive'"),
         (AXIS, "id: coulomb-friction", "id: stickiness", r"line 9, column 5: effect 'stickiness' is not in the catalogue"),
         (AXIS, "balance: axis", "balance: motor", r"line 9, column 5: .*'motor' is no balance"),
         (AXIS, "value: 20.4", "value: -1", r"line 9, column 5: .*within 0 to inf"),

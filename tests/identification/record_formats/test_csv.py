@@ -58,9 +58,17 @@ def test_bad_files_are_refused_with_their_place(text, rule):
         parse(text)
 
 
-def test_unknown_unit_is_refused():
+def test_what_is_no_unit_is_refused():
     with pytest.raises(BadUnit, match="not a known unit"):
-        parse("time [s],a [florps]\n0,1\n1,2\n")
+        parse("time [s],a [m//s(]\n0,1\n1,2\n")
+
+
+def test_a_unit_that_nobody_knows_is_one_of_its_own():
+    record = parse("time [s],a [ticks/s]\n0,1\n1,2\n")
+    assert record.units["a"] == "ticks/s"
+    np.testing.assert_allclose(record.in_unit("a", "ticks/min"), [60.0, 120.0])
+    with pytest.raises(BadUnit, match="cannot be converted"):
+        record.in_unit("a", "rad/s")
 
 
 def test_uneven_time_is_accepted_on_request():

@@ -283,6 +283,8 @@ class _Problem:
         return weights
 
     def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
+        if not self.slopes:
+            return point, 0, True
         damping, refused = 1e-3, False
         for iteration in range(self.settings.iterations):
             rival = self.settings.rival
@@ -373,13 +375,15 @@ class _Problem:
         there[:, ~self.measured] = False
         r = np.where(there, errors, 0.0) * self.weights
         J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
+        if not self.slopes:  # nothing is estimated: a model without states and free parameters
+            J = np.zeros((*r.shape, 0))
         if J is not None and not there.all():
             J[~there] = 0.0
         found: list[tuple[Array, Array | None]] = []
         for a, b in pairwise(starts.tolist()):
             kept = there[a:b]
-            rows = self._filtered(r[a:b], kept), None if J is None else self._filtered(J[a:b], kept)
-            found.append((rows[0].ravel(), None if rows[1] is None else rows[1].reshape(rows[0].size, -1)))
+            errors = self._filtered(r[a:b], kept).ravel()
+            found.append((errors, None if J is None else self._filtered(J[a:b], kept).reshape(errors.size, J.shape[-1])))
         return found
 
     def _filtered(self, signals: Array, there: npt.NDArray[np.bool_]) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -216,32 +216,38 @@ def _with_units(model: PhysicalModel) -> PhysicalModel:
     declared = [*model.inputs, *model.states, *model.parameters]
     names = {name: dimension_of_unit(model.unit_of(name)) for name in declared}
     names |= {v: dimension_of_unit(model.unit_of(v)) for b in model.balances.values() if (v := b.defines) and v not in names}
-    balances = {name: _with_unit(balance, names) for name, balance in model.balances.items()}
+    units = list(dict.fromkeys(u for name in declared if (u := model.unit_of(name)) not in ("", "1", "%", "percent")))
+    plain = {name for name, parameter in model.parameters.items() if parameter.unit in ("", "1")}
+    balances = {name: _with_unit(balance, names, units, plain) for name, balance in model.balances.items()}
     for output in model.outputs.values():
         _check_output(output, names)
     return replace(model, balances=MappingProxyType(balances))
 
 
-def _with_unit(balance: Balance, names: Mapping[str, Dimension]) -> Balance:
-    standard = dimension_of_unit(balance.unit)
+def _with_unit(balance: Balance, names: Mapping[str, Dimension], units: Iterable[str], plain: set[str]) -> Balance:
+    """The balance with the unit of its terms: its kind's own, a usual multiple, or any other (a level in volts, a textbook's
+    normalised motor).
+
+    Terms have to agree with the storage. A term with a parameter that is a `plain` number is taken to be in the balance's unit:
+    so normalised models are written, whose coefficients hide the units.
+    """
     scale: Dimension | None = None
     sides = [("storage", balance.storage), *((f"term {name!r}", term) for name, term in balance.terms.items())]
     for what, expression in sides:
         dimension = dimension_of(expression.tree, names)
         if dimension.literal:
             continue
-        wanted = scale or (dimension if balance.kind == "signal" else replace(standard, scale=dimension.scale))
-        if not dimension.agrees(wanted):
+        if scale is not None and not dimension.agrees(scale) and not plain & set(expression.names):
             raise expression.place.refuse(
-                f"unit clash: {what} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {wanted}"
+                f"unit clash: {what} of {balance.kind} balance {balance.name!r} is in {dimension}; the balance is in {scale}"
             )
-        scale = wanted
-    if scale is None or scale.agrees(standard) or balance.kind == "signal":
+        scale = scale or dimension
+    if scale is None or balance.kind == "signal":
         return balance
-    for unit in _OTHER_UNITS[balance.kind]:
-        if scale.agrees(dimension_of_unit(unit)):
-            return replace(balance, unit=unit)
-    raise balance.storage.place.refuse(f"unit clash: {balance.kind} balance {balance.name!r} is in {scale}; use {balance.unit}")
+    usual = (balance.unit, *_OTHER_UNITS[balance.kind])
+    rates = [f"{unit}/{time}" for unit in units for time in ("s", "min", "hour")]
+    spelled = next((unit for unit in (*usual, *units, *rates) if scale.agrees(dimension_of_unit(unit))), str(scale))
+    return replace(balance, unit=spelled)
 
 
 def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
