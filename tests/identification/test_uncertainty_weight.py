@@ -1,8 +1,11 @@
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, BadModel
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import (
     chernoff_samples,
     design_uncertainty_weight,
@@ -10,6 +13,7 @@ from residuum.identification.linear_models.uncertainty import (
     worst_case_accuracy,
     worst_case_samples,
 )
+from residuum.identification.record import Record
 
 OMEGA = np.geomspace(1e-2, np.pi, 40)
 
@@ -78,3 +82,21 @@ def test_a_zero_of_the_nominal_model_is_named():
 def test_impossible_levels_are_refused(accuracy, confidence):
     with pytest.raises(BadInput, match="between 0 and 1"):
         worst_case_samples(accuracy, confidence)
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_the_weight_holds_at_frequencies_that_the_fit_never_saw(seed):
+    """System (2.38): resonances, and near zeros of the identified response, lie between the points of any fixed grid."""
+    sample_time, rng = 0.01, np.random.default_rng(seed)
+    truth = TransferFunction([0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642], sample_time)
+    u = rng.normal(size=6000)
+    y = lfilter(np.r_[np.zeros(3), truth.num], truth.den, u)
+    y += np.std(y) / 5.0 * rng.normal(size=len(y))
+    record = Record({"u": u[1000:], "y": y[1000:]}, {"u": "", "y": ""}, sample_time)
+    identified = identify_impulse_response(record, "u", "y", order=100, offset=False)
+    weight = design_uncertainty_weight(identified, order=2, seed=seed).weight
+    omega = np.linspace(1e-3, np.pi / sample_time, 20_001)
+    nominal, bound = identified.frequency_response(omega), np.abs(weight.frequency_response(omega))
+    drawn = np.abs(identified.sample_frequency_responses(100, omega, seed=99) / nominal - 1)
+    assert np.mean(np.any(drawn > bound, axis=1)) <= 0.05
+    assert np.all(np.abs(truth.frequency_response(omega) / nominal - 1) <= bound)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput, BadModel
+from residuum.identification.linear_models.error_grid import TOLERANCE, refined_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -29,6 +30,9 @@ _ERRORS: dict[str, Callable[[ComplexArray, ComplexArray], ComplexArray]] = {
     "inverse-multiplicative": lambda sampled, nominal: 1 - nominal / sampled,
 }
 _MODELS_AT_ONCE = 1000
+_LAGS_A_POLE = 20
+"""A pole turns as sharply as so many lags."""
+_CHECK_SEED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,8 @@ def design_uncertainty_weight(
     model : IdentifiedModel
         Nominal model Ĝ₀ and the distribution that random models are drawn from.
     omega : array or None
-        Frequencies [rad/s], increasing, up to π/Ts; None: 600, log-spaced over five and a half decades below π/Ts.
+        Frequencies [rad/s], increasing, up to π/Ts; None: over five and a half decades below π/Ts, so close that the envelope
+        hides nothing between them (`refined_grid`), and the weight is checked and raised between them.
     accuracy, confidence : float
         ε and 1 − ζ of the sample-size rule.
     rule : {"chernoff", "worst-case"}
@@ -142,11 +147,34 @@ def design_uncertainty_weight(
             f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form {form!r} one of {list(_ERRORS)}"
         )
     n_samples = SAMPLE_SIZE_RULES[rule](accuracy, confidence)
-    nyquist = math.pi / model.sample_time
-    frequencies = np.geomspace(nyquist / 10**5.5, nyquist, 600) if omega is None else np.asarray(omega, dtype=float)
-    magnitude = error_envelope(model, frequencies, n_samples, form=form, seed=seed)
+
+    def envelope(frequencies: FloatArray) -> FloatArray:
+        return error_envelope(model, frequencies, n_samples, form=form, seed=seed)
+
+    if omega is None:
+        frequencies, magnitude = refined_grid(envelope, model.frequency_response, _lags(model), model.sample_time)
+    else:
+        frequencies = np.asarray(omega, dtype=float)
+        magnitude = envelope(frequencies)
     weight = fit_magnitude(frequencies, magnitude, order=order, bound="above", sample_time=model.sample_time)
+    if omega is None:
+        weight = _raised(weight, frequencies, envelope)
     return UncertaintyWeight(weight, frequencies, magnitude, form, n_samples, _promise(rule, accuracy, confidence, n_samples))
+
+
+def _lags(model: IdentifiedModel) -> int:
+    """The highest power of z in the model's responses."""
+    if model.is_parametric:
+        transfer = model.transfer_function()
+        return max(len(transfer.num), len(transfer.den)) * _LAGS_A_POLE
+    return model.order + model.delay
+
+
+def _raised(weight: TransferFunction, omega: FloatArray, envelope: Callable[[FloatArray], FloatArray]) -> TransferFunction:
+    """The weight times what the envelope still exceeds it by, at frequencies that the fit never saw."""
+    between = omega[:-1] * (omega[1:] / omega[:-1]) ** np.random.default_rng(_CHECK_SEED).uniform(size=len(omega) - 1)
+    excess = float(np.max(envelope(between) / np.abs(weight.frequency_response(between))))
+    return weight if excess <= 1.0 else replace(weight, num=weight.num * excess * (1.0 + TOLERANCE))
 
 
 def error_envelope(
