@@ -1,6 +1,6 @@
 FROM python:3.12-slim AS build
 WORKDIR /src
-COPY pyproject.toml README.md ./
+COPY pyproject.toml README.md LICENSE ./
 COPY residuum ./residuum
 RUN python -m venv /opt/residuum && /opt/residuum/bin/pip install --no-cache-dir ".[postgres,mqtt,oidc]"
 
