@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
@@ -110,6 +111,10 @@ def explain(
     tell : callable
         Told how far the work is.
 
+    Returns
+    -------
+    The answer; its verdict is `adequate` only where `compare` finds no structure in what the re-estimated model leaves.
+
     Raises
     ------
     BadRecord, BadUnit, BadModel
@@ -150,6 +155,8 @@ def explain(
         judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
         if shares is not None:
             judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, shares.blocks))
+    if judgement.verdict == "adequate" and compare(found.best.model, records, mapping).present:
+        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
     tell(0.85, "what could not have been seen, and the next experiment")
     return Explanation(
         verdict=judgement.verdict,

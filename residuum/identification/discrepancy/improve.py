@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
+from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.held_values import freed
 from residuum.identification.discrepancy.input_timing import experiments_and_base
-from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
+from residuum.identification.discrepancy.judgement import Candidate, Quantity
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Tell, untold
@@ -93,6 +94,7 @@ def improve(
     *,
     add: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
+    free: Sequence[str] = (),
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Improvement:
@@ -101,21 +103,32 @@ def improve(
     Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
     simulation error on the rest does not rise. Where the end of a record refuses an effect, or its error stands far above
     the rest's, the beginning is kept aside instead: the end may show what the rest never did. The returned model is
-    re-estimated on everything.
+    re-estimated on everything. Values that the model fixes stay, but for those named in `free`. The verdict is that of `compare`
+    on the returned model: `adequate` where its error is not structured.
 
     Raises
     ------
     BadModel
-        An effect that is not in the catalogue, does not fit the model, or fits several places and names none.
+        An effect that is not in the catalogue, does not fit the model, or fits several places and names none; a name in `free`
+        that is no fixed parameter.
     NotIdentifiable
         The model diverges on a record.
     """
-    found = _improved(model, records, split(records), mapping, add, effects, tell, seconds)
+    _check_fixed(model, free)
+    found = _improved(model, records, split(records), mapping, add, effects, free, tell, seconds)
     if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
     again = split(records, end=False)
-    other = _improved(model, records, again, mapping, add, effects, lambda share, doing: tell(0.8 + 0.2 * share, doing), seconds)
+    later: Tell = lambda share, doing: tell(0.8 + 0.2 * share, doing)  # noqa: E731
+    other = _improved(model, records, again, mapping, add, effects, free, later, seconds)
     return found.improvement if other.strange else other.improvement
+
+
+def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
+    fixed = [name for name, p in model.parameters.items() if p.fixed]
+    if unknown := [name for name in names if name not in fixed]:
+        there = ", ".join(fixed) or "none"
+        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; there are {there}")
 
 
 def _improved(
@@ -125,12 +138,14 @@ def _improved(
     mapping: Mapping[str, str] | None,
     add: Sequence[str] | None,
     effects: Sequence[str] | None,
+    free: Sequence[str],
     tell: Tell,
     seconds: float | None,
 ) -> _Attempt:
     chosen = [] if add is None else [_resolved(model, id) for id in add]
     tell(0.0, "estimating the model as it is")
     experiments, base = experiments_and_base(model, parts.training, mapping)
+    as_it_was, model = base, freed(model, free)
     explanation = None
     if add is None:
         explanation = explain(
@@ -146,15 +161,15 @@ def _improved(
             base = fit_structure(base.model, experiments, base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
         if turned := at_turned_timing(explanation.search, experiments):
-            experiments, base = turned
+            experiments = turned[0]
+            base = fit_structure(base.model, experiments, base.initial) or base
             chosen = list(explanation.search.accepted)
     finer = 1 if explanation is None else explanation.finer
     judge = _HeldOut(parts, experiments, base, mapping, finer)
-    history = [Step(None, judge.error(base))]
-    if explanation is not None and explanation.held:
-        names = [held.name for held in explanation.held]
-        base = fit_structure(freed(base.model, names), experiments, base.initial) or base
-        history += [Step(f"{name} freed", judge.error(base)) for name in names]
+    history = [Step(None, judge.error(as_it_was))]
+    if free:
+        base = fit_structure(freed(base.model, free), experiments, base.initial) or base
+        history += [Step(f"{name} freed", judge.error(base)) for name in free]
     kept, waiting, tried = base, chosen, len(chosen) + 1
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
         tried = len(waiting)
@@ -181,7 +196,7 @@ def _improved(
         history.append(Step(f"-{use.id}", history[-1].error))
     improved = _with_provenance(final, records, history, judge)
     fell = history[-1].error < history[0].error
-    verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused, history, kept)
+    verdict = ("improved" if fell else "not-improved") if add is not None else _verdict(improved, records, mapping)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
 
 
@@ -196,7 +211,7 @@ def added(
     starts = [screened.start for screened in Screen(structure, experiments).promising(*key)]
     if seen:
         model = structure.model.with_effect(*key)
-        starts.append(model.with_values({n: v for n, v in seen.items() if n in model.all_parameters}))
+        starts.append(model.with_values({n: v for n, v in seen.items() if n in model.free}))
     fitted = [fit_structure(start, experiments, structure.initial) for start in starts]
     best = max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
     return best if best is None else in_likelier_order(best, key, experiments)
@@ -264,12 +279,9 @@ def _joined_together(
     return None, []
 
 
-def _verdict(explanation: Explanation, refused: bool, history: Sequence[Step], kept: Structure) -> str:
-    """`adequate` once everything that explain accepted is in and no more is left than the right effects leave; otherwise what
-    is left has no name.
-    """
-    astray = len(history) > 1 and leaves_much(kept)
-    return "unknown-effect" if refused or astray or explanation.verdict == "unknown-effect" else "adequate"
+def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
+    """That of `compare` on the model as it will be written: `adequate`, or what is left has no name."""
+    return "unknown-effect" if compare(improved, records, mapping).present else "adequate"
 
 
 def _resolved(model: PhysicalModel, id: str) -> tuple[str, str]:

@@ -1,5 +1,7 @@
 """`residuum improve`: add effects to a model and re-estimate it."""
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,7 +10,7 @@ import typer
 from residuum.identification.discrepancy.improve import Improvement, improve, quantities_of
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, load_model, write_model
-from residuum.service.commands.explain import Seconds, remaining_json
+from residuum.service.commands.explain import Seconds, held_text, remaining_json
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
@@ -28,6 +30,10 @@ def improve_command(
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add what explain finds until the model is adequate.")] = False,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="With --auto: consider only these effects.")] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
+    ] = None,
     seconds: Seconds = 30.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
@@ -42,7 +48,7 @@ def improve_command(
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
-    wanted = None if auto else [id.strip() for text in add or [] for id in text.split(",")]
+    wanted = None if auto else names_of(add)
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()
     improvement = improve(
@@ -51,6 +57,7 @@ def improve_command(
         pairs("--map", channel_map),
         add=wanted,
         effects=considered,
+        free=names_of(free),
         seconds=seconds,
         tell=lambda share, doing: progress(doing, share),
     )
@@ -67,10 +74,20 @@ def improve_command(
         "error_unit": improvement.error_unit,
         "held_out": True,
         "kept_aside": improvement.aside,
+        "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
         "remaining": None if remaining is None else remaining_json(remaining),
         "model_file": str(out),
     }
     report(result, improvement_text(improvement, out), as_json=as_json)
+
+
+def names_of(texts: Sequence[str] | None) -> list[str]:
+    """Names given once each or several with commas between them.
+
+    >>> names_of(["a,b", "c"])
+    ['a', 'b', 'c']
+    """
+    return [name.strip() for text in texts or [] for name in text.split(",")]
 
 
 def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
@@ -93,6 +110,7 @@ def improvement_text(improvement: Improvement, out: Path) -> str:
         for step in improvement.history
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
+    lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
     return "\n".join([*lines, f"verdict: {improvement.verdict}", f"model file (estimated on everything): {out}"])
 
 
