@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
 from residuum.identification.discrepancy.compare import compare
+from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.held_values import freed
@@ -158,11 +158,11 @@ def _improved(
         )
         if explanation.finer > 1 or np.any(explanation.experiments[0].hold != experiments[0].hold):
             experiments = explanation.experiments
-            base = fit_structure(base.model, experiments, base.initial) or base
+            base = fit_structure(base.model, experiments, explanation.search.base.initial) or base
         chosen = [*explanation.search.accepted, *explanation.search.timing]
         if turned := at_turned_timing(explanation.search, experiments):
             experiments = turned[0]
-            base = fit_structure(base.model, experiments, base.initial) or base
+            base = fit_structure(base.model, experiments, turned[1].initial) or base
             chosen = list(explanation.search.accepted)
     finer = 1 if explanation is None else explanation.finer
     judge = _HeldOut(parts, experiments, base, mapping, finer)

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.compile.composition import term_name
+from residuum.identification.physics.model import find_effect, place_of
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 
 FloatArray = npt.NDArray[np.float64]
@@ -56,13 +57,13 @@ def regressed(
     Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose
     parameters may be off. None for an effect with states of its own, without sizes or with none inside its bounds.
     """
-    effect = EFFECTS[id]
+    effect = find_effect(id)
     if effect.place != "balance" or not effect.sizes or effect.states(model.site(target, effect)):
         return None
     every = slice(None, None, max(1, along.experiment.n // _MOST_ROWS))
     e = replace(along.experiment, U=along.experiment.U[every], Y=along.experiment.Y[every])
-    X, w = along.X[every], along.missing[target][every]
-    own = _own_terms(model, target, e, X)
+    X, w = along.X[every], along.missing[place_of(target)][every]
+    own = _own_terms(model, place_of(target), e, X)
     rest = _rest(own, w)
     power = float(rest @ rest)
     sizes = {n: start[n] for n in effect.sizes if start.get(n)}
@@ -95,9 +96,10 @@ def _column(
     model: PhysicalModel, id: str, target: str, start: Mapping[str, float], size: str, e: Experiment, X: FloatArray
 ) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
-    alone = {n: 0.0 if n in EFFECTS[id].sizes and n != size else value for n, value in start.items()}
+    alone = {n: 0.0 if n in find_effect(id).sizes and n != size else value for n, value in start.items()}
     try:
-        term = Simulator(model.with_effect(id, target, alone)).look(e, X)[f"{target}.{id}"]
+        used = model.with_effect(id, target, alone)
+        term = Simulator(used).look(e, X)[f"{place_of(target)}.{term_name(used.effects[-1])}"]
     except (BadInput, NotImplementedError):
         return None
     return term if np.all(np.isfinite(term)) else None

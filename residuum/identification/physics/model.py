@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics.effects import EFFECTS, UNNAMED
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
 from residuum.identification.physics.files.expression import Expression
 
@@ -91,7 +91,12 @@ class EffectUse:
     @property
     def effect(self) -> Effect:
         """The catalogue's entry, or an unnamed one."""
-        return EFFECTS[self.id] if self.id in EFFECTS else UNNAMED[self.id]
+        return UNNAMED[self.id] if self.id in UNNAMED else find_effect(self.id)
+
+    @property
+    def place(self) -> str:
+        """The balance, input or output that it acts on: its target without the signals that it is tied to."""
+        return place_of(self.target)
 
     @property
     def label(self) -> str:
@@ -146,6 +151,8 @@ class PhysicalModel:
 
         A balance, an input and an output may share a name: the one that the effect acts on is meant.
         """
+        if effect.signals or effect.between:
+            return self._tied_site(target, effect)
         sites = []
         if balance := self.balances.get(target):
             sites.append(Site(balance.kind, target, balance.unit, self._roles(balance)))
@@ -156,6 +163,35 @@ class PhysicalModel:
             return next((site for site in sites if site.kind in effect.acts_on), sites[0])
         known = ", ".join([*self.balances, *self.inputs, *self.outputs])
         raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; there are {known}")
+
+    def _tied_site(self, target: str, effect: Effect) -> Site:
+        """The site of an effect at `balance(signal)` or `balance(other)`."""
+        place, tied = place_of(target), tied_to(target)
+        if place not in self.balances or len(tied) != (effect.signals or 1):
+            form = "balance(other balance)" if effect.between else "balance(signal)"
+            raise BadModel(
+                f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {', '.join(self.balances)}"
+            )
+        known = self.balances if effect.between else {**self.inputs, **self.states, **self._defined()}
+        for name in tied:
+            if name not in known or name == place:
+                raise BadModel(f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; there are {', '.join(known)}")
+        balance = self.balances[place]
+        if effect.between and self.balances[tied[0]].kind != balance.kind:
+            raise BadModel(f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of different kinds")
+        units = self._roles(balance) | ({} if effect.between else {name: self.unit_of(name) for name in tied})
+        return Site(balance.kind, target, balance.unit, units, tied)
+
+    def _defined(self) -> dict[str, str]:
+        return {name: balance.kind for balance in self.balances.values() if (name := balance.defines)}
+
+    def with_input(self, name: str, unit: str) -> PhysicalModel:
+        """The model with one more recorded input, for an effect that is tied to it."""
+        if name in self.inputs:
+            return self
+        if name in {*self.states, *self.parameters, *self._defined()}:
+            raise BadModel(f"model {self.name!r}: {name!r} is no free name for an input")
+        return replace(self, inputs=MappingProxyType({**self.inputs, name: Input(name, unit)}))
 
     def supply_input(self, balance: Balance) -> str | None:
         """The first input that a term of the balance contains."""
@@ -189,6 +225,8 @@ class PhysicalModel:
             Unknown effect or target, effect that does not fit there, unknown parameter name, value outside its bounds.
         """
         effect = find_effect(id)
+        if not (effect.signals or effect.between) and tied_to(target):
+            raise BadModel(f"effect {id!r} at {target!r}: is tied to no signal; say where as {place_of(target)!r}")
         site = self.site(target, effect)
         if not effect.fits(site):
             needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
@@ -242,6 +280,21 @@ class PhysicalModel:
         return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
 
 
+def place_of(target: str) -> str:
+    """The balance, input or output of a target that may name signals: `tank` of `tank(next)`."""
+    return target.partition("(")[0]
+
+
+def tied_to(target: str) -> tuple[str, ...]:
+    """The names in a target's brackets.
+
+    >>> tied_to("tank(next)"), tied_to("tank")
+    (('next',), ())
+    """
+    inside = target.partition("(")[2].removesuffix(")")
+    return tuple(name.strip() for name in inside.split(",") if name.strip())
+
+
 def missing_name(balance: str) -> str:
     """Name of the additive unknown term of a balance among the kernel's parameters."""
     return f"missing@{balance}"
@@ -263,8 +316,10 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[t
 
 def find_effect(id: str) -> Effect:
     """The effect of this id; BadModel names those there are."""
+    if id in STRUCTURAL:
+        return STRUCTURAL[id]
     if id not in EFFECTS:
-        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join(EFFECTS)}")
+        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join([*EFFECTS, *STRUCTURAL])}")
     return EFFECTS[id]
 
 
