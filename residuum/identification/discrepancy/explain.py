@@ -19,6 +19,7 @@ from residuum.identification.discrepancy.held_values import HeldValue, freed, he
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Judgement, at_the_noise, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
+from residuum.identification.discrepancy.proposals import informed
 from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.share import ShareSearch, search_by_share
 from residuum.identification.discrepancy.share_judgement import as_search, does_better, judged, with_shares
@@ -92,6 +93,7 @@ def explain(
     mapping: Mapping[str, str] | None = None,
     *,
     effects: Iterable[str] | None = None,
+    learned: bool = False,
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Explanation:
@@ -106,6 +108,8 @@ def explain(
     mapping : mapping of model name to column
     effects : iterable of effect id
         Consider only these (default: all that fit the model).
+    learned : bool
+        Where nothing with a name is real, learn a curve over one signal.
     seconds : float, optional
         Time after which the search for an exact structure is left; what explains most on blocks kept aside stands then.
     tell : callable
@@ -130,7 +134,9 @@ def explain(
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
     tell(0.0, "what takes away most on blocks kept aside")
-    shares = search_by_share(model, match(model, records, mapping)[1], wanted)
+    model, whole = _informed(model, records, mapping, wanted)
+    with within(seconds):
+        shares = search_by_share(model, whole, wanted, learned=learned)
     spent = time.perf_counter() - began
     searched_ = None
     try:
@@ -175,6 +181,17 @@ def explain(
         remaining=None if shares is None else remaining_on(found.best.model, shares.blocks),
         seconds=time.perf_counter() - began,
     )
+
+
+def _informed(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None
+) -> tuple[PhysicalModel, list[Experiment]]:
+    """The model with columns of the records that may be forgotten inputs, and the whole records as its experiments."""
+    _, whole = match(model, records, mapping)
+    if wanted is not None and "forgotten-input" not in wanted:
+        return model, whole
+    knowing = informed(model, whole)
+    return knowing, whole if knowing is model else match(knowing, records, mapping)[1]
 
 
 @dataclass(frozen=True, eq=False)

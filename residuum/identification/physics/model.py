@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
@@ -169,9 +170,8 @@ class PhysicalModel:
         place, tied = place_of(target), tied_to(target)
         if place not in self.balances or len(tied) != (effect.signals or 1):
             form = "balance(other balance)" if effect.between else "balance(signal)"
-            raise BadModel(
-                f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {', '.join(self.balances)}"
-            )
+            there = ", ".join(self.balances)
+            raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {there}")
         known = self.balances if effect.between else {**self.inputs, **self.states, **self._defined()}
         for name in tied:
             if name not in known or name == place:
@@ -192,6 +192,10 @@ class PhysicalModel:
         if name in {*self.states, *self.parameters, *self._defined()}:
             raise BadModel(f"model {self.name!r}: {name!r} is no free name for an input")
         return replace(self, inputs=MappingProxyType({**self.inputs, name: Input(name, unit)}))
+
+    def with_inputs_of(self, names: Iterable[str]) -> PhysicalModel:
+        """The model with these of its inputs alone; the others must be in no term."""
+        return replace(self, inputs=MappingProxyType({name: self.inputs[name] for name in names}))
 
     def supply_input(self, balance: Balance) -> str | None:
         """The first input that a term of the balance contains."""
@@ -304,14 +308,43 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[t
     """All (effect id, target) pairs that fit the model and are not in it yet; `ids` restricts the effects.
 
     Targets are balances, outputs, and inputs that drive: without a default, and no condition of a balance (its surroundings).
+    Couplings are proposed between balances that know nothing of each other, forgotten inputs where the model has an idle one.
     """
     conditions = {name for balance in model.balances.values() for name in balance.variables.values()}
-    inputs = (name for name, signal in model.inputs.items() if signal.default is None and name not in conditions)
+    idle = idle_inputs(model)
+    inputs = (n for n, signal in model.inputs.items() if signal.default is None and n not in conditions and n not in idle)
     targets = {"balance": list(model.balances), "input": list(inputs), "output": list(model.outputs)}
     present = {(use.id, use.target) for use in model.effects}
-    chosen = [find_effect(id) for id in ids] if ids is not None else list(EFFECTS.values())
-    pairs = [(e.id, target) for e in chosen for target in targets[e.place] if e.fits(model.site(target, e))]
+    chosen = [find_effect(id) for id in ids] if ids is not None else [*EFFECTS.values(), *STRUCTURAL.values()]
+    free = [e for e in chosen if not (e.signals or e.between)]
+    pairs = [(e.id, target) for e in free for target in targets[e.place] if e.fits(model.site(target, e))]
+    pairs += [(e.id, target) for e in chosen if e.between for target in _pairs_of_balances(model, e)]
+    if STRUCTURAL["forgotten-input"] in chosen:
+        pairs += [("forgotten-input", f"{balance}({name})") for balance in model.balances for name in idle]
     return [pair for pair in pairs if pair not in present]
+
+
+def idle_inputs(model: PhysicalModel) -> list[str]:
+    """Inputs that no term, output, balance or effect of the model names."""
+    expressions = [*(t for b in model.balances.values() for t in (b.storage, *b.terms.values()))]
+    expressions += [output.value for output in model.outputs.values()]
+    used = {name for e in expressions for name in e.names}
+    used |= {name for balance in model.balances.values() for name in balance.variables.values()} | set(CHANNELS)
+    used |= {name for use in model.effects for name in (use.target, *tied_to(use.target))}
+    return [name for name in model.inputs if name not in used]
+
+
+def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
+    """Targets `one(other)` of balances of one kind that know nothing of each other's variables."""
+    known = {
+        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values()) for b in model.balances.values()
+    }
+    found = []
+    for one, other in combinations([b for b in model.balances.values() if b.defines is None], 2):
+        apart = not (known[one.name] & known[other.name] & set(model.states))
+        if one.kind == other.kind and apart and effect.fits(model.site(f"{one.name}({other.name})", effect)):
+            found.append(f"{one.name}({other.name})")
+    return found
 
 
 def find_effect(id: str) -> Effect:

@@ -66,7 +66,7 @@ def test_fixed_means_fixed():
     assert improved.model.values["K"] == 0.135
     assert improved.model.parameters["K"].fixed
     assert improved.verdict != "adequate"
-    with pytest.raises(BadModel, match="'J': is no parameter that .* holds fixed; there are K"):
+    with pytest.raises(BadModel, match=r"'J': is no parameter that .* holds fixed; there are K"):
         improve(held_at(0.135), [record()], free=["J"])
 
 
