@@ -20,11 +20,16 @@ from residuum.service.commands.compare import comparison_json, comparison_text
 from residuum.service.commands.quantities import quantities_json, sizes_text, value_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.commands.tied_effects import tied_json, tied_text
 from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
 Seconds = Annotated[float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)]
+
+Learned = Annotated[
+    bool, typer.Option("--learned", help="Learn a curve over one signal where no effect with a name explains the error.")
+]
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
@@ -41,7 +46,8 @@ def explain_command(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
-    seconds: Seconds = 15.0,
+    learned: Learned = False,
+    seconds: Seconds = 10.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -54,7 +60,13 @@ def explain_command(
     given = load_model(model)
     keep_large_arrays()
     explanation = explain(
-        given, loaded, mapping, effects=wanted, seconds=seconds, tell=lambda share, doing: progress(doing, 0.9 * share)
+        given,
+        loaded,
+        mapping,
+        effects=wanted,
+        learned=learned,
+        seconds=seconds,
+        tell=lambda share, doing: progress(doing, 0.9 * share),
     )
     progress("comparing", 0.9)
     comparison = compare(given, loaded, mapping)
@@ -119,7 +131,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "within_bounds": candidate.within_bounds,
         "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
         "because": because(candidate),
-    }
+    } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
 
 
 def remaining_json(remaining: Remaining) -> dict[str, Any]:
@@ -133,9 +145,10 @@ def remaining_json(remaining: Remaining) -> dict[str, Any]:
 
 
 def _candidate_text(candidate: Candidate) -> str:
+    sizes = tied_text(candidate.effect, candidate.balance, candidate.parameters) or sizes_text(candidate.parameters)
     text = (
         f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
-        f"probability {candidate.probability:.2f}, {sizes_text(candidate.parameters)}; "
+        f"probability {candidate.probability:.2f}, {sizes}; "
         f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )

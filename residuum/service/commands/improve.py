@@ -10,11 +10,12 @@ import typer
 from residuum.identification.discrepancy.improve import Improvement, improve, quantities_of
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, load_model, write_model
-from residuum.service.commands.explain import Seconds, held_text, remaining_json
+from residuum.service.commands.explain import Learned, Seconds, held_text, remaining_json
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.quantities import quantities_json, sizes_text
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.commands.tied_effects import tied_json, tied_text
 from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
@@ -34,7 +35,8 @@ def improve_command(
         list[str] | None,
         typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
     ] = None,
-    seconds: Seconds = 30.0,
+    learned: Learned = False,
+    seconds: Seconds = 24.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -58,6 +60,7 @@ def improve_command(
         add=wanted,
         effects=considered,
         free=names_of(free),
+        learned=learned,
         seconds=seconds,
         tell=lambda share, doing: progress(doing, share),
     )
@@ -98,7 +101,7 @@ def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
         "probability": None if judged is None else judged.probability,
         "indistinguishable_from": [] if judged is None else list(judged.indistinguishable_from),
         "parameters": quantities_json(quantities_of(use)),
-    }
+    } | tied_json(use.id, use.target, quantities_of(use))
 
 
 def improvement_text(improvement: Improvement, out: Path) -> str:
@@ -116,7 +119,8 @@ def improvement_text(improvement: Improvement, out: Path) -> str:
 
 def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     judged = improvement.candidate(use)
-    text = f"{use.id} in {use.target}: {sizes_text(quantities_of(use))}"
+    sizes = tied_text(use.id, use.target, quantities_of(use)) or sizes_text(quantities_of(use))
+    text = f"{use.id} in {use.target}: {sizes}"
     if judged is None:
         return text
     others = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
