@@ -1,0 +1,301 @@
+"""Monitor: a diagnoser of one machine with scikit-learn's conventions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator, OutlierMixin
+from sklearn.exceptions import NotFittedError
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.finding import Finding as Judged
+from residuum.diagnosis.finding import Verdict
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record as MeasuredRecord
+from residuum.library.answers.finding import finding_text
+from residuum.library.model import Mapped, Model, Records
+from residuum.library.physical_residual import PhysicalResidual
+from residuum.library.picture import Bars, Panel, Picture
+from residuum.library.record import as_records
+from residuum.library.result import Result, Row, data_frame
+
+if TYPE_CHECKING:
+    import pandas
+
+MODEL_BASED = "model-based"
+"""The diagnoser that a model asks for, where there is one."""
+
+
+class NotFitted(BadInput, NotFittedError):
+    """A monitor was asked to judge before it was given healthy records."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding(Result):
+    """What a monitor says of one window.
+
+    Attributes
+    ----------
+    found : Finding
+        Verdict, fault class, indicators with units and thresholds, evidence, reason.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> healthy = rs.simulate("process-plant", seed=1)
+    >>> finding = rs.monitor("robust-residual").fit(healthy).score(rs.simulate("process-plant", seed=2))
+    >>> finding.verdict
+    'healthy'
+    """
+
+    found: Judged
+
+    @property
+    def verdict(self) -> str:
+        """`healthy`, `faulty` or `not-assessable`."""
+        return self.found.verdict.value
+
+    @property
+    def reason(self) -> str | None:
+        """One sentence with the numbers."""
+        return self.found.reason
+
+    @property
+    def fault_class(self) -> str | None:
+        """The kind of fault, where the diagnoser tells kinds apart."""
+        return self.found.fault_class
+
+    def _answer(self) -> dict[str, Any]:
+        return self.found.to_json()
+
+    def __str__(self) -> str:
+        return finding_text(self._answer())
+
+    def _rows(self) -> Sequence[Row]:
+        found = self.found
+        return [
+            {"indicator": name, "value": value, "threshold": found.thresholds.get(name), "unit": found.units.get(name, "")}
+            for name, value in found.indicators.items()
+        ]
+
+    def _picture(self) -> Picture:
+        judged = {n: v / self.found.thresholds[n] for n, v in self.found.indicators.items() if self.found.thresholds.get(n)}
+        texts = [f"{value:.2f} of its threshold" for value in judged.values()]
+        bars = Bars(list(judged), list(judged.values()), texts)
+        return Picture([Panel(f"{self.verdict}: indicators over their thresholds", "", "value / threshold", bars)])
+
+
+class Monitor(OutlierMixin, BaseEstimator):  # type: ignore[misc]
+    """A watch over one machine: fitted on healthy records, it judges windows. Follows scikit-learn's conventions for outliers.
+
+    A sample is a `Record` (a window); X is a list of them. `get_params`, `set_params` and `sklearn.base.clone` work; what
+    is fitted ends with an underscore.
+
+    Parameters
+    ----------
+    source : Model or str
+        What watches: a model of the machine, or the id of a diagnoser (`robust-residual`, `bearing`, …).
+    diagnoser : str or None
+        With a model, the diagnoser that judges it; None: `model-based` where there is one, else the robust residual of what
+        the model's prediction leaves over.
+    map : mapping of model name to column
+        With a model: for columns that are not named as its inputs and outputs are.
+    settings : mapping or None
+        Of the diagnoser: `{"speed_rpm": 1500.0}`, …
+
+    Attributes
+    ----------
+    diagnoser_ : Diagnoser
+        The trained diagnoser.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+    >>> monitor = rs.monitor("robust-residual").fit(healthy)
+    >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+    >>> monitor.predict([rs.simulate("process-plant", seed=3), faulty]).tolist()
+    [1, -1]
+    """
+
+    def __init__(
+        self,
+        source: Model | str = "robust-residual",
+        diagnoser: str | None = None,
+        map: Mapped = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.source, self.diagnoser, self.map, self.settings = source, diagnoser, map, settings
+
+    def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
+        """Learn from healthy records, or from records with one label each in `y` (`healthy`, or a fault class).
+
+        Raises
+        ------
+        BadInput
+            Records that do not fit, an unknown diagnoser or setting, labels of another number than records.
+        """
+        trained = self._untrained().fit(as_records(X), None if y is None else [str(label) for label in y])
+        self.diagnoser_: Diagnoser | PhysicalResidual = trained
+        return self
+
+    def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:  # another meaning than scikit-learn's, as issued
+        """The finding of one window."""
+        (record,) = as_records(window)
+        return Finding(self._trained().score(record))
+
+    def findings(self, X: Records) -> list[Finding]:
+        """The finding of every window."""
+        return [self.score(record) for record in as_records(X)]
+
+    def predict(self, X: Records) -> npt.NDArray[np.int64]:
+        """1 for a healthy window, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
+        says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
+        return np.array([says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64)
+
+    def score_samples(self, X: Records) -> npt.NDArray[np.float64]:
+        """How normal each window is, the higher the more: minus its largest indicator over that one's threshold.
+
+        Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot be judged.
+        """
+        return np.array([-_largest(finding.found) for finding in self.findings(X)])
+
+    def decision_function(self, X: Records) -> npt.NDArray[np.float64]:
+        """`score_samples` + 1: negative where an indicator is above its threshold; shape (windows,)."""
+        return self.score_samples(X) + 1.0
+
+    def indicators(self, X: Records) -> pandas.DataFrame:
+        """The indicators of every window, a row a window: features of the residual for a method of your own.
+
+        Raises MissingPackage when pandas is not installed.
+        """
+        return data_frame([dict(finding.found.indicators) for finding in self.findings(X)])
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Store the trained diagnoser as `residuum train --out` does.
+
+        Raises
+        ------
+        NotFitted
+            Before `fit`.
+        BadInput
+            A diagnoser that has no file.
+        """
+        trained = self._trained()
+        if isinstance(trained, PhysicalResidual):
+            raise BadInput(f"monitor: the diagnoser {trained.name!r} has no file; choose one that `residuum train` knows")
+        trained.save(Path(path))
+
+    def __sklearn_is_fitted__(self) -> bool:
+        """Whether `fit` was called."""
+        return hasattr(self, "diagnoser_")
+
+    def _untrained(self) -> Diagnoser | PhysicalResidual:
+        settings = dict(self.settings or {})
+        if isinstance(self.source, Model):
+            name = self.diagnoser or (MODEL_BASED if MODEL_BASED in DIAGNOSERS else "")
+            if name:
+                return _made(name, {"model": self.source.physical, **({"mapping": self.map} if self.map else {}), **settings})
+            return PhysicalResidual(self.source.physical, dict(self.map or {}), **settings)
+        return _made(self.diagnoser or self.source, settings)
+
+    def _trained(self) -> Diagnoser | PhysicalResidual:
+        if not hasattr(self, "diagnoser_"):
+            raise NotFitted("monitor: is not fitted; give it healthy records with fit() first")
+        return self.diagnoser_
+
+
+def monitor(
+    source: Model | str,
+    *,
+    diagnoser: str | None = None,
+    map: Mapped = None,
+    **settings: Any,
+) -> Monitor:
+    """A watch over one machine, to be fitted on healthy records.
+
+    Parameters
+    ----------
+    source : Model or str
+        A model of the machine, or the id of a diagnoser: `robust-residual`, `bearing`, `gate-actuator`, `gripping-pliers`.
+    diagnoser : str
+        With a model: the diagnoser that judges it (default: `model-based` where there is one).
+    map : mapping of model name to column
+    settings
+        Of the diagnoser, as `speed_rpm=1500.0`.
+
+    Returns
+    -------
+    Monitor
+
+    Raises
+    ------
+    BadInput
+        At `fit`: an unknown diagnoser or setting.
+
+    Examples
+    --------
+    See `Monitor`.
+    """
+    return Monitor(source, diagnoser, map, settings or None)
+
+
+def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
+    """The monitor whose trained diagnoser `Monitor.save` or `residuum train --out` stored.
+
+    Parameters
+    ----------
+    diagnoser : str
+        Its id.
+    path : str or path
+
+    Returns
+    -------
+    Monitor
+
+    Raises
+    ------
+    BadInput
+        An unknown diagnoser; not the file of one of this kind.
+
+    Examples
+    --------
+    >>> import residuum as rs, tempfile, pathlib
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "baseline.zip"
+    >>> rs.monitor("robust-residual").fit(rs.simulate("process-plant", seed=1)).save(file)
+    >>> rs.load_monitor("robust-residual", file).score(rs.simulate("process-plant", seed=2)).verdict
+    'healthy'
+    """
+    loaded = Monitor(diagnoser)
+    loaded.diagnoser_ = _class(diagnoser).load(Path(path))
+    return loaded
+
+
+def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
+    kind: Any = _class(name)
+    try:
+        made: Diagnoser = kind(**settings)
+    except TypeError as error:
+        raise BadInput(f"diagnoser {name!r}: {str(error).split('()')[-1].strip()}") from None
+    return made
+
+
+def _class(name: str) -> type[Diagnoser]:
+    if name not in DIAGNOSERS:
+        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+    return DIAGNOSERS[name]
+
+
+def _largest(finding: Judged) -> float:
+    if finding.verdict is Verdict.NOT_ASSESSABLE:
+        return math.nan
+    over = [v / finding.thresholds[n] for n, v in finding.indicators.items() if finding.thresholds.get(n, 0.0) > 0.0]
+    return max(over, default=math.nan)
