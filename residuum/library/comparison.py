@@ -46,7 +46,7 @@ class Comparison(Result):
     @property
     def structured(self) -> bool:
         """Whether the error is more than noise: something predicts it."""
-        return any(test.present for test in self.found.structured.values())
+        return self.found.present
 
     @property
     def table(self) -> pandas.DataFrame:

@@ -35,7 +35,7 @@ class Explanation(Result):
     --------
     >>> import residuum as rs
     >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
-    >>> why = rs.model("gate-drive").explain(record)
+    >>> why = rs.model("gate-drive").explain(record, effects=["coulomb-friction", "quadratic-drag"])
     >>> why.verdict, why.best.effect, why.best.balance
     ('missing-effect', 'coulomb-friction', 'shaft')
     """

@@ -54,9 +54,7 @@ class PhysicalResidual:
     def score(self, record: Record) -> Finding:
         """Judge one window by every output; indicators are named `glr@output`."""
         findings = {name: watch.score(self._beside(record, name)) for name, watch in self._watches.items()}
-        name, worst = min(
-            findings.items(), key=lambda item: (_WORST_FIRST.index(item[1].verdict), -item[1].indicators.get("glr", 0))
-        )
+        name, worst = min(findings.items(), key=lambda item: _order(item[1]))
         return replace(
             worst,
             diagnoser=self.name,
@@ -72,6 +70,10 @@ class PhysicalResidual:
 
     def _beside(self, record: Record, output: str) -> Record:
         return with_prediction(self.model, record, output, self.mapping)
+
+
+def _order(finding: Finding) -> tuple[int, float]:
+    return _WORST_FIRST.index(finding.verdict), -finding.indicators.get("glr", 0.0)
 
 
 def _joined(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.deadline import in_time
-from residuum.identification.discrepancy.track import Track
+from residuum.identification.discrepancy.track import Track, joined_spare
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
 from residuum.identification.physics.simulate.kalman import Filter, first_noise, noise_floor
@@ -93,7 +93,8 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
         b: np.concatenate([s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for s in found]) for b in model.balances
     }
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
-    along = Track(replace(experiments[0], U=U, Y=Y, known={}), np.concatenate([s.X for s in found]), lacks)
+    spare = joined_spare(experiments)
+    along = Track(replace(experiments[0], U=U, Y=Y, known={}, spare=spare), np.concatenate([s.X for s in found]), lacks)
     noise, total = np.nan_to_num(noise_floor(Y)), sum(e.n for e in experiments)
     blocks = None
     for count in _BLOCKS:
@@ -125,11 +126,11 @@ def _measured(parts: Sequence[Experiment]) -> FloatArray:
 
 def errors_on(model: PhysicalModel, blocks: Blocks) -> Errors | None:
     """The model's errors on the blocks kept aside, its effects' own states settled at each begin; None where it diverges."""
-    simulator = Simulator(model)
-    initial, p = [simulator.x0(part.known) for part in blocks.test], simulator.p()
+    simulator, test = Simulator(model), blocks.test
+    initial, p = [simulator.x0(part.known) for part in test], simulator.p()
     try:
-        steps = simulator.substeps_each(blocks.test, initial, p)
-        residuals = simulator.run_each(blocks.test, initial, p, substeps=steps).errors_of_each
+        steps = simulator.substeps_each(test, initial, p)
+        residuals = simulator.run_each(test, initial, p, substeps=steps).errors_of_each
     except NotIdentifiable:
         return None
     known = [np.isfinite(part.Y) for part in blocks.test]

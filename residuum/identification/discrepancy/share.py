@@ -22,17 +22,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from residuum.identification.discrepancy.deadline import in_time
+from residuum.identification.discrepancy.deadline import OutOfTime, in_time
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, errors_on, fitted
 from residuum.identification.discrepancy.noise_floor import PLAINLY
-from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.track import regressed
-from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, conditions_at
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.discrepancy.proposals import Key, curves, starts
+from residuum.identification.discrepancy.side_by_side import each_beside
+from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.physics.model import tied_to
 
 FloatArray = npt.NDArray[np.float64]
-Key = tuple[str, str]
 
 LEVEL = 0.01
 """Probability that chance alone makes an effect real, all candidates counted (Bonferroni)."""
@@ -47,7 +45,6 @@ _MUCH = 0.5
 _TRIFLE = 0.01
 """Part of the mean power of a block that is too small to matter, of noise or of anything."""
 _STEPS = 4
-_STARTS = 4
 _RESAMPLES = 400
 
 
@@ -64,10 +61,10 @@ class Shared:
 
     @property
     def simplicity(self) -> int:
-        """Number of free parameters and own states of the effect, fewest first."""
+        """Number of free parameters, own states and signals from outside the balance, fewest first."""
         use = self.model.effects[-1]
         free = sum(not p.fixed for p in use.parameters.values())
-        return free + len(use.effect.states(self.model.site(use.target, use.effect)))
+        return free + len(use.effect.states(self.model.site(use.target, use.effect))) + len(tied_to(use.target))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +102,7 @@ class ShareSearch:
 
 
 def search_by_share(
-    model: PhysicalModel, experiments: Sequence[Experiment], effects: Sequence[str] | None = None
+    model: PhysicalModel, experiments: Sequence[Experiment], effects: Sequence[str] | None = None, *, learned: bool = False
 ) -> ShareSearch | None:
     """Grow the model by the effects that take away most on blocks kept aside, while one is real.
 
@@ -116,6 +113,8 @@ def search_by_share(
         Whole records; the blocks are cut here.
     effects : sequence of effect id
         Consider only these (default: all that fit).
+    learned : bool
+        Where no effect with a name is real, learn a curve over one signal.
 
     Returns
     -------
@@ -128,14 +127,20 @@ def search_by_share(
     found: ShareSearch | None = None
     current = model
     for _ in range(_STEPS):
-        blocks = blocks_on_track(current, experiments)
-        base = None if blocks is None else fitted(current, blocks)
-        if blocks is None or base is None:
+        try:
+            blocks = blocks_on_track(current, experiments)
+            base = None if blocks is None else fitted(current, blocks)
+        except OutOfTime:
+            return found
+        before = None if blocks is None or base is None else errors_on(base[0], blocks)
+        if blocks is None or base is None or before is None:
             return found
         found = found or ShareSearch(blocks)
-        step = _step(base[0], blocks, experiments, effects, found.accepted)
-        if step is None:
-            return found if found.steps else None
+        taken = found.accepted
+        keys = [key for key in candidates(base[0], effects) if key not in taken]
+        step = _step(base[0], blocks, experiments, before, keys, first=not taken)
+        if step.accepted is None and learned:
+            step = _step(base[0], blocks, experiments, before, curves(base[0], blocks), first=not taken)
         found.steps.append(step)
         if step.accepted is None:
             break
@@ -144,19 +149,21 @@ def search_by_share(
 
 
 def _step(
-    base: PhysicalModel, blocks: Blocks, experiments: Sequence[Experiment], effects: Sequence[str] | None, taken: Sequence[Key]
-) -> ShareStep | None:
-    before = errors_on(base, blocks)
-    if before is None:
-        return None
-    keys = [key for key in candidates(base, effects) if key not in taken]
-    judged = [s for s in side_by_side(lambda key: _shared(base, key, blocks, experiments, before), keys) if s is not None]
+    base: PhysicalModel, blocks: Blocks, experiments: Sequence[Experiment], before: Errors, keys: Sequence[Key], *, first: bool
+) -> ShareStep:
+    def one(key: Key) -> Shared | None:
+        try:
+            return _shared(base, key, blocks, experiments, before)
+        except OutOfTime:
+            return None
+
+    judged = [s for s in each_beside(one, keys) if s is not None]
     judged.sort(key=lambda s: -s.share)
     if not judged:
         return ShareStep(base, before, (), (), {}, None)
     worth = max(LEAST, _MUCH * judged[0].share)
     alike = [s for s in judged if s.share > worth and _behind(s, judged[0], before) < ALIKE]
-    certain = not taken and before.stands_out(blocks.noise, PLAINLY)
+    certain = first and before.stands_out(blocks.noise, PLAINLY)
     level = PLAIN_LEVEL if certain else LEVEL / len(keys)
     real = [s for s in alike if s.p_value < level]
     leading = min(real, key=lambda s: (s.simplicity, -round(s.share, 2)), default=None)
@@ -167,7 +174,7 @@ def _step(
 
 def _shared(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment], before: Errors) -> Shared | None:
     """The candidate at the best of its starts, judged; None where it diverges or fits nowhere."""
-    looks = [found for start in _starts(base, key, blocks, experiments) if (found := fitted(start, blocks, look=True))]
+    looks = [found for start in starts(base, key, blocks, experiments) if (found := fitted(start, blocks, look=True))]
     if not looks:
         return None
     in_time()
@@ -181,24 +188,6 @@ def _shared(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence
     scatter = float(fall.std(ddof=1) / np.sqrt(n))
     p_value = float(stats.t.sf(fall.mean() / scatter, n - 1)) if scatter > 0.0 else 1.0
     return Shared(key, best[0], float(gain.sum()), float(np.sqrt(n) * gain.std(ddof=1)), p_value, errors)
-
-
-def _starts(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment]) -> list[PhysicalModel]:
-    """The effect at its own first values, and regressed on what its balance lacked."""
-    id, target = key
-    longest = int(np.argmax([e.n for e in experiments]))
-    begin = sum(e.n for e in experiments[:longest])
-    X = blocks.track.X[begin : begin + experiments[longest].n]
-    conditions = conditions_at(base, EFFECTS[id], target, experiments[longest], X)
-    models = []
-    for start in list(EFFECTS[id].starts(conditions))[:_STARTS]:
-        try:
-            models.append(base.with_effect(id, target, start))
-            if (along := regressed(base, id, target, start, blocks.track)) is not None:
-                models.append(along[1])
-        except (BadInput, NotImplementedError):
-            continue
-    return models
 
 
 def _loss(errors: Errors, base: Errors) -> FloatArray:

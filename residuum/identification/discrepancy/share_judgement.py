@@ -16,6 +16,8 @@ from residuum.identification.physics import Experiment, PhysicalModel
 
 _MOST_OF_A_GROUP = 4
 """Members of a group that are estimated in full."""
+_UNDECIDED = 0.8
+"""Probability of something else, where no effect is real."""
 _LEFT_OVER = 0.05
 """Probability that remains for what the catalogue does not hold, once an effect is real."""
 
@@ -47,13 +49,22 @@ def judged(shares: ShareSearch, found: Search) -> Judgement:
     """Candidates of the accepted steps: a group shares the probability that one of it is missing, equally."""
     listed = [c for k, step in enumerate(shares.steps[: len(found.accepted)]) for c in _candidates(step, found, k)]
     if not listed:
-        return Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
+        return _undecided(shares, found)
     first = shares.steps[0]
     last = next((s.accepted for s in reversed(shares.steps) if s.accepted is not None), None)
     left = float(last.errors.relative(last_before(shares)).sum()) if last is not None else 1.0
     named = sum(c.probability for c in listed if c.step == 0)
     none = first.accepted.p_value if first.accepted is not None else 1.0
     return Judgement("missing-effect", tuple(listed), min(none, 1.0 - named), max(0.0, 1.0 - named - none), min(left, 1.0))
+
+
+def _undecided(shares: ShareSearch, found: Search) -> Judgement:
+    """Nothing is real: those that took away most are told, each far from certain."""
+    tried = [s for s in shares.steps[0].judged if s.share > s.std] if shares.steps else []
+    tried = sorted(tried, key=lambda s: -s.share)[:_MOST_OF_A_GROUP]
+    each = (1.0 - _UNDECIDED) / max(len(tried), 1)
+    listed = tuple(_candidate(s, shares.steps[0], found, 0, each, ()) for s in tried)
+    return Judgement("unknown-effect", listed, 0.0, _UNDECIDED, 1.0)
 
 
 def last_before(shares: ShareSearch) -> Errors:
@@ -75,7 +86,7 @@ def _candidates(step: ShareStep, found: Search, number: int) -> list[Candidate]:
 def _candidate(
     shared: Shared, step: ShareStep, found: Search, number: int, probability: float, others: tuple[str, ...]
 ) -> Candidate:
-    structure = found.alternatives[number].get(shared.key)
+    structure = found.alternatives[number].get(shared.key) if number < len(found.alternatives) else None
     use = shared.model.effects[-1]
     doubts: Mapping[str, float] = {}
     values = {name: p.value for name, p in use.parameters.items()}

@@ -29,7 +29,7 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
             for name, balance in comparison.balances.items()
         },
         "structured_error": {
-            "present": any(test.present for test in comparison.structured.values()),
+            "present": comparison.present,
             "p_value": comparison.p_value,
             "share": comparison.share,
             "outputs": {
@@ -70,7 +70,7 @@ def comparison_text(comparison: Comparison) -> str:
             f"balance {name}: lacks {balance.missing_rms:.3g} {balance.unit} RMS, "
             f"{balance.relative_percent:.1f} % of what drives it"
         )
-    present = any(test.present for test in comparison.structured.values())
+    present = comparison.present
     lines.append(
         f"structured error: {'yes' if present else 'no'} (p = {comparison.p_value:.2g}"
         + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise of some colour explains the error)")

@@ -9,6 +9,7 @@ from typing import Any
 from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.held_out_blocks import Remaining
+from residuum.identification.discrepancy.held_values import HeldValue
 from residuum.identification.discrepancy.judgement import Candidate
 from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
@@ -109,15 +110,20 @@ def _candidate_text(candidate: Candidate) -> str:
     return text + bounds + others
 
 
+def held_text(held: HeldValue) -> str:
+    """One line for a fixed value that the records contradict."""
+    alike = f" ({', '.join(held.indistinguishable_from)} would do as well)" if held.indistinguishable_from else ""
+    asked = value_text(held.value, held.std, held.unit)
+    return (
+        f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which explains more than an effect "
+        f"would{alike}: `improve --free {held.name}` takes it up"
+    )
+
+
 def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
-    lines += [
-        f"  {h.name} is fixed at {h.held:.4g} {h.unit} in the model; the records ask for {value_text(h.value, h.std, h.unit)}, "
-        f"which explains more than an effect would: freed for this answer"
-        + (f" ({', '.join(h.indistinguishable_from)} would do as well)" if h.indistinguishable_from else "")
-        for h in explanation.held
-    ]
+    lines += map(held_text, explanation.held)
     likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
     ruled_out = [c for c in explanation.candidates if c not in likely]
     lines += map(_candidate_text, likely[:6])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from residuum.identification.discrepancy.improve import Improvement, quantities_of
 from residuum.identification.physics import EffectUse
-from residuum.library.answers.explanation import remaining_json
+from residuum.library.answers.explanation import held_text, remaining_json
 from residuum.library.answers.quantities import quantities_json, sizes_text
 
 
@@ -24,6 +25,7 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
         "error_unit": improvement.error_unit,
         "held_out": True,
         "kept_aside": improvement.aside,
+        "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
         "remaining": None if remaining is None else remaining_json(remaining),
         "model_file": file,
     }
@@ -49,6 +51,7 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
         for step in improvement.history
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
+    lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
     lines.append(f"verdict: {improvement.verdict}")
     return "\n".join([*lines, f"model file (estimated on everything): {file}"] if file else lines)
 

@@ -1,5 +1,6 @@
 """`residuum improve`: add effects to a model and re-estimate it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +28,10 @@ def improve_command(
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Add what explain finds until the model is adequate.")] = False,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="With --auto: consider only these effects.")] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
+    ] = None,
     seconds: Seconds = 30.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
@@ -41,12 +46,27 @@ def improve_command(
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
-    wanted = None if auto else [id.strip() for text in add or [] for id in text.split(",")]
+    wanted = None if auto else names_of(add)
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()
     improvement = read(model).improve(
-        loaded, add=wanted, map=pairs("--map", channel_map), effects=considered, seconds=seconds, progress=told
+        loaded,
+        add=wanted,
+        map=pairs("--map", channel_map),
+        effects=considered,
+        free=names_of(free),
+        seconds=seconds,
+        progress=told,
     )
     improvement.model.save(out)
     result = improvement.to_dict() | {"model_file": str(out)}
     report(result, improvement_text(improvement.found, str(out)), as_json=as_json)
+
+
+def names_of(texts: Sequence[str] | None) -> list[str]:
+    """Names given once each or several with commas between them.
+
+    >>> names_of(["a,b", "c"])
+    ['a', 'b', 'c']
+    """
+    return [name.strip() for text in texts or [] for name in text.split(",")]

@@ -29,7 +29,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
-from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name
+from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
 
@@ -126,7 +126,7 @@ class _Composer:
         sides = {name: self._sides(balance) for name, balance in self.model.balances.items()}
         for use in self.model.effects:
             if use.effect.place == "balance":
-                self._add_to_balance(use, sides[use.target])
+                self._add_to_balance(use, sides)
         defined = self._solve_defined(sides)
         for side in sides.values():
             if side.state is not None:
@@ -196,12 +196,21 @@ class _Composer:
         roles["storage"] = side.coefficient
         return roles
 
-    def _add_to_balance(self, use: EffectUse, side: _Sides) -> None:
-        added = self._contribution(use, side.roles, side.direction, sp.S.Zero)
-        side.terms[use.id if use.instance == 1 else f"{use.id}#{use.instance}"] = sp.sympify(added.term)
+    def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
+        side, name = sides[use.place], term_name(use)
+        added = self._contribution(use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero)
+        side.terms[name] = sp.sympify(added.term)
+        for balance, term in added.elsewhere.items():
+            sides[balance].terms[name] = sp.sympify(term)
         side.coefficient = side.coefficient * added.storage_factor
         if added.inductance is not None:
             self._give_storage(side, added.inductance, use)
+
+    def _tied(self, use: EffectUse, sides: Mapping[str, _Sides]) -> dict[str, sp.Expr]:
+        """What an effect is tied to: signals by name, the other balance's variables as `other:role`."""
+        if use.effect.between:
+            return {f"other:{role}": value for role, value in sides[tied_to(use.target)[0]].roles.items()}
+        return {name: self._name(name) for name in tied_to(use.target)}
 
     def _give_storage(self, side: _Sides, inductance: sp.Expr, use: EffectUse) -> None:
         name = side.balance.defines
@@ -297,6 +306,12 @@ class _Composer:
             if name in family:
                 return family[name]
         raise BadModel(f"model {self.model.name!r}: name {name!r} is not declared")
+
+
+def term_name(use: EffectUse) -> str:
+    """Name of an effect's term among those of its balance."""
+    tied = use.target.removeprefix(use.place)
+    return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
 
 
 def _is_name(tree: Node, name: str) -> bool:

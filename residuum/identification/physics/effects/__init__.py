@@ -35,6 +35,9 @@ from residuum.identification.physics.effects.path.output_absolute import OutputA
 from residuum.identification.physics.effects.path.output_lag import OutputLag
 from residuum.identification.physics.effects.path.output_offset import OutputOffset
 from residuum.identification.physics.effects.path.output_quantisation import OutputQuantisation
+from residuum.identification.physics.effects.structure.coupling import Coupling
+from residuum.identification.physics.effects.structure.forgotten_input import ForgottenInput
+from residuum.identification.physics.effects.structure.learned import Learned
 from residuum.identification.physics.effects.thermal.ambient_loss import AmbientLoss
 from residuum.identification.physics.effects.thermal.conveyor_load import ConveyorLoad
 from residuum.identification.physics.effects.thermal.door_opening import DoorOpening
@@ -87,6 +90,10 @@ EFFECTS = EffectCatalogue(
     }
 )
 """The catalogue; `EFFECTS.add` puts an effect of a user's own beside those of the list."""
+STRUCTURAL: Mapping[str, Effect] = MappingProxyType(
+    {"forgotten-input": ForgottenInput(), "coupling": Coupling(), "learned": Learned()}
+)
+"""Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the records, not in the catalogue."""
 UNNAMED: Mapping[str, Effect] = MappingProxyType({"drifting-load": DriftingLoad()})
 """What stands in a model only while it is judged, beside the catalogue: effects that name no physics."""
 for _found in from_entry_points("residuum.effects"):
