@@ -16,7 +16,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .venv/dev: pyproject.toml .venv/run
 	@echo "installing what the tests need into .venv (once)"
-	@$(BIN)/python -m pip install -qq -e '.[dev,formats,postgres,mqtt,oidc,fleet]'
+	@$(BIN)/python -m pip install -qq -e '.[dev,docs,notebook,formats,postgres,mqtt,oidc,fleet]'
 	@touch $@
 
 run: .venv/run

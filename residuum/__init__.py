@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from residuum.library.comparison import Comparison
     from residuum.library.control import Controller
     from residuum.library.explanation import Explanation
+    from residuum.library.finding import Finding
     from residuum.library.improvement import Estimation, Improvement
     from residuum.library.model import Model, model
-    from residuum.library.monitor import Finding, Monitor, load_monitor, monitor
+    from residuum.library.monitor import Monitor, load_monitor, monitor
     from residuum.library.optional_package import MissingPackage
     from residuum.library.plant import Plant, identify, load_plant
-    from residuum.library.record import Record, from_arrays, from_pandas, from_xarray, read
+    from residuum.library.reading import from_arrays, from_pandas, from_xarray, read
+    from residuum.library.record import Record
     from residuum.library.virtual_machine import simulate
 
 __all__ = [
@@ -64,12 +66,14 @@ _PLACES = {
     "library.comparison": ("Comparison",),
     "library.control": ("Controller",),
     "library.explanation": ("Explanation",),
+    "library.finding": ("Finding",),
     "library.improvement": ("Estimation", "Improvement"),
     "library.model": ("Model", "model"),
-    "library.monitor": ("Finding", "Monitor", "load_monitor", "monitor"),
+    "library.monitor": ("Monitor", "load_monitor", "monitor"),
     "library.optional_package": ("MissingPackage",),
     "library.plant": ("Plant", "identify", "load_plant"),
-    "library.record": ("Record", "from_arrays", "from_pandas", "from_xarray", "read"),
+    "library.reading": ("from_arrays", "from_pandas", "from_xarray", "read"),
+    "library.record": ("Record",),
     "library.virtual_machine": ("simulate",),
 }
 _PLACE = {name: place for place, names in _PLACES.items() for name in names}

@@ -22,7 +22,7 @@ class Catalogue(Mapping[str, Effect]):
     --------
     >>> import residuum as rs
     >>> rs.effects["quadratic-drag"].equation, "backlash" in rs.effects
-    ('−c ω |ω|', True)
+    ('−c·v·|v|', True)
     """
 
     def __getitem__(self, id: str) -> Effect:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from residuum.library.answers.improvement import improvement_json, improvement_t
 from residuum.library.picture import Bars, Curve, Panel, Picture, axis
 from residuum.library.result import Result, Row
 
-if TYPE_CHECKING:
-    from residuum.library.model import Model
+M = TypeVar("M")
+"""The library's `Model`, which returns these results."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Improvement(Result):
+class Improvement(Result, Generic[M]):
     """A model with the effects that were missing, and how its error on data kept aside fell.
 
     Attributes
@@ -39,7 +39,7 @@ class Improvement(Result):
     ([None, 'coulomb-friction'], True)
     """
 
-    model: Model
+    model: M
     found: Improved
 
     @property
@@ -75,7 +75,7 @@ class Improvement(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimation(Result):
+class Estimation(Result, Generic[M]):
     """A model's parameters from records, its structure as it was.
 
     Attributes
@@ -100,7 +100,7 @@ class Estimation(Result):
     'kg'
     """
 
-    model: Model
+    model: M
     given: str
     records: tuple[str, ...]
     method: str

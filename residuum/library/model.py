@@ -14,25 +14,21 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import (
-    PhysicalModel,
     Simulator,
-    candidates,
     estimate,
     load_model,
     match,
     read_model,
-    write_model,
 )
-from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.comparison import Comparison
+from residuum.library.described_model import DescribedModel
 from residuum.library.estimation import estimated
 from residuum.library.explanation import Explanation
 from residuum.library.improvement import Estimation, Improvement
 from residuum.library.progress import Progress, told
-from residuum.library.record import Record, as_records
-from residuum.library.result import html_table
-from residuum.library.whole_file import write_whole
+from residuum.library.reading import as_records
+from residuum.library.record import Record
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
 """One record, a record file, or several: each is an experiment with initial states of its own."""
@@ -68,7 +64,7 @@ def model(source: str | PathLike[str]) -> Model:
     return Model(load_model(Path(source) if isinstance(source, PathLike) else source), str(source))
 
 
-class Model:
+class Model(DescribedModel):
     """A machine as a set of balances, each `storage = sum of terms`. Immutable: what changes it returns another one.
 
     Made by `rs.model`. `physical` is the model as the identification room knows it.
@@ -78,75 +74,10 @@ class Model:
     >>> import residuum as rs
     >>> axis = rs.model("linear-axis")
     >>> axis.name, axis.inputs, list(axis.parameters)
-    ('linear axis', {'force': 'N'}, ['M'])
+    ('linear-axis', {'force': 'N'}, ['M'])
     >>> axis.with_effect("coulomb-friction", "axis", tau_c=20.0).effects
     ('coulomb-friction@axis',)
     """
-
-    def __init__(self, physical: PhysicalModel, given: str | None = None) -> None:
-        self.physical = physical
-        self._given = physical.name if given is None else given
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.physical.name
-
-    @property
-    def inputs(self) -> dict[str, str]:
-        """Name → unit of each input."""
-        return {name: signal.unit for name, signal in self.physical.inputs.items()}
-
-    @property
-    def outputs(self) -> dict[str, str]:
-        """Name → unit of each output."""
-        return {name: signal.unit for name, signal in self.physical.outputs.items()}
-
-    @property
-    def parameters(self) -> dict[str, Parameter]:
-        """Every parameter (value, unit, bounds, `fixed`, meaning) by its full name; an effect's is `effect@place.name`."""
-        return self.physical.all_parameters
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """The effects in it, as `effect@place`."""
-        return tuple(use.label for use in self.physical.effects)
-
-    @property
-    def fitting_effects(self) -> list[tuple[str, str]]:
-        """What of the catalogue fits it, as (effect, place)."""
-        return candidates(self.physical)
-
-    @property
-    def text(self) -> str:
-        """The model file's YAML text."""
-        return write_model(self.physical)
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the model file: whole, or not at all when interrupted; BadInput when the folder does not exist."""
-        write_whole(Path(path), self.text)
-
-    def with_values(self, **values: float) -> Model:
-        """The model with other parameter values; an effect's full names go as `**{"effect@place.name": value}`.
-
-        Raises BadModel for an unknown name.
-
-        >>> import residuum as rs
-        >>> rs.model("linear-axis").with_values(M=90.0).parameters["M"].value
-        90.0
-        """
-        return Model(self.physical.with_values(values))
-
-    def with_effect(self, effect: str, place: str, **values: float) -> Model:
-        """The model with one more effect at a balance, input or output; `values` by the effect's own parameter names.
-
-        Raises BadModel for an effect that is not in the catalogue or does not fit there, and for a value out of bounds.
-        """
-        return Model(self.physical.with_effect(effect, place, values))
-
-    def without_effect(self, label: str) -> Model:
-        """The model without the effect `effect@place` (or `effect`, when it occurs once); BadModel when it is not there."""
-        return Model(self.physical.without_effect(label))
 
     def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
         """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
@@ -237,7 +168,7 @@ class Model:
         seconds: float | None = 30.0,
         progress: Progress = None,
         **options: Any,
-    ) -> Improvement:
+    ) -> Improvement[Model]:
         """Add effects, estimate again, and count the error on data that were not used for it.
 
         Parameters
@@ -275,7 +206,7 @@ class Model:
 
     def estimate(
         self, records: Records, *, map: Mapped = None, method: str = "simulation", steps: int = 50, hold: str = "auto"
-    ) -> Estimation:
+    ) -> Estimation[Model]:
         """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
 
         Parameters
@@ -357,20 +288,6 @@ class Model:
             raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}")
         channels = {name: Y[:, k] for k, name in enumerate(self.outputs)}
         return Record(channels, self.outputs, record.sample_time, record.t0, source=f"{self.name} on {record.source or 'record'}")
-
-    def __str__(self) -> str:
-        return self.text
-
-    def __repr__(self) -> str:
-        with_ = f", with {', '.join(self.effects)}" if self.effects else ""
-        return f"<residuum Model {self.name!r}: {', '.join(self.inputs) or 'no input'} → {', '.join(self.outputs)}{with_}>"
-
-    def _repr_html_(self) -> str:
-        rows = [
-            {"parameter": name, "value": p.value, "unit": p.unit, "fixed": p.fixed, "meaning": p.meaning}
-            for name, p in self.parameters.items()
-        ]
-        return f"<div><strong>{self.name}</strong>{html_table(rows)}</div>"
 
 
 def _names(records: Sequence[MeasuredRecord]) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -20,12 +19,11 @@ from residuum.diagnosis.finding import Finding as Judged
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record as MeasuredRecord
-from residuum.library.answers.finding import finding_text
+from residuum.library.finding import Finding
 from residuum.library.model import Mapped, Model, Records
 from residuum.library.physical_residual import PhysicalResidual
-from residuum.library.picture import Bars, Panel, Picture
-from residuum.library.record import as_records
-from residuum.library.result import Result, Row, data_frame
+from residuum.library.reading import as_records
+from residuum.library.result import data_frame
 
 if TYPE_CHECKING:
     import pandas
@@ -38,62 +36,7 @@ class NotFitted(BadInput, NotFittedError):
     """A monitor was asked to judge before it was given healthy records."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Finding(Result):
-    """What a monitor says of one window.
-
-    Attributes
-    ----------
-    found : Finding
-        Verdict, fault class, indicators with units and thresholds, evidence, reason.
-
-    Examples
-    --------
-    >>> import residuum as rs
-    >>> healthy = rs.simulate("process-plant", seed=1)
-    >>> finding = rs.monitor("robust-residual").fit(healthy).score(rs.simulate("process-plant", seed=2))
-    >>> finding.verdict
-    'healthy'
-    """
-
-    found: Judged
-
-    @property
-    def verdict(self) -> str:
-        """`healthy`, `faulty` or `not-assessable`."""
-        return self.found.verdict.value
-
-    @property
-    def reason(self) -> str | None:
-        """One sentence with the numbers."""
-        return self.found.reason
-
-    @property
-    def fault_class(self) -> str | None:
-        """The kind of fault, where the diagnoser tells kinds apart."""
-        return self.found.fault_class
-
-    def _answer(self) -> dict[str, Any]:
-        return self.found.to_json()
-
-    def __str__(self) -> str:
-        return finding_text(self._answer())
-
-    def _rows(self) -> Sequence[Row]:
-        found = self.found
-        return [
-            {"indicator": name, "value": value, "threshold": found.thresholds.get(name), "unit": found.units.get(name, "")}
-            for name, value in found.indicators.items()
-        ]
-
-    def _picture(self) -> Picture:
-        judged = {n: v / self.found.thresholds[n] for n, v in self.found.indicators.items() if self.found.thresholds.get(n)}
-        texts = [f"{value:.2f} of its threshold" for value in judged.values()]
-        bars = Bars(list(judged), list(judged.values()), texts)
-        return Picture([Panel(f"{self.verdict}: indicators over their thresholds", "", "value / threshold", bars)])
-
-
-class Monitor(OutlierMixin, BaseEstimator):  # type: ignore[misc]
+class Monitor(OutlierMixin, BaseEstimator):
     """A watch over one machine: fitted on healthy records, it judges windows. Follows scikit-learn's conventions for outliers.
 
     A sample is a `Record` (a window); X is a list of them. `get_params`, `set_params` and `sklearn.base.clone` work; what

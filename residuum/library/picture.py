@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -67,12 +67,6 @@ class Picture:
     """Panels, one below the other."""
 
     panels: Sequence[Panel]
-
-    def figure(self) -> Any:
-        """The picture as a Plotly figure; MissingPackage when Plotly is not installed."""
-        from residuum.library.plotly_figure import figure  # noqa: PLC0415  the optional package is loaded when it is drawn
-
-        return figure(self)
 
 
 def _extremes(y: Array, stretches: int) -> npt.NDArray[np.intp]:

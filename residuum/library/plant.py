@@ -18,8 +18,9 @@ from residuum.library.answers.identification import identification_json, identif
 from residuum.library.identification_methods import METHODS, Request, check_method
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
+from residuum.library.plotly_figure import figure
 from residuum.library.progress import Progress, Tell, told
-from residuum.library.record import as_records
+from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ class Plant(Result):
                 "phase", "frequency [Hz]", axis("phase", "°"), [Curve("phase", hertz, phase, phase - turn, phase + turn)], "log"
             ),
         ]
-        return Picture(panels).figure()
+        return figure(Picture(panels))
 
     def step(self, duration: float | None = None) -> plotly.graph_objects.Figure:
         """The response to a unit step at t = 0 with its 95 % band, as a Plotly figure.
@@ -135,7 +136,7 @@ class Plant(Result):
         time = model.sample_time * np.arange(n)
         title = f"step response, {model.input_name} → {model.output_name}"
         curve = Curve("step response", time, y, y - spread, y + spread)
-        return Picture([Panel(title, "time [s]", axis(model.output_name, self._unit()), [curve])]).figure()
+        return figure(Picture([Panel(title, "time [s]", axis(model.output_name, self._unit()), [curve])]))
 
     def _unit(self) -> str:
         model = self.identified

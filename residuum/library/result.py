@@ -12,6 +12,7 @@ import numpy as np
 from residuum.library.answers.plain import to_plain
 from residuum.library.optional_package import need
 from residuum.library.picture import Picture
+from residuum.library.plotly_figure import figure
 from residuum.library.svg import svg
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Result(ABC):
         MissingPackage
             Plotly is not installed.
         """
-        return self._picture().figure()
+        return figure(self._picture())
 
     @abstractmethod
     def _answer(self) -> dict[str, Any]:
