@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from residuum.identification.discrepancy.compare import compare
-from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.improve import improve
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import (
     Simulator,
@@ -23,12 +21,15 @@ from residuum.identification.physics import (
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
-from residuum.library.estimation import estimated
-from residuum.library.explanation import Explanation
-from residuum.library.improvement import Estimation, Improvement
 from residuum.library.progress import Progress, told
 from residuum.library.reading import as_records
 from residuum.library.record import Record
+
+if TYPE_CHECKING:
+    from residuum.library.explanation import Explanation
+    from residuum.library.improvement import Estimation, Improvement
+
+# What comparing does not need (the search, the estimation) is imported by the methods that need it: it costs most of a second.
 
 Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
 """One record, a record file, or several: each is an experiment with initial states of its own."""
@@ -143,6 +144,9 @@ class Model(DescribedModel):
         --------
         See `Explanation`.
         """
+        from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
+        from residuum.library.explanation import Explanation  # noqa: PLC0415
+
         given = as_records(records)
         with told(progress) as tell:
             found = explain(
@@ -197,6 +201,9 @@ class Model(DescribedModel):
         --------
         See `Improvement`.
         """
+        from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
+        from residuum.library.improvement import Improvement  # noqa: PLC0415
+
         wanted = [add] if isinstance(add, str) else add
         with told(progress) as tell:
             found = improve(
@@ -229,6 +236,9 @@ class Model(DescribedModel):
         --------
         See `Estimation`.
         """
+        from residuum.library.estimation import estimated  # noqa: PLC0415
+        from residuum.library.improvement import Estimation  # noqa: PLC0415
+
         given = as_records(records)
         found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
         result = found.estimate
