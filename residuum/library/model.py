@@ -114,7 +114,7 @@ class Model(DescribedModel):
         *,
         map: Mapped = None,
         effects: Iterable[str] | None = None,
-        seconds: float | None = 15.0,
+        seconds: float | None = 10.0,
         progress: Progress = None,
         **options: Any,
     ) -> Explanation:
@@ -169,7 +169,7 @@ class Model(DescribedModel):
         add: Sequence[str] | str | None = None,
         map: Mapped = None,
         effects: Sequence[str] | None = None,
-        seconds: float | None = 30.0,
+        seconds: float | None = 24.0,
         progress: Progress = None,
         **options: Any,
     ) -> Improvement[Model]:

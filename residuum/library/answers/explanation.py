@@ -15,6 +15,7 @@ from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.discrepancy.trials import SLOW
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
+from residuum.library.answers.tied_effects import tied_json, tied_text
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
@@ -85,7 +86,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "within_bounds": candidate.within_bounds,
         "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
         "because": because(candidate),
-    }
+    } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
 
 
 def remaining_json(remaining: Remaining) -> dict[str, Any]:
@@ -99,9 +100,10 @@ def remaining_json(remaining: Remaining) -> dict[str, Any]:
 
 
 def _candidate_text(candidate: Candidate) -> str:
+    sizes = tied_text(candidate.effect, candidate.balance, candidate.parameters) or sizes_text(candidate.parameters)
     text = (
         f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
-        f"probability {candidate.probability:.2f}, {sizes_text(candidate.parameters)}; "
+        f"probability {candidate.probability:.2f}, {sizes}; "
         f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
         f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
     )

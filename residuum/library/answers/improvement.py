@@ -9,6 +9,7 @@ from residuum.identification.discrepancy.improve import Improvement, quantities_
 from residuum.identification.physics import EffectUse
 from residuum.library.answers.explanation import held_text, remaining_json
 from residuum.library.answers.quantities import quantities_json, sizes_text
+from residuum.library.answers.tied_effects import tied_json, tied_text
 
 
 def improvement_json(improvement: Improvement, file: str | None) -> dict[str, Any]:
@@ -39,7 +40,7 @@ def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
         "probability": None if judged is None else judged.probability,
         "indistinguishable_from": [] if judged is None else list(judged.indistinguishable_from),
         "parameters": quantities_json(quantities_of(use)),
-    }
+    } | tied_json(use.id, use.target, quantities_of(use))
 
 
 def improvement_text(improvement: Improvement, file: str | None) -> str:
@@ -58,7 +59,8 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
 
 def _effect_text(use: EffectUse, improvement: Improvement) -> str:
     judged = improvement.candidate(use)
-    text = f"{use.id} in {use.target}: {sizes_text(quantities_of(use))}"
+    sizes = tied_text(use.id, use.target, quantities_of(use)) or sizes_text(quantities_of(use))
+    text = f"{use.id} in {use.target}: {sizes}"
     if judged is None:
         return text
     others = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""

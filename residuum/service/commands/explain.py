@@ -13,13 +13,18 @@ app = typer.Typer(add_completion=False)
 
 Seconds = Annotated[float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)]
 
+Learned = Annotated[
+    bool, typer.Option("--learned", help="Learn a curve over one signal where no effect with a name explains the error.")
+]
+
 
 @app.command(name="explain")
 def explain_command(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
-    seconds: Seconds = 15.0,
+    learned: Learned = False,
+    seconds: Seconds = 10.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -31,5 +36,5 @@ def explain_command(
     mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = read(model)
     keep_large_arrays()
-    explanation = given.explain(loaded, map=mapping, effects=wanted, seconds=seconds, progress=told)
+    explanation = given.explain(loaded, map=mapping, effects=wanted, learned=learned, seconds=seconds, progress=told)
     report(explanation.to_dict(), str(explanation), as_json=as_json)

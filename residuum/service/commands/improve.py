@@ -9,7 +9,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
-from residuum.service.commands.explain import Seconds
+from residuum.service.commands.explain import Learned, Seconds
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report, told
@@ -32,7 +32,8 @@ def improve_command(
         list[str] | None,
         typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
     ] = None,
-    seconds: Seconds = 30.0,
+    learned: Learned = False,
+    seconds: Seconds = 24.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
@@ -55,6 +56,7 @@ def improve_command(
         map=pairs("--map", channel_map),
         effects=considered,
         free=names_of(free),
+        learned=learned,
         seconds=seconds,
         progress=told,
     )

@@ -204,6 +204,8 @@ class Effect(ABC):
         (`grown`).
     every_sample : bool
         Whether it does to each sample what means over several do not show: a shift in time by a sample, or steps of a reading.
+    exact : bool
+        Whether the search for a structure that leaves nothing but noise tries it; others are tried on blocks kept aside alone.
     signals : int
         How many signals it is tied to; its target is then `balance(signal, …)`.
     between : bool
@@ -222,6 +224,7 @@ class Effect(ABC):
     natural_bounds: ClassVar[tuple[str, ...]] = ()
     generalises: ClassVar[str] = ""
     every_sample: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
     signals: ClassVar[int] = 0
     between: ClassVar[bool] = False
 
