@@ -130,6 +130,8 @@ def from_pandas(
         Seconds between rows, where neither index nor column is a time.
     resample : bool
         Accept uneven time: samples are interpolated onto even instants.
+    source : str
+        A name for reports.
 
     Returns
     -------
@@ -171,6 +173,8 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
         The dimension whose coordinate is the time: instants, durations, or seconds.
     resample : bool
         Accept uneven time: samples are interpolated onto even instants.
+    source : str
+        A name for reports.
 
     Returns
     -------
