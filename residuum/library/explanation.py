@@ -86,13 +86,27 @@ class Explanation(Result):
             for c in self.found.candidates
         ]
 
+    def _shown_rows(self) -> Sequence[Row]:
+        return [
+            {
+                "effect": f"{row['effect']} in {row['balance']}",
+                "probability": row["probability"],
+                "parameters": row["parameters"],
+                "error": f"{row['error_before']:.3g} → {row['error_after']:.3g} {row['error_unit']}",
+                "not to be told from": row["indistinguishable_from"],
+            }
+            for row in self._rows()
+        ]
+
     def _picture(self) -> Picture:
         shown = [c for c in self.found.candidates if c.step == 0][:_SHOWN]
         names = [f"{c.effect} in {c.balance}" for c in shown]
         texts = [f"{c.probability:.2f}" for c in shown]
-        probable = Panel("probability", "", "probability", Bars(names, [c.probability for c in shown], texts))
+        probable = Panel("probability", "", "probability", Bars(names, [c.probability for c in shown], texts, 1.0))
         if not shown:
             return Picture([probable])
         errors = [f"{c.error_before:.3g} → {c.error_after:.3g} {c.error_unit}" for c in shown]
         left = [100.0 * c.error_after / c.error_before if c.error_before > 0 else 100.0 for c in shown]
-        return Picture([probable, Panel("error that is left", "", "per cent of the error before", Bars(names, left, errors))])
+        return Picture(
+            [probable, Panel("error that is left", "", "per cent of the error before", Bars(names, left, errors, 100.0))]
+        )

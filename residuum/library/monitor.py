@@ -49,8 +49,8 @@ class Monitor(OutlierMixin, BaseEstimator):
     diagnoser : str or None
         With a model, the diagnoser that judges it; None: `model-based` where there is one, else the robust residual of what
         the model's prediction leaves over.
-    map : mapping of model name to column
-        With a model: for columns that are not named as its inputs and outputs are.
+    map : mapping of name to column
+        For columns that are not named as the model or the diagnoser names them.
     settings : mapping or None
         Of the diagnoser: `{"speed_rpm": 1500.0}`, …
 
@@ -86,18 +86,19 @@ class Monitor(OutlierMixin, BaseEstimator):
         BadInput
             Records that do not fit, an unknown diagnoser or setting, labels of another number than records.
         """
-        trained = self._untrained().fit(as_records(X), None if y is None else [str(label) for label in y])
+        trained = self._untrained().fit(self._records(X), None if y is None else [str(label) for label in y])
         self.diagnoser_: Diagnoser | PhysicalResidual = trained
         return self
 
     def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:  # another meaning than scikit-learn's, as issued
         """The finding of one window."""
-        (record,) = as_records(window)
+        (record,) = self._records(window)
         return Finding(self._trained().score(record))
 
     def findings(self, X: Records) -> list[Finding]:
         """The finding of every window."""
-        return [self.score(record) for record in as_records(X)]
+        trained = self._trained()
+        return [Finding(trained.score(record)) for record in self._records(X)]
 
     def predict(self, X: Records) -> npt.NDArray[np.int64]:
         """1 for a healthy window, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
@@ -146,9 +147,14 @@ class Monitor(OutlierMixin, BaseEstimator):
         if isinstance(self.source, Model):
             name = self.diagnoser or (MODEL_BASED if MODEL_BASED in DIAGNOSERS else "")
             if name:
-                return _made(name, {"model": self.source.physical, **({"mapping": self.map} if self.map else {}), **settings})
-            return PhysicalResidual(self.source.physical, dict(self.map or {}), **settings)
+                return _made(name, {"model": self.source.physical, **settings})
+            return PhysicalResidual(self.source.physical, **settings)
         return _made(self.diagnoser or self.source, settings)
+
+    def _records(self, X: Records) -> list[MeasuredRecord]:
+        """The windows, their columns named as the model names them."""
+        names = {column: name for name, column in (self.map or {}).items()}
+        return [record.rename(names) for record in as_records(X)]
 
     def _trained(self) -> Diagnoser | PhysicalResidual:
         if not hasattr(self, "diagnoser_"):
@@ -171,7 +177,7 @@ def monitor(
         A model of the machine, or the id of a diagnoser: `robust-residual`, `bearing`, `gate-actuator`, `gripping-pliers`.
     diagnoser : str
         With a model: the diagnoser that judges it (default: `model-based` where there is one).
-    map : mapping of model name to column
+    map : mapping of name to column
     settings
         Of the diagnoser, as `speed_rpm=1500.0`.
 

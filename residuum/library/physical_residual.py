@@ -22,15 +22,14 @@ class PhysicalResidual:
     Parameters
     ----------
     model : PhysicalModel
-    mapping : mapping of model name to column
     settings
         Of `RobustResidual`: `order`, `gamma`, `false_alarms_per_day`.
     """
 
     name = "physical-residual"
 
-    def __init__(self, model: PhysicalModel, mapping: Mapping[str, str] | None = None, **settings: Any) -> None:
-        self.model, self.mapping, self.settings = model, dict(mapping or {}), settings
+    def __init__(self, model: PhysicalModel, **settings: Any) -> None:
+        self.model, self.settings = model, settings
         self._watches: dict[str, RobustResidual] = {}
 
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
@@ -41,13 +40,13 @@ class PhysicalResidual:
         BadRecord
             No output of the model is in every record.
         """
-        measured = [name for name in self.model.outputs if all(self._column(name) in record.names for record in records)]
+        measured = [name for name in self.model.outputs if all(name in record.names for record in records)]
         if not measured:
             raise BadRecord(
                 f"model {self.model.name!r}: no output of it is in every record; it has {', '.join(self.model.outputs)}"
             )
         for name in measured:
-            watch = RobustResidual(input=PREDICTION, output=self._column(name), **self.settings)
+            watch = RobustResidual(input=PREDICTION, output=name, **self.settings)
             self._watches[name] = watch.fit([self._beside(record, name) for record in records], labels)
         return self
 
@@ -65,11 +64,8 @@ class PhysicalResidual:
             reason=None if worst.reason is None else f"{name}: {worst.reason}",
         )
 
-    def _column(self, output: str) -> str:
-        return self.mapping.get(output, output)
-
     def _beside(self, record: Record, output: str) -> Record:
-        return with_prediction(self.model, record, output, self.mapping)
+        return with_prediction(self.model, record, output)
 
 
 def _order(finding: Finding) -> tuple[int, float]:

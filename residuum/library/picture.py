@@ -44,11 +44,12 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Named values side by side; `texts` stand beside them."""
+    """Named values side by side; `texts` stand beside them; `whole` is what the longest bar would stand for."""
 
     names: Sequence[str]
     values: Sequence[float]
     texts: Sequence[str] = ()
+    whole: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,11 @@ class Result(ABC):
         return f"<residuum {type(self).__name__}: {first}>"
 
     def _repr_html_(self) -> str:
-        return html(type(self).__name__, self._rows(), self._picture())
+        return html(type(self).__name__, self._shown_rows(), self._picture())
+
+    def _shown_rows(self) -> Sequence[Row]:
+        """The table as a notebook shows it, where that is another one."""
+        return self._rows()
 
 
 def html(title: str, rows: Sequence[Row], picture: Picture) -> str:

@@ -58,7 +58,7 @@ def _curves(curves: Sequence[Curve], logarithmic: bool) -> str:
 def _bars(bars: Bars) -> str:
     if not bars.values:
         return ""
-    top = max([*(abs(value) for value in bars.values if np.isfinite(value)), 1e-300])
+    top = max([*(abs(value) for value in bars.values if np.isfinite(value)), bars.whole or 1e-300])
     step = (_HEIGHT - _TOP - _BOTTOM) / len(bars.values)
     parts = []
     for number, (name, value) in enumerate(zip(bars.names, bars.values, strict=True)):

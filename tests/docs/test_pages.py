@@ -1,6 +1,5 @@
 """The documentation: its code runs, its pages follow from the code, its site builds without a network."""
 
-import doctest
 import importlib.util
 import json
 import re
@@ -29,22 +28,10 @@ def blocks(page, language):
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.fixture
-def only_listed_effects():
-    yield
-    EFFECTS._added.clear()
-    EFFECTS._fingerprints.clear()
-
-
-@pytest.mark.usefixtures("only_listed_effects")
 @pytest.mark.parametrize("page", [p for p in WRITTEN_BY_HAND if blocks(p, "pycon")], ids=lambda page: page.stem)
-def test_the_code_of_a_page_does_what_it_shows(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-    runner = doctest.DocTestRunner(optionflags=flags)
-    text = "\n".join(blocks(page, "pycon"))
-    runner.run(doctest.DocTestParser().get_doctest(text, {"__name__": "page"}, page.name, str(page), 0))
-    assert runner.failures == 0 and runner.tries > 0
+def test_the_code_of_a_page_does_what_it_shows(page, run_page):
+    failures, tries = run_page(page)
+    assert failures == 0 and tries > 0
 
 
 @pytest.mark.parametrize("page", WRITTEN_BY_HAND, ids=lambda page: page.stem)

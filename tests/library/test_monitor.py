@@ -67,3 +67,12 @@ def test_every_diagnoser_can_be_a_monitor_by_its_id():
         rs.monitor("nobody").fit(rs.simulate("process-plant", seed=1))
     with pytest.raises(rs.BadInput, match="unexpected keyword argument 'colour'"):
         rs.monitor("bearing", colour="red").fit(rs.simulate("process-plant", seed=1))
+
+
+def test_a_model_watches_columns_of_other_names():
+    record = rs.simulate("linear-axis", duration=20.0, seed=1).rename({"force": "F_motor"})
+    monitor = rs.monitor(rs.model("linear-axis"), map={"force": "F_motor"}).fit(record)
+    answer = monitor.score(record.window(0, record.n // 2)).to_dict()
+    assert answer["verdict"] in ("healthy", "faulty", "not-assessable") and answer["diagnoser"] != "robust-residual"
+    with pytest.raises(rs.BadRecord, match="F_motor"):
+        monitor.score(record.rename({"F_motor": "other"}))
