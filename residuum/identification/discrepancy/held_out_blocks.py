@@ -35,6 +35,8 @@ _SHOWN = 10.0
 """Times the measurement noise that an error over a stretch has to stand to be judged."""
 _REFIT, _LOOK = 15, 6
 """Gauss–Newton steps of a candidate that is judged, and of one of its starts."""
+_MOST, _GLANCED = 12_000, 3_000
+"""Samples of all stretches, and of those on which a start is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,17 @@ class Blocks:
         """Length of a stretch."""
         return self.test[0].n
 
+    @property
+    def few(self) -> Blocks:
+        """The same with some of the training blocks alone, evenly spread."""
+        total = sum(part.n for part in self.train)
+        return replace(self, train=self.train[:: max(1, round(total / _GLANCED))])
+
+    @property
+    def turned(self) -> Blocks:
+        """The same with what trains and what tests exchanged."""
+        return replace(self, train=self.test, test=self.train)
+
 
 @dataclass(frozen=True, eq=False)
 class Errors:
@@ -68,6 +81,10 @@ class Errors:
         """Of each output over all blocks."""
         count = self.count.sum(axis=0)
         return np.sqrt(np.divide(self.power.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
+
+    def beside(self, other: Errors) -> Errors:
+        """These blocks, and then the other's."""
+        return Errors(np.concatenate([self.power, other.power]), np.concatenate([self.count, other.count]))
 
     def stands_out(self, noise: FloatArray, times: float) -> bool:
         """Whether an output's error is so many times its measurement noise."""
@@ -102,6 +119,7 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
         parts = _stretches(simulator.states, experiments, [s.X for s in found], samples)
         if len(parts) < 6:
             break
+        parts = _thinned(parts, max(1, total // _MOST))
         blocks = Blocks(model, parts[::2], parts[1::2], along, noise)
         trained = fitted(model, blocks)
         errors = None if trained is None else errors_on(trained[0], blocks)
@@ -118,6 +136,11 @@ def _stretches(states: Sequence[str], experiments: Sequence[Experiment], X: Sequ
             if 2 * part.n > n:
                 parts.append(replace(part, known=dict(zip(states, along[row].tolist(), strict=False)), block=1))
     return parts
+
+
+def _thinned(parts: list[Experiment], every: int) -> list[Experiment]:
+    """Neighbours in pairs, of which one trains and the other tests, one pair of so many."""
+    return [part for k, part in enumerate(parts) if (k // 2) % every == 0] if len(parts) > 30 else parts
 
 
 def _measured(parts: Sequence[Experiment]) -> FloatArray:
@@ -159,6 +182,19 @@ def fitted(model: PhysicalModel, blocks: Blocks, *, look: bool = False) -> tuple
     return found.model, float(np.nansum((residuals * weights) ** 2))
 
 
+def cross_judged(model: PhysicalModel, blocks: Blocks) -> tuple[PhysicalModel, Errors] | None:
+    """The model estimated on the training blocks and tested on the others, and the other way round: its errors on all of them.
+
+    Every block is judged once by a model that has not seen it; None where one of the two diverges.
+    """
+    first = fitted(model, blocks)
+    second = None if first is None else fitted(first[0], blocks.turned)
+    if first is None or second is None:
+        return None
+    errors, others = errors_on(first[0], blocks), errors_on(second[0], blocks.turned)
+    return None if errors is None or others is None else (first[0], errors.beside(others))
+
+
 @dataclass(frozen=True)
 class Remaining:
     """What a model leaves on the blocks kept aside.
@@ -174,14 +210,12 @@ class Remaining:
 
 def remaining_on(model: PhysicalModel, blocks: Blocks) -> Remaining | None:
     """What the model, estimated on the training blocks, leaves on the others; None where it diverges."""
-    base, trained = fitted(blocks.model, blocks), fitted(model, blocks)
+    base, trained = cross_judged(blocks.model, blocks), cross_judged(model, blocks)
     if base is None or trained is None:
         return None
-    before, after = errors_on(base[0], blocks), errors_on(trained[0], blocks)
-    if before is None or after is None:
-        return None
-    power = after.relative(before)
-    worst = blocks.test[int(np.argmax(power))]
+    after = trained[1]
+    power = after.relative(base[1])
+    worst = [*blocks.test, *blocks.train][int(np.argmax(power))]
     times = after.rms / np.where(blocks.noise > 0, blocks.noise, np.nan)
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
     return Remaining(float(power.sum()), largest, (worst.t0, worst.t0 + worst.n * worst.sample_time))

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from residuum.identification.discrepancy.deadline import OutOfTime, in_time
-from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, errors_on, fitted
+from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, cross_judged, fitted
 from residuum.identification.discrepancy.noise_floor import PLAINLY
 from residuum.identification.discrepancy.proposals import Key, curves, starts
 from residuum.identification.discrepancy.side_by_side import each_beside
@@ -44,6 +44,8 @@ _MUCH = 0.5
 """Part of the leading one's share that another has to take away to stand for it."""
 _TRIFLE = 0.01
 """Part of the mean power of a block that is too small to matter, of noise or of anything."""
+_PROMISE = 0.02
+"""Part of the sum of squares that an effect has to take away where it was estimated to be tried on blocks kept aside."""
 _STEPS = 4
 _RESAMPLES = 400
 
@@ -129,12 +131,12 @@ def search_by_share(
     for _ in range(_STEPS):
         try:
             blocks = blocks_on_track(current, experiments)
-            base = None if blocks is None else fitted(current, blocks)
+            base = None if blocks is None else cross_judged(current, blocks)
         except OutOfTime:
             return found
-        before = None if blocks is None or base is None else errors_on(base[0], blocks)
-        if blocks is None or base is None or before is None:
+        if blocks is None or base is None:
             return found
+        before = base[1]
         found = found or ShareSearch(blocks)
         taken = found.accepted
         keys = [key for key in candidates(base[0], effects) if key not in taken]
@@ -151,9 +153,13 @@ def search_by_share(
 def _step(
     base: PhysicalModel, blocks: Blocks, experiments: Sequence[Experiment], before: Errors, keys: Sequence[Key], *, first: bool
 ) -> ShareStep:
+    few = blocks.few
+    start = fitted(base, few, look=True) if len(few.train) < len(blocks.train) else None
+    glanced = np.inf if start is None else start[1]
+
     def one(key: Key) -> Shared | None:
         try:
-            return _shared(base, key, blocks, experiments, before)
+            return _shared(base, key, blocks, experiments, before, glanced)
         except OutOfTime:
             return None
 
@@ -172,16 +178,23 @@ def _step(
     return ShareStep(base, before, tuple(ordered), group, _wins([s for s in judged if s in alike], before), leading)
 
 
-def _shared(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment], before: Errors) -> Shared | None:
-    """The candidate at the best of its starts, judged; None where it diverges or fits nowhere."""
-    looks = [found for start in starts(base, key, blocks, experiments) if (found := fitted(start, blocks, look=True))]
-    if not looks:
+def _shared(
+    base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment], before: Errors, glanced: float
+) -> Shared | None:
+    """The candidate at the best of its starts, judged; None where it diverges or promises nothing.
+
+    `glanced` is the weighted sum of squares of the model without it on the few blocks where the starts are looked at, infinite
+    where those are all and nothing is gained by leaving a candidate early.
+    """
+    few = blocks.few
+    looks = [found for start in starts(base, key, blocks, experiments) if (found := fitted(start, few, look=True))]
+    if not looks or min(found[1] for found in looks) > (1.0 - _PROMISE) * glanced:
         return None
     in_time()
-    best = fitted(min(looks, key=lambda found: found[1])[0], blocks)
-    errors = None if best is None else errors_on(best[0], blocks)
-    if best is None or errors is None:
+    best = cross_judged(min(looks, key=lambda found: found[1])[0], blocks)
+    if best is None:
         return None
+    errors = best[1]
     gain = before.relative(before) - errors.relative(before)
     n = len(gain)
     fall = _loss(before, before) - _loss(errors, before)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, errors_on, fitted
+from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged
 from residuum.identification.discrepancy.judgement import Candidate, Judgement, Quantity
 from residuum.identification.discrepancy.share import Shared, ShareSearch, ShareStep
 from residuum.identification.discrepancy.structures import Structure, fit_structure
@@ -135,8 +135,8 @@ def _share(candidate: Candidate, found: Search, blocks: Blocks) -> Quantity | No
 
 
 def _errors(model: PhysicalModel, blocks: Blocks) -> Errors | None:
-    trained = fitted(model, blocks)
-    return None if trained is None else errors_on(trained[0], blocks)
+    found = cross_judged(model, blocks)
+    return None if found is None else found[1]
 
 
 def because(candidate: Candidate) -> str:
