@@ -5,6 +5,7 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
+from residuum.identification.entry_points import from_entry_points
 
 DIAGNOSERS: dict[str, type[Diagnoser]] = {
     GateActuator.name: GateActuator,
@@ -12,3 +13,5 @@ DIAGNOSERS: dict[str, type[Diagnoser]] = {
     Bearing.name: Bearing,
     RobustResidual.name: RobustResidual,
 }
+for _found in from_entry_points("residuum.diagnosers"):
+    DIAGNOSERS.setdefault(_found.name, _found)

@@ -11,11 +11,11 @@ from pydantic import BaseModel, Field, model_validator
 
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS
+from residuum.library.answers.effect import effect_json
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, ModelName
-from residuum.service.commands.effects import effect_json
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound

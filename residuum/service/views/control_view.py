@@ -16,12 +16,12 @@ import numpy.typing as npt
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
+from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.state_space import weighted_loop
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
 from residuum.robust_control.weights.nominal_performance import Infeasible, refined
-from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Wishes
 from residuum.service.views.residual_view import read_identified
 from residuum.service.work.jobs import Progress
 

@@ -6,8 +6,8 @@ import pytest
 
 from residuum.identification.discrepancy.held_values import HeldValue
 from residuum.identification.discrepancy.judgement import Quantity
-from residuum.service.commands.explain import explanation_text
-from residuum.service.commands.quantities import sizes_text
+from residuum.library.answers.explanation import explanation_text
+from residuum.library.answers.quantities import sizes_text
 
 
 def explanation(verdict, times, held=()):

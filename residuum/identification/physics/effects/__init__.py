@@ -3,7 +3,9 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from residuum.identification.entry_points import from_entry_points
 from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.effects.catalogue import EffectCatalogue
 from residuum.identification.physics.effects.electric.brush_drop import BrushDrop
 from residuum.identification.physics.effects.electric.inductance import Inductance
 from residuum.identification.physics.effects.electric.resistance_heating import ResistanceHeating
@@ -61,7 +63,7 @@ from residuum.identification.physics.effects.transmission.backlash import Backla
 from residuum.identification.physics.effects.transmission.elastic_transmission import ElasticTransmission
 from residuum.identification.physics.effects.transmission.end_stop import EndStop
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(
+EFFECTS = EffectCatalogue(
     {
         "viscous-friction": ViscousFriction(),
         "coulomb-friction": CoulombFriction(),
@@ -117,9 +119,12 @@ EFFECTS: Mapping[str, Effect] = MappingProxyType(
         "output-quantisation": OutputQuantisation(),
     }
 )
+"""The catalogue; `EFFECTS.add` puts an effect of a user's own beside those of the list."""
 STRUCTURAL: Mapping[str, Effect] = MappingProxyType(
     {"forgotten-input": ForgottenInput(), "coupling": Coupling(), "learned": Learned()}
 )
 """Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the records, not in the catalogue."""
 UNNAMED: Mapping[str, Effect] = MappingProxyType({"drifting-load": DriftingLoad()})
 """What stands in a model only while it is judged, beside the catalogue: effects that name no physics."""
+for _found in from_entry_points("residuum.effects"):
+    EFFECTS.add(_found() if isinstance(_found, type) else _found)

@@ -29,7 +29,11 @@ from residuum.identification.physics.model import (
 from residuum.identification.units import parse_unit
 
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
-_KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "effects", "initial")
+KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "effects", "initial")
+INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
+EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
+"""What each entry of a section may hold; balances also name the variables of their kind."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max"}
 
@@ -62,9 +66,9 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
 
 
 def read_model(text: str, source: str = "model") -> PhysicalModel:
-    """The model that a YAML text describes (the format is in the README's "Model files"); `source` names it in refusals."""
+    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals."""
     tree = read_tree(text, source)
-    tree.only(_KEYS, "model file")
+    tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
@@ -143,14 +147,14 @@ def _input(name: str, section: Table) -> Input:
     if isinstance(tree, Scalar):
         return Input(name, _unit(tree))
     table = section.table(name, "inputs")
-    table.only(("unit", "default"), f"input {name!r}")
+    table.only(INPUT_KEYS, f"input {name!r}")
     default = table.optional("default", f"input {name!r}")
     return Input(name, _unit(table.scalar("unit", f"input {name!r}")), default.text if default else None)
 
 
 def _state(name: str, section: Table) -> State:
     table = section.table(name, "states")
-    table.only(("unit", "rate"), f"state {name!r}")
+    table.only(STATE_KEYS, f"state {name!r}")
     rate = table.optional("rate", f"state {name!r}")
     return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
 
@@ -158,7 +162,7 @@ def _state(name: str, section: Table) -> State:
 def _parameter(name: str, section: Table) -> Parameter:
     what = f"parameter {name!r}"
     table = section.table(name, "parameters")
-    table.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), what)
+    table.only(PARAMETER_KEYS, what)
     unit = table.optional("unit", what)
     fixed, meaning = table.optional("fixed", what), table.optional("meaning", what)
     lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
@@ -209,7 +213,7 @@ def _balance(name: str, section: Table) -> Balance:
 
 def _output(name: str, section: Table) -> Output:
     table = section.table(name, "outputs")
-    table.only(("value", "unit"), f"output {name!r}")
+    table.only(OUTPUT_KEYS, f"output {name!r}")
     value, unit = table.scalar("value", f"output {name!r}"), table.optional("unit", f"output {name!r}")
     return Output(name, _expression(value), _unit(unit) if unit else "")
 
@@ -237,7 +241,7 @@ def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
 
 def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     what = "effect"
-    item.only(("id", "balance", "input", "output", "parameters", "provenance"), what)
+    item.only(EFFECT_KEYS, what)
     targets = [key for key in ("balance", "input", "output") if key in item.entries]
     if len(targets) != 1:
         raise item.place.refuse("effect: exactly one of 'balance', 'input', 'output' says where it is")
@@ -250,7 +254,7 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
         value = entry if isinstance(entry, Scalar) else table.table(name, what).scalar("value", what)
         values[name] = value.number(f"effect parameter {name!r}")
         if isinstance(entry, Table):
-            entry.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), f"effect parameter {name!r}")
+            entry.only(PARAMETER_KEYS, f"effect parameter {name!r}")
             flag = entry.optional("fixed", what)
             fixed += [name] if flag and flag.truth(what) else []
     provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}

@@ -158,7 +158,8 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
         raise BadRecord(f"record {record.source!r}: input {name!r} is missing; the columns are {', '.join(record.names)}")
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
-        raise BadRecord(f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}; inputs must be complete")
+        where = f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}"
+        raise BadRecord(f"{where}; inputs must be complete: cut the record there and give its parts as records of their own")
     return record.in_unit(column, unit)
 
 

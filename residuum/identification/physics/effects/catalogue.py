@@ -1,0 +1,66 @@
+"""EffectCatalogue: effects by id, those of the list and those that a user added."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import re
+import uuid
+from collections.abc import Iterator, Mapping
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics.effects.base import Effect
+
+_ID = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_DECLARED = ("title", "equation", "reference", "acts_on")
+
+
+class EffectCatalogue(Mapping[str, Effect]):
+    """Effects by id, in the order of the list; added ones come last."""
+
+    def __init__(self, listed: Mapping[str, Effect]) -> None:
+        self._listed, self._added = dict(listed), dict[str, Effect]()
+        self._fingerprints: dict[str, str] = {}
+
+    def __getitem__(self, id: str) -> Effect:
+        return self._listed[id] if id in self._listed else self._added[id]
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._listed
+        yield from self._added
+
+    def __len__(self) -> int:
+        return len(self._listed) + len(self._added)
+
+    def add(self, effect: Effect) -> None:
+        """Put an effect of a user's own into the catalogue; an added one of the same id is replaced.
+
+        Raises
+        ------
+        BadModel
+            What is no effect, an id of the list, one that is not of small letters, digits and `-`, or a class attribute that is
+            missing.
+        """
+        if not isinstance(effect, Effect):
+            raise BadModel(f"effect: is {type(effect).__name__}; must be an Effect, or a class of one")
+        id = getattr(effect, "id", "")
+        if not _ID.fullmatch(id):
+            raise BadModel(f"effect {type(effect).__name__}: id is {id!r}; must be small letters, digits and '-'")
+        if id in self._listed:
+            raise BadModel(f"effect {id!r}: the catalogue has one of this id; choose another")
+        if missing := [name for name in _DECLARED if not hasattr(effect, name)]:
+            raise BadModel(f"effect {id!r}: class attribute {missing[0]!r} is missing")
+        self._added[id], self._fingerprints[id] = effect, _digest(effect)
+
+    def fingerprint(self, id: str) -> str:
+        """What tells added effects of one id apart in kernels that are kept on disk; empty for those of the list."""
+        return self._fingerprints.get(id, "")
+
+
+def _digest(effect: Effect) -> str:
+    """Of the class's source; another one in every process where the source cannot be seen."""
+    try:
+        source = inspect.getsource(type(effect)) + repr(sorted(vars(effect).items()))
+    except (OSError, TypeError):
+        source = uuid.uuid4().hex
+    return hashlib.sha256(source.encode()).hexdigest()[:16]
