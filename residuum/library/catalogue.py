@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.files.effect_file import read_effects
 from residuum.identification.physics.model import find_effect
 from residuum.library.answers.effect import effect_json, effect_line
 from residuum.library.result import data_frame, html_table
@@ -56,6 +59,23 @@ class Catalogue(Mapping[str, Effect]):
         See "Add an effect" in the documentation.
         """
         EFFECTS.add(effect() if isinstance(effect, type) else effect)
+
+    def read(self, path: str | PathLike[str]) -> list[str]:
+        """Add the effects that a YAML file defines; returns their ids.
+
+        Raises
+        ------
+        BadModel
+            No such file, or anything wrong in it, with line and column; an id of the catalogue.
+
+        Examples
+        --------
+        See "Add an effect" in the documentation.
+        """
+        found = read_effects(Path(path))
+        for effect in found:
+            EFFECTS.add(effect)
+        return [effect.id for effect in found]
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON object of `residuum effects --json`."""

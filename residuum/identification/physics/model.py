@@ -88,10 +88,13 @@ class EffectUse:
     parameters: Mapping[str, Parameter]
     instance: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    own: Effect | None = field(default=None, compare=False)
 
     @property
     def effect(self) -> Effect:
-        """The catalogue's entry, or an unnamed one."""
+        """The catalogue's entry, an unnamed one, or the one that the model's own file defines."""
+        if self.own is not None:
+            return self.own
         return UNNAMED[self.id] if self.id in UNNAMED else find_effect(self.id)
 
     @property
@@ -244,7 +247,8 @@ class PhysicalModel:
         for name in fixed:
             declared[name] = replace(declared[name], fixed=True)
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
-        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}))
+        own = effect if EFFECTS.is_here(id) else None
+        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)
         return replace(self, effects=(*self.effects, use))
 
     def with_unnamed(self, id: str, target: str) -> PhysicalModel:

@@ -7,6 +7,7 @@ import typer
 from residuum.identification.physics import candidates, load_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.library.answers.effect import effect_json, effect_line, parameters_json
+from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -15,6 +16,7 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def effects(
     model: Annotated[str | None, typer.Argument(metavar="[MODEL]", help="A built-in model or a model file.")] = None,
+    catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """List the catalogue of physical effects, or where each fits in MODEL."""

@@ -10,6 +10,7 @@ from residuum.library.answers.estimation import estimate_text
 from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report
 
@@ -28,6 +29,7 @@ def estimate_command(
     resample: Resample = False,
     sample_time: SampleTime = None,
     unit: Units = None,
+    catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Estimate the free parameters; a note `# split: 0.7` in a record keeps its rest for validation."""

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from residuum.library.model import model as read
+from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
@@ -29,6 +30,7 @@ def explain_command(
     resample: Resample = False,
     sample_time: SampleTime = None,
     unit: Units = None,
+    catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""

@@ -11,6 +11,7 @@ from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
 from residuum.service.commands.explain import Learned, Seconds
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
@@ -38,6 +39,7 @@ def improve_command(
     resample: Resample = False,
     sample_time: SampleTime = None,
     unit: Units = None,
+    catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""

@@ -26,9 +26,10 @@ from dataclasses import dataclass, field
 import sympy as sp
 
 from residuum.identification.errors import BadModel
+from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
+from residuum.identification.physics.files.expression import Call, Name, Node, Number
 from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
@@ -291,7 +292,7 @@ class _Composer:
 
     def _symbolic(self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None) -> sp.Expr:
         if isinstance(tree, Number):
-            return sp.Integer(int(tree.value)) if tree.value == int(tree.value) else sp.Float(tree.value, 17)
+            return number(tree)
         if isinstance(tree, Name):
             return self._name(tree.name)
         if isinstance(tree, Call) and tree.function == "der":
@@ -299,7 +300,7 @@ class _Composer:
         if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
             return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
-        return _MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*operands)
+        return meaning(tree)(*operands)
 
     def _name(self, name: str) -> sp.Expr:
         for family in (self.x, self.paths, self.p, self.variables):
@@ -316,23 +317,3 @@ def term_name(use: EffectUse) -> str:
 
 def _is_name(tree: Node, name: str) -> bool:
     return isinstance(tree, Name) and tree.name == name
-
-
-_MEANING = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    "**": lambda a, b: a**b,
-    "neg": lambda a: -a,
-    "sin": sp.sin,
-    "cos": sp.cos,
-    "tanh": sp.tanh,
-    "exp": sp.exp,
-    "log": sp.log,
-    "sqrt": sp.sqrt,
-    "abs": sp.Abs,
-    "sign": sp.sign,
-    "min": sp.Min,
-    "max": sp.Max,
-}

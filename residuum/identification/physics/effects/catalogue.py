@@ -7,6 +7,8 @@ import inspect
 import re
 import uuid
 from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
+from types import MappingProxyType
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects.base import Effect
@@ -16,21 +18,37 @@ _DECLARED = ("title", "equation", "reference", "acts_on")
 
 
 class EffectCatalogue(Mapping[str, Effect]):
-    """Effects by id, in the order of the list; added ones come last."""
+    """Effects by id, in the order of the list; then those that were added, and those that a file defines for the work at hand."""
 
     def __init__(self, listed: Mapping[str, Effect]) -> None:
         self._listed, self._added = dict(listed), dict[str, Effect]()
         self._fingerprints: dict[str, str] = {}
+        self._here: ContextVar[Mapping[str, Effect]] = ContextVar("effects of this work", default=MappingProxyType({}))
 
     def __getitem__(self, id: str) -> Effect:
-        return self._listed[id] if id in self._listed else self._added[id]
+        if id in self._listed:
+            return self._listed[id]
+        here = self._here.get()
+        return here[id] if id in here else self._added[id]
 
     def __iter__(self) -> Iterator[str]:
         yield from self._listed
-        yield from self._added
+        yield from {**self._added, **self._here.get()}
 
     def __len__(self) -> int:
-        return len(self._listed) + len(self._added)
+        return len(self._listed) + len({**self._added, **self._here.get()})
+
+    def use_here(self, effect: Effect) -> None:
+        """Put an effect that a file defines into the catalogue of this context alone: of this command, request or job.
+
+        Raises
+        ------
+        BadModel
+            An id of the list.
+        """
+        if effect.id in self._listed:
+            raise BadModel(f"effect {effect.id!r}: the catalogue has one of this id; choose another")
+        self._here.set(MappingProxyType({**self._here.get(), effect.id: effect}))
 
     def add(self, effect: Effect) -> None:
         """Put an effect of a user's own into the catalogue; an added one of the same id is replaced.
@@ -52,13 +70,20 @@ class EffectCatalogue(Mapping[str, Effect]):
             raise BadModel(f"effect {id!r}: class attribute {missing[0]!r} is missing")
         self._added[id], self._fingerprints[id] = effect, _digest(effect)
 
+    def is_here(self, id: str) -> bool:
+        """Whether a file defines the effect for the work at hand."""
+        return id in self._here.get()
+
     def fingerprint(self, id: str) -> str:
         """What tells added effects of one id apart in kernels that are kept on disk; empty for those of the list."""
-        return self._fingerprints.get(id, "")
+        here = self._here.get()
+        return _digest(here[id]) if id in here else self._fingerprints.get(id, "")
 
 
 def _digest(effect: Effect) -> str:
-    """Of the class's source; another one in every process where the source cannot be seen."""
+    """Of what a file defines, or of the class's source; another one in every process where the source cannot be seen."""
+    if (definition := getattr(effect, "definition", None)) is not None:
+        return hashlib.sha256(repr(definition).encode()).hexdigest()[:16]
     try:
         source = inspect.getsource(type(effect)) + repr(sorted(vars(effect).items()))
     except (OSError, TypeError):

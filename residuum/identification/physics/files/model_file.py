@@ -14,8 +14,10 @@ from typing import Any
 import yaml
 
 from residuum.identification.errors import BadInput, BadModel, BadUnit
+from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.consistency import check
+from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
@@ -29,7 +31,7 @@ from residuum.identification.physics.model import (
 from residuum.identification.units import parse_unit
 
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
-KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "effects", "initial")
+KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "own_effects", "effects", "initial")
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
 PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
@@ -109,6 +111,8 @@ def write_model(model: PhysicalModel) -> str:
     }
     if model.initial:
         document["initial"] = dict(model.initial)
+    if own := {use.id: use.effect.definition for use in model.effects if isinstance(use.effect, WrittenEffect)}:
+        document["own_effects"] = list(own.values())
     if model.effects:
         document["effects"] = [
             {"id": use.id, use.effect.place: use.target}
@@ -227,6 +231,9 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
 
 
 def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    if "own_effects" in tree.entries:
+        for effect in effects_of(tree.entries["own_effects"], tree):
+            EFFECTS.use_here(effect)
     listing = tree.entries.get("effects")
     if listing is None:
         return model
