@@ -31,6 +31,8 @@ _BLOCKS = (60, 30, 15)
 """Stretches that the records are cut into: fewer, hence longer, where the shorter ones do not show the model's error."""
 _SHORTEST, _LONGEST = 20, 600
 """Samples of a stretch."""
+_MOSTLY = 0.5
+"""Part of an output's power that one block may hold."""
 _SHOWN = 10.0
 """Times the measurement noise that an error over a stretch has to stand to be judged."""
 _REFIT, _LOOK = 15, 6
@@ -91,10 +93,22 @@ class Errors:
         return bool(np.any(self.rms > times * noise))
 
     def relative(self, base: Errors) -> FloatArray:
-        """Power of each block, outputs in units of the base's mean power, in sum one for the base itself; shape (blocks,)."""
-        total = base.power.sum(axis=0)
+        """Power of each block, outputs in units of the base's mean power, in sum one for the base itself; shape (blocks,).
+
+        A block that holds most of an output's power by itself (a beginning that nothing explains) would decide alone; it counts
+        there as the next largest does.
+        """
+        power, limits = base.power, base.limits
+        total = np.minimum(power, limits).sum(axis=0)
         seen = total > 0.0
-        return np.asarray((self.power[:, seen] / total[seen]).sum(axis=1) / max(int(seen.sum()), 1))
+        return np.asarray((np.minimum(self.power, limits)[:, seen] / total[seen]).sum(axis=1) / max(int(seen.sum()), 1))
+
+    @property
+    def limits(self) -> FloatArray:
+        """Of each output the power above which a block is no more than one of many, shape (outputs,)."""
+        largest = np.sort(self.power, axis=0)[::-1]
+        alone = largest[0] > _MOSTLY * largest.sum(axis=0)
+        return np.where(alone, largest[min(1, len(largest) - 1)], np.inf)
 
 
 def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> Blocks | None:

@@ -28,7 +28,7 @@ from residuum.identification.discrepancy.noise_floor import PLAINLY
 from residuum.identification.discrepancy.proposals import Key, curves, starts
 from residuum.identification.discrepancy.side_by_side import each_beside
 from residuum.identification.physics import Experiment, PhysicalModel, candidates
-from residuum.identification.physics.model import tied_to
+from residuum.identification.physics.model import find_effect, tied_to
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -73,7 +73,8 @@ class Shared:
 class ShareStep:
     """One step: the model before it, its errors, all candidates (the leading first), and the group of the first.
 
-    `wins` is how often each of the group leads when blocks are resampled; `accepted` is None where none is real.
+    `wins` is how often each of the group leads when blocks are resampled; `accepted` is None where none is real; `tried` is the
+    part of the candidates that there was time for.
     """
 
     base: PhysicalModel
@@ -82,6 +83,7 @@ class ShareStep:
     group: tuple[Key, ...]
     wins: Mapping[Key, float]
     accepted: Shared | None
+    tried: float = 1.0
 
 
 @dataclass(eq=False)
@@ -139,7 +141,7 @@ def search_by_share(
         before = base[1]
         found = found or ShareSearch(blocks)
         taken = found.accepted
-        keys = [key for key in candidates(base[0], effects) if key not in taken]
+        keys = _simplest_first(base[0], [key for key in candidates(base[0], effects) if key not in taken])
         step = _step(base[0], blocks, experiments, before, keys, first=not taken)
         if step.accepted is None and learned:
             step = _step(base[0], blocks, experiments, before, curves(base[0], blocks), first=not taken)
@@ -157,10 +159,13 @@ def _step(
     start = fitted(base, few, look=True) if len(few.train) < len(blocks.train) else None
     glanced = np.inf if start is None else start[1]
 
+    late: list[Key] = []
+
     def one(key: Key) -> Shared | None:
         try:
             return _shared(base, key, blocks, experiments, before, glanced)
         except OutOfTime:
+            late.append(key)
             return None
 
     judged = [s for s in each_beside(one, keys) if s is not None]
@@ -175,7 +180,19 @@ def _step(
     leading = min(real, key=lambda s: (s.simplicity, -round(s.share, 2)), default=None)
     ordered = sorted(judged, key=lambda s: (s is not leading, s not in alike))
     group = tuple(s.key for s in ordered if s in alike) if leading is not None else ()
-    return ShareStep(base, before, tuple(ordered), group, _wins([s for s in judged if s in alike], before), leading)
+    wins, tried = _wins([s for s in judged if s in alike], before), 1.0 - len(late) / len(keys)
+    return ShareStep(base, before, tuple(ordered), group, wins, leading, tried)
+
+
+def _simplest_first(model: PhysicalModel, keys: Sequence[Key]) -> list[Key]:
+    """Effects with few parameters before those with many: what there is no time for would not have led a tie."""
+
+    def weight(key: Key) -> int:
+        effect = find_effect(key[0])
+        site = model.site(key[1], effect)
+        return sum(not p.fixed for p in effect.parameters(site)) + 2 * len(effect.states(site)) - 2 * len(tied_to(key[1]))
+
+    return sorted(keys, key=weight)
 
 
 def _shared(

@@ -76,7 +76,7 @@ def _candidates(step: ShareStep, found: Search, number: int) -> list[Candidate]:
     accepted = step.accepted
     assert accepted is not None
     listed = []
-    claimed = 1.0 - _LEFT_OVER - min(accepted.p_value, _LEFT_OVER)
+    claimed = (1.0 - _LEFT_OVER - min(accepted.p_value, _LEFT_OVER)) * step.tried
     for shared in [s for s in step.judged if s.key in step.group]:
         others = tuple(k[0] for k in step.group if k != shared.key)
         listed.append(_candidate(shared, step, found, number, claimed / len(step.group), others))
