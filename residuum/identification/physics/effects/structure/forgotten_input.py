@@ -37,7 +37,7 @@ class ForgottenInput(Effect):
         return Contribution(term=scene.p["gain"] * scene[scene.site.signals[0]])
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
-        size = 0.1 * conditions.magnitude / conditions.largest(next(reversed(conditions.variables)))
+        size = 0.1 * conditions.magnitude / conditions.largest(list(conditions.variables)[-1])
         return [{"gain": size}, {"gain": -size}]
 
     def examples(self) -> list[Example]:

@@ -40,7 +40,7 @@ class Learned(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         """Knots at even quantiles of the signal, kept apart; values that any regression may change."""
-        signal = conditions.variables[next(reversed(conditions.variables))]
+        signal = conditions.variables[list(conditions.variables)[-1]]
         least = 0.02 * float(np.ptp(signal)) or 1.0
         at = np.quantile(signal, np.linspace(0.005, 0.995, KNOTS))
         for k in range(1, KNOTS):
