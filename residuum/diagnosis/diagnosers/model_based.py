@@ -10,8 +10,9 @@ import numpy as np
 
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding
-from residuum.diagnosis.model_based.assessment import assess
+from residuum.diagnosis.model_based.assessment import assess, missing_physics
 from residuum.diagnosis.model_based.baseline import Baseline
+from residuum.diagnosis.model_based.detection import rate_alone
 from residuum.diagnosis.model_based.training import train
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
@@ -89,6 +90,21 @@ class ModelBased(Diagnoser):
             raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}") from None
         other._baseline = self._baseline
         return other
+
+    def learned(self) -> dict[str, Any]:
+        """Healthy values, the physics that healthy windows show beyond the model, and the rate that they vouch for."""
+        b = self.baseline
+        alone = rate_alone(b.scatter.windows, b.usual.seconds)
+        missing = missing_physics(b)
+        values = {n: {"value": b.tracking.model.values[n], "unit": b.tracking.model.all_parameters[n].unit} for n in b.free}
+        says = [f"  {n} = {v['value']:.5g} {v['unit']}" for n, v in values.items() if not n.startswith(tuple(b.stand_ins))]
+        says += [
+            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain`, then `residuum improve`"
+            for m in missing
+        ]
+        says.append(f"  {b.scatter.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated")
+        told = {"windows": b.scatter.windows, "parameters": values, "missing_physics": missing}
+        return told | {"rate_without_extrapolation": alone, "says": says}
 
     def describe(self) -> Mapping[str, object]:
         """With the channels of the model, once it is known."""

@@ -31,6 +31,8 @@ _EXCITED = 0.03
 """Share of a healthy window's information on some parameter that a window needs."""
 _FLAT = 0.05
 """Share of a healthy window's smallest span under which an output is taken to stand."""
+_FOLLOWED = 0.3
+"""Share of a window's readings that the filter must have followed."""
 
 
 class NotAssessable(Exception):
@@ -47,8 +49,8 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     each = deviations(window.judged, baseline.groups, baseline.calibration.inflation)
     energies = baseline.energies.deviations(window.sums)
     standing = _standing(baseline, window)
-    largest = max(float(np.max(each)), float(np.max(energies)), 2.0 * limit if standing else 0.0)
-    if standing is None and not_excited(baseline, window):
+    largest = max(float(np.max(each)), float(np.max(energies)), 0.0 if standing is None else 2.0 * limit)
+    if stands_still(baseline, window) or (standing is None and not_excited(baseline, window)):
         return Finding.not_assessable(name, "the machine stands still or hardly moves: nothing can be compared with the model")
     faulty = largest > limit
     found = causes(baseline, window) if faulty else []
@@ -75,6 +77,8 @@ def followed(baseline: Baseline, record: Record) -> Window:
     filtered = tracking.run(experiment)
     if not filtered.follows:
         raise NotAssessable("the model's filter cannot follow the window: it diverges")
+    if filtered.judged_share < _FOLLOWED:
+        raise NotAssessable("the model's filter loses the machine at standstill for most of the window")
     signals = baseline.signals.of(filtered, tracking.states(filtered))
     slopes = slopes_of(filtered, tracking, baseline.hypotheses, signals)
     sums = statistics(filtered, slopes, baseline.colours)
@@ -112,13 +116,21 @@ def _standing(baseline: Baseline, window: Window) -> int | None:
     return None
 
 
+def stands_still(baseline: Baseline, window: Window) -> bool:
+    """Whether neither an input nor an output moves."""
+    e, spans = window.filtered.experiment, baseline.usual.input_spans
+    Y = e.Y[:, baseline.measured]
+    driven = [i for i, signal in enumerate(baseline.tracking.model.inputs.values()) if not signal.absent]
+    inputs = np.ptp(e.U[:, driven], axis=0) <= _FLAT * spans[driven]
+    outputs = np.ptp(Y, axis=0) <= _FLAT * baseline.usual.spans[baseline.measured]
+    return bool(np.all(inputs) and np.all(outputs))
+
+
 def not_excited(baseline: Baseline, window: Window) -> bool:
-    """Whether the window says next to nothing of any parameter that healthy windows tell, and its outputs hardly move."""
+    """Whether the window says next to nothing of any parameter that healthy windows tell."""
     at = baseline.free_sizes or baseline.scatter.own.tolist()
     told = np.diag(window.sums.A)[at] / np.maximum(baseline.usual.information[at], 1e-300)
-    Y = window.filtered.experiment.Y[:, baseline.measured]
-    flat = np.all(np.ptp(Y, axis=0) <= np.maximum(_FLAT * baseline.usual.spans[baseline.measured], 0.0))
-    return bool(np.max(told) < _EXCITED or flat)
+    return bool(np.max(told) < _EXCITED)
 
 
 def parameters(baseline: Baseline, window: Window) -> dict[str, Any]:

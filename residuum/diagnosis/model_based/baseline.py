@@ -38,6 +38,8 @@ class Usual:
         Least information of a healthy window on each size.
     spans : array, shape (outputs,)
         Smallest largest-minus-smallest reading of each output; `ranges` the largest.
+    input_spans : array, shape (inputs,)
+        Smallest span of each input.
     runs : array of int, shape (outputs,)
         Longest run of equal readings.
     low, high : array, shape (m,)
@@ -50,6 +52,7 @@ class Usual:
     information: Array
     spans: Array
     ranges: Array
+    input_spans: Array
     runs: Array
     low: Array
     high: Array
@@ -125,7 +128,7 @@ class Baseline:
         arrays = {
             "output_variance": t.noise.output_variance, "scales": t.scales, "scale": s.scale, "own": s.own, "mean": s.mean,
             "covariance": s.covariance, "inflation": c.inflation, "energy_mean": e.mean, "energy_std": e.std,
-            "information": u.information, "spans": u.spans, "ranges": u.ranges, "runs": u.runs, "low": u.low, "high": u.high,
+            "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans, "runs": u.runs, "low": u.low, "high": u.high,
             "together_low": u.together_low, "together_high": u.together_high, "hold": self.hold, "measured": self.measured,
         }  # fmt: skip
         save_stored(path, kind, _VERSION, meta, arrays)
@@ -148,7 +151,8 @@ def _restored(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -
     of, energy_windows = meta["windows"]
     usual = Usual(
         float(meta["seconds"]),
-        *(arrays[n] for n in ("information", "spans", "ranges", "runs", "low", "high", "together_low", "together_high")),
+        *(arrays[n] for n in ("information", "spans", "ranges", "input_spans", "runs")),
+        *(arrays[n] for n in ("low", "high", "together_low", "together_high")),
     )
     return Baseline(
         tracking,

@@ -23,12 +23,16 @@ from residuum.diagnosis.model_based.sizes import Sized, Window, refined, with_on
 Array = npt.NDArray[np.float64]
 
 _WEIGHED = {"parameter": 0.3, "effect": 0.25, "sensor": 0.25, "actuator": 0.1, "disturbance": 0.08, "unknown": 0.02}
-_REFINED = 5
+_REFINED = 4
 """Hypotheses whose size is re-estimated."""
 _NEAR = 0.5
 """Share of the largest first-order rise from which on a hypothesis is re-estimated."""
 TOLD_APART = 3.0
 """Log-likelihood by which one must lie ahead of another to be told from it: a factor of twenty."""
+_OF_NOISE = 0.5
+"""Share of the samples that a growth of noise is told by: what has any structure is told by its structure."""
+_EXPLAINED = 0.7
+"""Share of what all sizes together explain with which a single cause is preferred to an unknown one: no model is exact."""
 _BEYOND = 3.0
 """Half-widths of a bound by which a size may lie outside before the hypothesis is dropped, in standard deviations."""
 
@@ -75,7 +79,7 @@ def _from_sizes(baseline: Baseline, window: Window) -> list[Cause]:
     found = []
     for rank, (_, k) in enumerate(near):
         h, group = baseline.hypotheses[k], baseline.groups[k]
-        size = refined(baseline, window, h, group.sizes, steps=2 if rank < _REFINED else 0)
+        size = refined(baseline, window, h, group.sizes, steps=4 if rank < _REFINED else 0)
         if rank < _REFINED:
             size = with_onset(baseline, window, h, size)
         if _possible(baseline, h, size):
@@ -111,15 +115,16 @@ def _from_readings(baseline: Baseline, window: Window) -> list[Cause]:
             continue
         own = 0.5 * float(window.sums.energy[o] - window.sums.count[o] * np.exp(baseline.energies.mean[o]))
         everything = 0.5 * float(np.sum(window.sums.energy) - np.sum(window.sums.count * np.exp(baseline.energies.mean)))
-        if run := stuck_at(baseline, window, o):
+        run = stuck_at(baseline, window, o)
+        if run is not None:
             found.append(Cause("sensor", "stuck", name, everything, run.value, 0.0, output.unit, run.first))
         lost = lost_readings(filtered.normalised[:, o], y)
-        if lost.any():
+        if run is None and lost.any():
             share = float(np.mean(lost))
             found.append(Cause("sensor", "drop-out", name, max(own, everything), share, 0.0, "1", int(np.argmax(lost))))
         ratio = float(np.exp(logs[o] - baseline.energies.mean[o]))
         if ratio > 1.0:
-            n = min(float(window.sums.count[o]), 2.0 / float(baseline.energies.std[o]) ** 2)
+            n = _OF_NOISE * float(window.sums.count[o])
             gain = 0.5 * n * (ratio - 1.0 - np.log(ratio))
             std = float(np.sqrt(filtered.V[np.isfinite(y), o].mean()) * np.sqrt(ratio))
             found.append(
@@ -154,7 +159,9 @@ def _unknown(baseline: Baseline, window: Window) -> Cause:
     own = baseline.scatter.own.tolist()
     penalty = 0.5 * np.log(max(_samples(window), 2.0))
     seen = [k for k in own if window.judged.information[k, k] > 1e-9]
-    return Cause("unknown", "unknown", "", 0.5 * chi_square(window.judged, seen) - penalty * len(seen) if seen else 0.0)
+    ratio = float(np.max(np.exp(log_energy(window.sums) - baseline.energies.mean)))
+    gain = _EXPLAINED * 0.5 * chi_square(window.judged, seen) / max(ratio, 1.0) ** 0.5 if seen else 0.0
+    return Cause("unknown", "unknown", "", gain - penalty * len(seen))
 
 
 def _posterior(found: Sequence[Cause], baseline: Baseline) -> list[Cause]:

@@ -64,7 +64,8 @@ def _deviation(judged: Judged, sizes: list[int], freedom: Array, inflation: floa
     if not np.min(np.diag(judged.information)[sizes]) > 1e-9:
         return 0.0
     k, T = len(sizes), chi_square(judged, sizes) / inflation
-    return _normal(float(stats.f.logsf(T / k, k, float(np.min(freedom[sizes])))))
+    log_p = float(stats.f.logsf(T / k, k, float(np.min(freedom[sizes]))))
+    return _normal(log_p) if np.isfinite(log_p) else float(np.sqrt(T))
 
 
 def _normal(log_p: float) -> float:
@@ -91,6 +92,7 @@ class Energies:
         """How rare the energies of a window are, those above the mean alone, as normal deviations."""
         t = (log_energy(window) - self.mean) / (self.std * np.sqrt(1.0 + 1.0 / self.windows))
         logs = stats.t.logsf(np.maximum(t, 0.0), self.windows - 1)
+        logs = np.maximum(logs, -1e6)
         return np.array([_normal(float(p)) if x > 0.0 else 0.0 for p, x in zip(logs, t, strict=True)])
 
 

@@ -17,6 +17,8 @@ _MOVES = 6.0
 """Standard deviations of its innovations by which the expected reading must move in that time."""
 _FAR = 8.0
 """Deviations from which on a single reading was lost, not noisy."""
+_OF_FAR = 0.1
+"""Share of the readings that are far out (the filter, misled by a lost one, is off for some more) that were lost."""
 
 
 @dataclass(frozen=True)
@@ -63,4 +65,6 @@ def lost_readings(deviation: Array, y: Array) -> npt.NDArray[np.bool_]:
     value = values[int(np.argmax(counts))]
     lost = far & (y == value)
     begins = np.count_nonzero(np.diff(np.concatenate([[0], lost.astype(np.int8)])) == 1)
-    return lost if begins >= 2 and np.count_nonzero(lost) >= 0.5 * np.count_nonzero(far) else np.zeros(len(y), dtype=bool)
+    usual = np.count_nonzero((y == value) & ~far)
+    told = begins >= 2 and np.count_nonzero(lost) >= _OF_FAR * np.count_nonzero(far) and usual <= np.count_nonzero(lost)
+    return lost if told else np.zeros(len(y), dtype=bool)

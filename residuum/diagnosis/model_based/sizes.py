@@ -24,6 +24,8 @@ _PARTS = 12
 _WORTH = 3.0
 """Log-likelihood beyond the logarithm of the parts' number that a later beginning must bring."""
 _LEAST_GAIN = -0.95
+_FARTHEST = 0.95
+"""Share of a value that may be lost at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,24 +80,46 @@ def refined(baseline: Baseline, window: Window, h: Hypothesis, sizes: tuple[int,
     gain = 0.5 * float(value / window.judged.scale[at] @ window.judged.score[at])
     if not _can_be_moved(h):
         return Sized(value, std, 0, gain)
-    best, moved = Sized(value, std, 0, gain), np.zeros(len(at))
+    found, moved, height = Sized(value, std, 0, gain), np.zeros(len(at)), 0.0
     for _ in range(steps):
-        target = _inside(baseline, h, moved + value)
-        there = moved_window(baseline, window.filtered.experiment, h, target)
-        if there is None:
+        step = _risen(baseline, window, h, moved, value, start + height)
+        if step is None:
             break
-        filtered, C = there
-        rows = whitened(filtered, filtered.normalised, list(baseline.colours))
-        risen = window.likelihood(rows, scatter.scale, scatter.mean) - start - _determinant(filtered, window.filtered)
+        moved, rows, C, height = step.moved, step.rows, step.slopes, step.likelihood - start
         information, score = _beside(window, baseline, C, rows)
         value = solve_scaled(information, score[:, None])[:, 0]
-        std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0.0))
-        done = bool(np.all(np.abs(value) < 0.1 * std))
-        moved = target
-        best = Sized(moved + value, std, 0, risen + 0.5 * float(value @ score))
-        if done:
-            break
-    return best
+        std = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        if np.all(np.abs(value) < 3.0 * std):  # near enough for the rest to be linear
+            return Sized(_inside(baseline, h, moved + value), std, 0, height + 0.5 * float(value @ score))
+        found = Sized(moved, std, 0, height)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A size that was reached, the whitened rows and slopes there, and their likelihood."""
+
+    moved: Array
+    rows: Array
+    slopes: Array
+    likelihood: float
+
+
+def _risen(baseline: Baseline, window: Window, h: Hypothesis, moved: Array, step: Array, least: float) -> _Step | None:
+    """The step, or a part of it, with which the window becomes likelier than `least`; None where none does."""
+    for part in (1.0, 0.4, 0.1):
+        target = _inside(baseline, h, moved + part * step)
+        there = moved_window(baseline, window.filtered.experiment, h, target)
+        if there is None:
+            continue
+        filtered, C = there
+        rows = whitened(filtered, filtered.normalised, list(baseline.colours))
+        likelihood = window.likelihood(rows, baseline.scatter.scale, baseline.scatter.mean) - _determinant(
+            filtered, window.filtered
+        )
+        if likelihood > least:
+            return _Step(target, rows, C, likelihood)
+    return None
 
 
 def _determinant(there: Filtered, here: Filtered) -> float:
@@ -112,7 +136,8 @@ def _inside(baseline: Baseline, h: Hypothesis, value: Array) -> Array:
     column = h.columns[0]
     if column.acts_on.startswith("parameter:"):
         now = baseline.tracking.model.values[column.acts_on.removeprefix("parameter:")]
-        return np.clip(value, column.lower - now, column.upper - now)
+        far = _FARTHEST * abs(now) if now else np.inf  # a step too long would leave what the filter can follow
+        return np.clip(value, max(column.lower - now, -far), min(column.upper - now, far / (1.0 - _FARTHEST)))
     if column.signal in ("reading", "input"):
         return np.maximum(value, _LEAST_GAIN)
     return value

@@ -170,6 +170,7 @@ def _usual(
         np.min([np.diag(s.A) for s in sums], axis=0),
         spans.min(axis=0),
         spans.max(axis=0),
+        np.min([np.ptp(e.U, axis=0) for e in experiments], axis=0),
         runs.max(axis=0),
         *_band(single),
         *_band(together),
