@@ -102,7 +102,9 @@ class ModelBased(Diagnoser):
             f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain`, then `residuum improve`"
             for m in missing
         ]
-        says.append(f"  {b.scatter.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated")
+        says.append(
+            f"  {b.scatter.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated"
+        )
         told = {"windows": b.scatter.windows, "parameters": values, "missing_physics": missing}
         return told | {"rate_without_extrapolation": alone, "says": says}
 

@@ -23,8 +23,10 @@ from residuum.diagnosis.model_based.sizes import Sized, Window, refined, with_on
 Array = npt.NDArray[np.float64]
 
 _WEIGHED = {"parameter": 0.3, "effect": 0.25, "sensor": 0.25, "actuator": 0.1, "disturbance": 0.08, "unknown": 0.02}
-_REFINED = 4
-"""Hypotheses whose size is re-estimated."""
+_REFINED, _REFINED_WHEN_STRONG = 4, 9
+"""Hypotheses whose size is re-estimated; and where the change is so strong that a first-order rise says little of it."""
+_STRONG = 150.0
+"""First-order rise of the log-likelihood from which on it is."""
 _NEAR = 0.5
 """Share of the largest first-order rise from which on a hypothesis is re-estimated."""
 TOLD_APART = 3.0
@@ -76,11 +78,12 @@ def _from_sizes(baseline: Baseline, window: Window) -> list[Cause]:
     first.sort(key=lambda item: -(item[0] - penalty * len(baseline.groups[item[1]].sizes)))
     largest = max(gain for gain, _ in first)
     near = [(gain, k) for gain, k in first if gain > _NEAR * largest - TOLD_APART]
+    refined_first = _REFINED if largest < _STRONG else _REFINED_WHEN_STRONG
     found = []
     for rank, (_, k) in enumerate(near):
         h, group = baseline.hypotheses[k], baseline.groups[k]
-        size = refined(baseline, window, h, group.sizes, steps=4 if rank < _REFINED else 0)
-        if rank < _REFINED:
+        size = refined(baseline, window, h, group.sizes, steps=4 if rank < refined_first else 0)
+        if rank < refined_first:
             size = with_onset(baseline, window, h, size)
         if _possible(baseline, h, size):
             found.append(_cause(h, size, group.sizes[0], size.gain - penalty * len(group.sizes)))
@@ -107,7 +110,7 @@ def _possible(baseline: Baseline, h: Hypothesis, s: Sized) -> bool:
 def _from_readings(baseline: Baseline, window: Window) -> list[Cause]:
     """What a sensor shows by itself: stuck, drop-out, noise."""
     found: list[Cause] = []
-    filtered, logs = window.filtered, log_energy(window.sums)
+    filtered, left = window.filtered, energies_left(baseline, window)
     penalty = 0.5 * np.log(max(_samples(window), 2.0))
     for o, (name, output) in enumerate(baseline.tracking.model.outputs.items()):
         y = filtered.experiment.Y[:, o]
@@ -118,19 +121,27 @@ def _from_readings(baseline: Baseline, window: Window) -> list[Cause]:
         run = stuck_at(baseline, window, o)
         if run is not None:
             found.append(Cause("sensor", "stuck", name, everything, run.value, 0.0, output.unit, run.first))
-        lost = lost_readings(filtered.normalised[:, o], y)
+        lost = lost_readings(np.nan_to_num(y), float(np.sqrt(np.nanmedian(filtered.V[:, o]))))
         if run is None and lost.any():
             share = float(np.mean(lost))
             found.append(Cause("sensor", "drop-out", name, max(own, everything), share, 0.0, "1", int(np.argmax(lost))))
-        ratio = float(np.exp(logs[o] - baseline.energies.mean[o]))
+        ratio = float(left[o] / max(window.sums.count[o], 1.0) / np.exp(baseline.energies.mean[o]))
         if ratio > 1.0:
             n = _OF_NOISE * float(window.sums.count[o])
             gain = 0.5 * n * (ratio - 1.0 - np.log(ratio))
             std = float(np.sqrt(filtered.V[np.isfinite(y), o].mean()) * np.sqrt(ratio))
-            found.append(
-                Cause("sensor", "noise", name, gain - penalty, std, std / np.sqrt(2.0 * n), output.unit, 0)
-            )
+            found.append(Cause("sensor", "noise", name, gain - penalty, std, std / np.sqrt(2.0 * n), output.unit, 0))
     return found
+
+
+def energies_left(baseline: Baseline, window: Window) -> Array:
+    """Energy of each output's whitened innovations less what all sizes, weighted by what is usual, explain, shape (outputs,)."""
+    scatter = baseline.scatter
+    g = (window.white.T @ window.rows) * scatter.scale
+    about = g - (window.sums.A * scatter.scale[:, None] * scatter.scale) @ scatter.mean
+    likely = scatter.mean + window.weights @ about
+    rest = (window.rows - window.white @ (scatter.scale * likely)).reshape(len(baseline.colours), -1)
+    return np.asarray(np.sum(rest**2, axis=1))
 
 
 def stuck_at(baseline: Baseline, window: Window, output: int) -> Run | None:
@@ -176,7 +187,8 @@ def _posterior(found: Sequence[Cause], baseline: Baseline) -> list[Cause]:
         members[h[0]] = members.get(h[0], 0) + 1
     members["sensor"] = members.get("sensor", 0) + 3 * len(baseline.tracking.model.outputs)
     weights = {
-        key: cause.evidence + float(np.log(_WEIGHED[cause.kind] / max(members.get(cause.kind, 1), 1))) for key, cause in best.items()
+        key: cause.evidence + float(np.log(_WEIGHED[cause.kind] / max(members.get(cause.kind, 1), 1)))
+        for key, cause in best.items()
     }
     top = max([0.0, *weights.values()])
     total = float(np.exp(-top) + sum(np.exp(w - top) for w in weights.values()))

@@ -50,12 +50,12 @@ def deviations(judged: Judged, groups: Sequence[Group], inflation: Array) -> Arr
 def chi_square(judged: Judged, sizes: Sequence[int]) -> float:
     """uᵀ I⁻¹ u over some sizes; directions that the window does not show count nothing."""
     at = np.array(sizes)
-    I, u = judged.information[np.ix_(at, at)], judged.score[at]
-    d = np.sqrt(np.maximum(np.diag(I), 0.0))
+    own, u = judged.information[np.ix_(at, at)], judged.score[at]
+    d = np.sqrt(np.maximum(np.diag(own), 0.0))
     if not d.max() > 0.0:
         return 0.0
     d = np.where(d > 0.0, d, 1.0)
-    values, vectors = np.linalg.eigh(I / d[:, None] / d)
+    values, vectors = np.linalg.eigh(own / d[:, None] / d)
     seen = values > 1e-6 * values[-1]
     return float(np.sum((vectors[:, seen].T @ (u / d)) ** 2 / values[seen]))
 

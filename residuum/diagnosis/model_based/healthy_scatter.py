@@ -1,7 +1,7 @@
 r"""How a healthy machine's sizes scatter from window to window, as the sums of healthy windows show it.
 
-Each window w has sizes b_w = b̄ + δ_w, δ_w ~ N(0, D) with D diagonal, and the innovations r_w = J_w b_w + noise of variance one. So
-its sums g_w = J_wᵀ r_w have the mean A_w b̄ and the covariance A_w + A_w D A_w. What the model leaves over when the machine is
+Each window w has sizes b_w = b̄ + δ_w, δ_w ~ N(0, D) with D diagonal, and the innovations r_w = J_w b_w + noise of variance
+one. So its sums g_w = J_wᵀ r_w have the mean A_w b̄ and the covariance A_w + A_w D A_w. What the model leaves over when the machine is
 healthy is thereby described in the sizes of everything that may be missing or may change: it raises the limit of what resembles
 it, in windows whose operation shows it, and of nothing else. b̄ and D are estimated by expectation and maximisation.
 
@@ -78,8 +78,8 @@ class HealthyScatter:
 class Judged:
     """Score and information of every size in a window, both weighted by Σ⁻¹, Σ = 1 + J S Jᵀ.
 
-    `score` u = Jᵀ Σ⁻¹ (r − J b̄), `information` I = Jᵀ Σ⁻¹ J; `noise` is that part of I's diagonal that single samples account for,
-    the rest the scatter between windows, which is known from `windows` of them.
+    `score` u = Jᵀ Σ⁻¹ (r − J b̄), `information` I = Jᵀ Σ⁻¹ J; `noise` is that part of I's diagonal that single samples account
+    for, the rest the scatter between windows, which is known from `windows` of them.
     """
 
     score: Array
@@ -153,11 +153,11 @@ def _mean(A: Array, g: Array, variance: Array, prior: Array) -> tuple[Array, Arr
 
 
 def joint_values(judged: Judged, sizes: Sequence[int]) -> tuple[Array, Array]:
-    """Several sizes told at once (what each is while the others may differ too), and their standard deviations, in their units."""
+    """Several sizes told at once (each while the others may differ too), and their standard deviations, in their units."""
     at = np.array(sizes, dtype=np.int64)
     if not len(at):
         return np.zeros(0), np.zeros(0)
-    I = judged.information[np.ix_(at, at)]
-    d = np.sqrt(np.maximum(np.diag(I), 1e-300))
-    inverse = np.linalg.pinv(I / d[:, None] / d, rcond=1e-9, hermitian=True) / d[:, None] / d
+    own = judged.information[np.ix_(at, at)]
+    d = np.sqrt(np.maximum(np.diag(own), 1e-300))
+    inverse = np.linalg.pinv(own / d[:, None] / d, rcond=1e-9, hermitian=True) / d[:, None] / d
     return inverse @ judged.score[at] * judged.scale[at], np.sqrt(np.maximum(np.diag(inverse), 0.0)) * judged.scale[at]

@@ -85,7 +85,8 @@ def refuse_undetermined(values: HealthyValues) -> None:
         names = ", ".join(wide)
         raise Undetermined(
             f"model {values.tracking.model.name!r}: healthy windows do not determine {names}: record windows in which {driving} "
-            f"moves faster and over a wider range{more}, or keep {'them' if len(wide) > 1 else 'it'} at the file's value: --fix-undetermined",
+            f"moves faster and over a wider range{more}, or keep {'them' if len(wide) > 1 else 'it'} at the file's value: "
+            "--fix-undetermined",
             wide,
         )
 

@@ -165,7 +165,7 @@ class Signals:
         for h in self.listed:
             if not h.shape:
                 continue
-            together = together.with_effect(h.name, h.place, {name: 0.0 for name in EFFECTS[h.name].sizes} | _shapes(h))
+            together = together.with_effect(h.name, h.place, dict.fromkeys(EFFECTS[h.name].sizes, 0.0) | _shapes(h))
             count[h.name, h.place] = count.get((h.name, h.place), 0) + 1
             self._places.append((h, together.effects[-1].label, count[h.name, h.place]))
         self._simulator = Simulator(together) if self._places else None

@@ -37,7 +37,7 @@ class StandIn:
 def with_missing_physics(
     values: HealthyValues, experiments: Sequence[Experiment], free: Sequence[str]
 ) -> tuple[HealthyValues, list[StandIn]]:
-    """Effects of the catalogue joined one after the other, each if the healthy windows ask for it, with all values estimated anew."""
+    """Effects of the catalogue joined one after the other, each if the healthy windows ask for it, all values estimated anew."""
     found: list[StandIn] = []
     while len(found) < _MOST:
         for candidate in _promising(values):
@@ -90,9 +90,9 @@ def _promising(values: HealthyValues) -> list[tuple[Hypothesis, Array]]:
             continue
         own = list(range(starts[k], starts[k + 1]))
         absorbed = solve_scaled(A[np.ix_(free, free)], A[np.ix_(free, own)]) if free else np.zeros((0, len(own)))
-        I = A[np.ix_(own, own)] - A[np.ix_(own, free)] @ absorbed
-        sizes = solve_scaled(I, (g[own] - absorbed.T @ g[free])[:, None], 1e-9)[:, 0]
-        chi_square = float(sizes @ I @ sizes)
+        left = A[np.ix_(own, own)] - A[np.ix_(own, free)] @ absorbed
+        sizes = solve_scaled(left, (g[own] - absorbed.T @ g[free])[:, None], 1e-9)[:, 0]
+        chi_square = float(sizes @ left @ sizes)
         inside = all(c.lower <= b <= c.upper for b, c in zip(sizes, h.columns, strict=True))
         each = np.array([(s.g[own] - absorbed.T @ s.g[free]) @ sizes for s in sums])
         steady = float(each.mean() / (each.std(ddof=1) / np.sqrt(len(each)) + 1e-300)) if len(each) > 2 else np.inf

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 Array = npt.NDArray[np.float64]
 
@@ -17,8 +18,8 @@ _MOVES = 6.0
 """Standard deviations of its innovations by which the expected reading must move in that time."""
 _FAR = 8.0
 """Deviations from which on a single reading was lost, not noisy."""
-_OF_FAR = 0.1
-"""Share of the readings that are far out (the filter, misled by a lost one, is off for some more) that were lost."""
+_NEIGHBOURS = 9
+"""Readings around one that it is compared with."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +57,13 @@ def stuck(y: Array, expected: Array, noise: float, healthy_run: int) -> Run | No
     return run if np.isfinite(there).all() and np.ptp(there) > _MOVES * noise else None
 
 
-def lost_readings(deviation: Array, y: Array) -> npt.NDArray[np.bool_]:
-    """Readings that are far out and stand at one value (zero, or an end of the range), in at least two places."""
-    far = np.abs(np.nan_to_num(deviation)) > _FAR
+def lost_readings(y: Array, noise: float) -> npt.NDArray[np.bool_]:
+    """Readings far from their neighbours that stand at one value (zero, or an end of the range), in two places at least."""
+    far = np.abs(y - scipy.signal.medfilt(y, _NEIGHBOURS)) > _FAR * noise
     if np.count_nonzero(far) < 2:
         return np.zeros(len(y), dtype=bool)
     values, counts = np.unique(y[far], return_counts=True)
-    value = values[int(np.argmax(counts))]
-    lost = far & (y == value)
+    lost = far & (y == values[int(np.argmax(counts))])
     begins = np.count_nonzero(np.diff(np.concatenate([[0], lost.astype(np.int8)])) == 1)
-    usual = np.count_nonzero((y == value) & ~far)
-    told = begins >= 2 and np.count_nonzero(lost) >= _OF_FAR * np.count_nonzero(far) and usual <= np.count_nonzero(lost)
+    told = begins >= 2 and np.count_nonzero(lost) >= 0.5 * np.count_nonzero(far)
     return lost if told else np.zeros(len(y), dtype=bool)

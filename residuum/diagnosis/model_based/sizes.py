@@ -204,10 +204,10 @@ def with_onset(baseline: Baseline, window: Window, h: Hypothesis, sized: Sized) 
     gains, found = [], []
     for part in range(_PARTS):
         at = slice(part * k, (part + 1) * k)
-        I, u = information[at, at], score[at]
-        value = solve_scaled(I, u[:, None], 1e-9)[:, 0]
+        own, u = information[at, at], score[at]
+        value = solve_scaled(own, u[:, None], 1e-9)[:, 0]
         gains.append(0.5 * float(value @ u))
-        found.append((value, np.sqrt(np.maximum(np.diag(np.linalg.pinv(I)), 0.0))))
+        found.append((value, np.sqrt(np.maximum(np.diag(np.linalg.pinv(own)), 0.0))))
     best = int(np.argmax(gains))
     rise = gains[best] - max(gains[0], sized.gain)
     if best == 0 or rise < _WORTH + np.log(_PARTS):

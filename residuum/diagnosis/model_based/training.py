@@ -11,12 +11,11 @@ from scipy import stats
 
 from residuum.diagnosis.model_based.baseline import Baseline, Usual
 from residuum.diagnosis.model_based.detection import Energies, calibrated, groups_of
-from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter, healthy_scatter
-from residuum.diagnosis.model_based.healthy_values import Undetermined, healthy_values, refuse_undetermined
+from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter, healthy_scatter, joint_values
+from residuum.diagnosis.model_based.healthy_values import HealthyValues, Undetermined, healthy_values, refuse_undetermined
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, Signals, hypotheses, slopes_of
 from residuum.diagnosis.model_based.missing_physics import with_missing_physics
 from residuum.diagnosis.model_based.reading_faults import longest_run
-from residuum.diagnosis.model_based.healthy_scatter import joint_values
 from residuum.diagnosis.model_based.window_statistics import WindowStatistics, colours, statistics
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match
@@ -29,13 +28,15 @@ _WINDOWS = 20
 """Windows that few long records are cut into."""
 _FEWEST_SAMPLES = 60
 _BAND = 0.975
+_TIMED_ON, _TIMED = 6, 10.0
+"""Windows by which it is asked how inputs move between samples, and the rise of the log-likelihood that changes it."""
 
 
 def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: bool = False) -> Baseline:
     """Learn what is healthy.
 
-    Each record is a window; fewer than 6 are cut into windows of equal length. Values are estimated from all of them, physics that
-    they all show beyond the model is added for the time being, and what is usual in every size is taken from them.
+    Each record is a window; fewer than 6 are cut into windows of equal length. Values are estimated from all of them, physics
+    that they all show beyond the model is added for the time being, and what is usual in every size is taken from them.
 
     Raises
     ------
@@ -49,6 +50,10 @@ def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: 
     experiments = _alike(experiments)
     free = tuple(model.free)
     values = healthy_values(model, experiments, free)
+    timed = well_timed(values, experiments)
+    if timed is not experiments:
+        experiments = timed
+        values = healthy_values(model, experiments, free)
     while True:
         try:
             refuse_undetermined(values)
@@ -119,6 +124,26 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
             raise BadRecord(f"record {e.source!r}: {e.n} samples; a healthy window needs at least {_FEWEST_SAMPLES}")
     hold = np.array(np.mean([e.hold for e in experiments], axis=0) >= 0.5, dtype=float)
     return [replace(e, hold=hold) for e in experiments]
+
+
+def well_timed(values: HealthyValues, experiments: list[Experiment]) -> list[Experiment]:
+    """The windows with each input held over a sample or moving linearly between samples, as the outputs answer it."""
+    some = slice(None, None, max(1, len(experiments) // _TIMED_ON))
+
+    def likelihood(parts: Sequence[Experiment]) -> float:
+        return sum(values.tracking.run(e, slopes=False).log_likelihood for e in parts)
+
+    best, height = experiments, likelihood(experiments[some])
+    for i, signal in enumerate(values.tracking.model.inputs.values()):
+        if signal.absent:
+            continue
+        hold = best[0].hold.copy()
+        hold[i] = 1.0 - hold[i]
+        other = [replace(e, hold=hold) for e in best]
+        there = likelihood(other[some])
+        if there > height + _TIMED:
+            best, height = other, there
+    return best
 
 
 def _held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:

@@ -28,7 +28,7 @@ def number(value: float, std: float | None = None) -> str:
     """
     if not std:
         return f"{value:.4g}"
-    figures = max(2, min(6, 2 + int(round(_decades(value) - _decades(std)))))
+    figures = max(2, min(6, 2 + round(_decades(value) - _decades(std))))
     shown = f"{value:.{figures}g}"
     return f"{float(shown):g} ± {std:.2g}" if "e" not in shown else f"{float(shown):.0f} ± {std:.2g}"
 

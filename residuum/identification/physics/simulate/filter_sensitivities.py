@@ -88,7 +88,7 @@ def put(z, x, p, walking):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def innovation_slopes(P, F, H, e, V, G, C, base, M):
+def innovation_slopes(P, F, H, e, V, G, C, base, M):  # noqa: PLR0912  one pass over the samples, compiled
     """Derivative of the normalised innovations e/√V by the sizes of m causes, with the filter's gains held.
 
     Cause j adds M(k, j) times the column base[j] ≥ 0 of G and C, or, where base[j] = −1 − o, M(k, j) to the reading of output o.
@@ -117,10 +117,7 @@ def innovation_slopes(P, F, H, e, V, G, C, base, M):
                     Pk[i, g] -= gain[i] * gain[g] * V[k, o]
             for j in range(m):
                 b = base[j]
-                if b >= 0:
-                    seen = C[k, o, b] * M[k, j]
-                else:
-                    seen = M[k, j] if b == -1 - o else 0.0
+                seen = C[k, o, b] * M[k, j] if b >= 0 else (M[k, j] if b == -1 - o else 0.0)
                 for i in range(nz):
                     seen += H[k, o, i] * D[i, j]
                 J[k, o, j] = seen * scale
