@@ -99,7 +99,7 @@ class ModelBased(Diagnoser):
         values = {n: {"value": b.tracking.model.values[n], "unit": b.tracking.model.all_parameters[n].unit} for n in b.free}
         says = [f"  {n} = {v['value']:.5g} {v['unit']}" for n, v in values.items() if not n.startswith(tuple(b.stand_ins))]
         says += [
-            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain`, then `residuum improve`"
+            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: see `residuum explain`, `residuum improve`"
             for m in missing
         ]
         says.append(
@@ -143,10 +143,10 @@ class ModelBased(Diagnoser):
 def built_in_model(records: Sequence[Record]) -> PhysicalModel:
     """The built-in model whose inputs, and at least one output, all records have; BadInput when there is none."""
     for name in BUILT_IN:
-        model: Any = load_model(name)
+        model = load_model(name)
         needed = [n for n, s in model.inputs.items() if s.default is None]
         if all(set(needed) <= set(r.names) and set(model.outputs) & set(r.names) for r in records):
-            return model  # type: ignore[no-any-return]
+            return model
     raise BadInput(f"model-based: needs a model (--model FILE); no built-in one has the channels {', '.join(records[0].names)}")
 
 

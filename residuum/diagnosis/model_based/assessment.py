@@ -174,9 +174,10 @@ def _told(baseline: Baseline, record: Record, cause: Cause) -> dict[str, Any]:
             value, low, high = now + value, now + low, now + high
     onset = record.t0 + cause.onset * record.sample_time
     since = f" since {onset:.6g} s" if cause.onset else ""
-    size = None if value is None else {"value": value, "std": cause.std or 0.0, "unit": cause.unit}
-    if size is not None:
-        size["band_95"] = [value - 1.96 * (cause.std or 0.0), value + 1.96 * (cause.std or 0.0)]
+    size: dict[str, Any] | None = None
+    if value is not None:
+        std = cause.std or 0.0
+        size = {"value": value, "std": std, "unit": cause.unit, "band_95": [value - 1.96 * std, value + 1.96 * std]}
     return {
         "kind": cause.kind,
         "name": cause.name,

@@ -128,7 +128,8 @@ class Baseline:
         arrays = {
             "output_variance": t.noise.output_variance, "scales": t.scales, "scale": s.scale, "own": s.own, "mean": s.mean,
             "covariance": s.covariance, "inflation": c.inflation, "energy_mean": e.mean, "energy_std": e.std,
-            "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans, "runs": u.runs, "low": u.low, "high": u.high,
+            "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans,
+            "runs": u.runs, "low": u.low, "high": u.high,
             "together_low": u.together_low, "together_high": u.together_high, "hold": self.hold, "measured": self.measured,
         }  # fmt: skip
         save_stored(path, kind, _VERSION, meta, arrays)

@@ -76,7 +76,8 @@ class Filtered:
     @property
     def judged_share(self) -> float:
         """Share of the readings that the filter held against the model."""
-        return float(np.count_nonzero(np.isfinite(self.e)) / max(np.count_nonzero(np.isfinite(self.experiment.Y)), 1))
+        judged, read = np.isfinite(self.e), np.isfinite(self.experiment.Y)
+        return float(judged.sum()) / max(float(read.sum()), 1.0)
 
 
 class TrackingFilter:

@@ -161,7 +161,9 @@ class Signals:
 
     def __init__(self, model: PhysicalModel, listed: Sequence[Hypothesis]) -> None:
         self.model, self.listed = model, list(listed)
-        together, self._places, count = model, [], {}
+        together = model
+        self._places: list[tuple[Hypothesis, str, int]] = []
+        count: dict[tuple[str, str], int] = {}
         for h in self.listed:
             if not h.shape:
                 continue

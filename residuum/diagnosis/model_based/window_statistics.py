@@ -41,7 +41,7 @@ class WindowStatistics:
         """The sums with the sizes in other units: each is so many of `sizes`."""
         return WindowStatistics(self.A * sizes[:, None] * sizes, self.g * sizes, self.energy, self.count)
 
-    def of(self, columns: Sequence[int]) -> WindowStatistics:
+    def of(self, columns: Sequence[int] | npt.NDArray[np.int64]) -> WindowStatistics:
         """Those of some sizes alone."""
         at = np.asarray(columns, dtype=np.int64)
         return WindowStatistics(self.A[np.ix_(at, at)], self.g[at], self.energy, self.count)
