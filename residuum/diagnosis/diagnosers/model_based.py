@@ -99,7 +99,7 @@ class ModelBased(Diagnoser):
         values = {n: {"value": b.tracking.model.values[n], "unit": b.tracking.model.all_parameters[n].unit} for n in b.free}
         says = [f"  {n} = {v['value']:.5g} {v['unit']}" for n, v in values.items() if not n.startswith(tuple(b.stand_ins))]
         says += [
-            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: see `residuum explain`, `residuum improve`"
+            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain` tells more"
             for m in missing
         ]
         says.append(

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 _TRACE = 1e-5
 """Process noise of each state a sample, in its scale: one that stands still stays open to correction."""
 
-_MOST_RESTARTS = 40
+_MOST_RESTARTS = 12
 _AWAY, _LONG = 5.0, 5
 """Deviations, and samples in a row, from which on a filter that takes the machine to stick has lost it."""
 

@@ -2,8 +2,9 @@ r"""How a healthy machine's sizes scatter from window to window, as the sums of 
 
 Each window w has sizes b_w = b̄ + δ_w, δ_w ~ N(0, D) with D diagonal, and the innovations r_w = J_w b_w + noise of variance
 one. So its sums g_w = J_wᵀ r_w have the mean A_w b̄ and the covariance A_w + A_w D A_w. What the model leaves over when the
-machine is healthy is thereby described in the sizes of everything that may be missing or may change: it raises the limit
-of what resembles it, in windows whose operation shows it, and of nothing else. b̄ and D are estimated by expectation and maximisation.
+machine is healthy is so described in the sizes of everything that may be missing or may change: it raises the limit
+of what resembles it, in windows whose operation shows it, and of nothing else. b̄ and D are estimated by expectation and
+maximisation.
 
 Reference: N. M. Laird, J. H. Ware, Biometrics 38 (1982) 963.
 """

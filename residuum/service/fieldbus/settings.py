@@ -70,7 +70,7 @@ class MachineSettings(_Strict):
     baseline: str | None = Field(default=None, description="Name of the trained baseline; None: the asset's own.")
     model: str | None = Field(
         default=None,
-        description="model-based: the machine's model, a file or the name of a built-in one; its baseline has it too.",
+        description="model-based: the machine's model, a file or a built-in name; its baseline has it too.",
     )
     alarms: AlarmRule | None = Field(
         default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
