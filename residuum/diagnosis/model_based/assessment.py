@@ -18,6 +18,7 @@ from residuum.diagnosis.model_based.sizes import Window, whitened
 from residuum.diagnosis.model_based.window_statistics import statistics
 from residuum.diagnosis.model_based.wording import said
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, match
 from residuum.identification.record import Record
@@ -39,6 +40,7 @@ class NotAssessable(Exception):
     """A window cannot be judged; the message says why."""
 
 
+@one_thread()
 def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: float) -> Finding:
     """The finding on one window."""
     try:

@@ -127,7 +127,8 @@ class Baseline:
         }
         arrays = {
             "output_variance": t.noise.output_variance, "scales": t.scales, "scale": s.scale, "own": s.own, "mean": s.mean,
-            "covariance": s.covariance, "inflation": c.inflation, "energy_mean": e.mean, "energy_std": e.std,
+            "covariance": s.covariance, "inflation": c.inflation,
+            "left_out": c.left_out, "energy_mean": e.mean, "energy_std": e.std,
             "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans,
             "runs": u.runs, "low": u.low, "high": u.high,
             "together_low": u.together_low, "together_high": u.together_high, "hold": self.hold, "measured": self.measured,
@@ -162,7 +163,7 @@ def _restored(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -
         [Hypothesis.from_json(h) for h in meta["hypotheses"]],
         [Colour(tuple(polynomial), std) for polynomial, std in meta["colours"]],
         HealthyScatter(arrays["scale"], arrays["own"], arrays["mean"], arrays["covariance"], int(of)),
-        Calibration(arrays["inflation"], int(meta["tests"]), float(meta["raised"])),
+        Calibration(arrays["inflation"], int(meta["tests"]), float(meta["raised"]), arrays["left_out"]),
         Energies(arrays["energy_mean"], arrays["energy_std"], int(energy_windows)),
         usual,
         float(meta["sample_time"]),

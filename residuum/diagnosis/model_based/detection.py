@@ -18,6 +18,7 @@ from scipy import stats
 from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter, Judged, healthy_scatter
 from residuum.diagnosis.model_based.window_statistics import WindowStatistics
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
+from residuum.diagnosis.thresholds.upper_tail import UpperTail
 
 Array = npt.NDArray[np.float64]
 
@@ -104,16 +105,21 @@ def log_energy(window: WindowStatistics) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Factors on each hypothesis' variance, tests that count as independent, and by what the limit is raised."""
+    """Factors on each hypothesis' variance, tests that count as independent, by what the limit is raised, and left-out windows.
+
+    `left_out` are the largest deviations of healthy windows, each judged by the others: the limit is no lower than their tail's.
+    """
 
     inflation: Array
     tests: int
     raised: float
+    left_out: Array
 
     def limit(self, false_alarms_per_day: float, seconds: float) -> float:
         """Deviation that a healthy window of this length passes at the chosen rate."""
         rate = float(np.clip(false_alarms_per_day * seconds / SECONDS_A_DAY, _LEAST_PER_WINDOW, _MOST_PER_WINDOW))
-        return self.raised * _normal(np.log(rate / self.tests))
+        promised = self.raised * _normal(np.log(rate / self.tests))
+        return max(promised, float(UpperTail.of(self.left_out).limit(rate))) if len(self.left_out) > 2 else promised
 
 
 def calibrated(
@@ -132,7 +138,7 @@ def calibrated(
     promised = [_normal(np.log(min((k + 0.5) / len(windows), 0.5) / tests)) for k in range(_HIGHEST)]
     stood = np.sort(highest)[::-1][:_HIGHEST]
     raised = float(np.mean(stood / np.array(promised[: len(stood)])))
-    return Calibration(inflation, tests, max(raised, 1.0))
+    return Calibration(inflation, tests, max(raised, 1.0), np.array(highest))
 
 
 def rate_alone(windows: int, seconds: float) -> float:

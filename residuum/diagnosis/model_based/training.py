@@ -17,6 +17,7 @@ from residuum.diagnosis.model_based.hypotheses import Hypothesis, Signals, hypot
 from residuum.diagnosis.model_based.missing_physics import with_missing_physics
 from residuum.diagnosis.model_based.reading_faults import longest_run
 from residuum.diagnosis.model_based.window_statistics import WindowStatistics, colours, statistics
+from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
@@ -32,6 +33,7 @@ _TIMED_ON, _TIMED = 6, 10.0
 """Windows by which it is asked how inputs move between samples, and the rise of the log-likelihood that changes it."""
 
 
+@one_thread()
 def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: bool = False) -> Baseline:
     """Learn what is healthy.
 
