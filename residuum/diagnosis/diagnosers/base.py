@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
@@ -88,6 +88,10 @@ class Diagnoser(ABC):
         if settings:
             raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}")
         return self
+
+    def learned(self) -> dict[str, Any]:
+        """What training found that its user should know, as JSON; under `says` the same in sentences."""
+        return {}
 
     def describe(self) -> Mapping[str, object]:
         """What the interface shows of this diagnoser: name, channels with units, classes."""

@@ -13,6 +13,18 @@ SpeedRpm = Annotated[float | None, typer.Option(help="bearing: shaft speed [rpm]
 Orders = Annotated[str | None, typer.Option(metavar="bpfi=5.4,…", help="bearing: fault frequencies in multiples of shaft speed.")]
 Hertz = Annotated[str | None, typer.Option(metavar="bpfi=118.9,…", help="bearing: fault frequencies [Hz].")]
 
+ModelName = Annotated[str | None, typer.Option("--model", metavar="MODEL", help="model-based: a model file or a built-in model.")]
+FixUndetermined = Annotated[
+    bool, typer.Option("--fix-undetermined", help="model-based: keep values that the healthy records leave open at the file's.")
+]
+FalseAlarms = Annotated[float | None, typer.Option(help="model-based: the chosen number of false alarms a day.")]
+
+
+def model_settings(model: str | None, fix_undetermined: bool, false_alarms_per_day: float | None) -> dict[str, Any]:
+    """The settings given for `model-based`, as the diagnoser's keyword arguments; only those that were given."""
+    given = {"model": model, "fix_undetermined": fix_undetermined or None, "false_alarms_per_day": false_alarms_per_day}
+    return {name: value for name, value in given.items() if value is not None}
+
 
 def diagnoser_class(name: str) -> type[Diagnoser]:
     """The class of this name; BadInput lists the names there are."""
@@ -28,10 +40,15 @@ def bearing_settings(speed_rpm: float | None, orders: str | None, hertz: str | N
 
 
 def new_diagnoser(name: str, settings: dict[str, Any]) -> Diagnoser:
-    """An untrained diagnoser; settings that only a bearing has are refused for the others."""
-    if settings and name != "bearing":
-        raise BadInput(f"option --{next(iter(settings)).replace('_', '-')}: only the bearing diagnoser has it, not {name!r}")
+    """An untrained diagnoser; settings that only a bearing or a model has are refused for the others."""
+    for setting in settings:
+        owner = "model-based" if setting in _OF_MODELS else "bearing"
+        if name != owner:
+            raise BadInput(f"option --{setting.replace('_', '-')}: only the {owner} diagnoser has it, not {name!r}")
     return diagnoser_class(name)(**settings)
+
+
+_OF_MODELS = ("model", "fix_undetermined", "false_alarms_per_day")
 
 
 def _frequencies(option: str, text: str | None) -> dict[str, float] | None:

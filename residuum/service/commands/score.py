@@ -11,11 +11,13 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
 from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
+    FalseAlarms,
     Hertz,
     Orders,
     SpeedRpm,
     bearing_settings,
     diagnoser_class,
+    model_settings,
     new_diagnoser,
 )
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
@@ -37,10 +39,12 @@ def score(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
-    judge = _judge(diagnoser, baseline, bearing_settings(speed_rpm, orders, hertz))
+    settings = bearing_settings(speed_rpm, orders, hertz) | model_settings(None, False, false_alarms_per_day)
+    judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
