@@ -223,6 +223,21 @@ class IdentifiedModel:
             (numerators @ np.vander(z, numerators.shape[1]).T) / (denominators @ np.vander(z, denominators.shape[1]).T)
         )
 
+    def polynomials(self) -> tuple[FloatArray, FloatArray]:
+        """Numerator and denominator of G in ascending powers of z⁻¹, one row each."""
+        if self.numerator is None or self.denominator is None:
+            return np.r_[np.zeros(self.delay), self.impulse_response][None], np.ones((1, 1))
+        lag = len(self.denominator) - len(self.numerator)
+        return np.r_[np.zeros(lag), self.numerator][None], self.denominator[None]
+
+    def sample_polynomials(self, n: int, seed: int | np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """The same of `n` random models, shapes (n, p) and (n, q), or (1, q) where all share the denominator."""
+        rng = np.random.default_rng(seed)
+        if self.parameter_covariance is None:
+            return np.hstack([np.zeros((n, self.delay)), self.sample(n, rng)]), np.ones((1, 1))
+        numerators, denominators = self._sample_parameters(n, rng)
+        return np.hstack([np.zeros((n, denominators.shape[1] - numerators.shape[1])), numerators]), denominators
+
     def simulate(self, u: npt.ArrayLike) -> FloatArray:
         """Noise-free output for input `u`, shape (n,); the input before the first sample counts as zero."""
         u = _finite(u, "u")
