@@ -11,10 +11,11 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
     Hertz,
+    Method,
     Orders,
     SpeedRpm,
-    bearing_settings,
     diagnoser_class,
+    diagnoser_settings,
     new_diagnoser,
 )
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
@@ -36,10 +37,11 @@ def score(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
     as_json: AsJson = False,
 ) -> None:
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
-    judge = _judge(diagnoser, baseline, bearing_settings(speed_rpm, orders, hertz))
+    judge = _judge(diagnoser, baseline, diagnoser_settings(speed_rpm, orders, hertz, method))
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))

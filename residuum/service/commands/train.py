@@ -9,7 +9,15 @@ import typer
 
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.identification.errors import BadInput
-from residuum.service.commands.diagnoser_options import DiagnoserName, Hertz, Orders, SpeedRpm, bearing_settings, new_diagnoser
+from residuum.service.commands.diagnoser_options import (
+    DiagnoserName,
+    Hertz,
+    Method,
+    Orders,
+    SpeedRpm,
+    diagnoser_settings,
+    new_diagnoser,
+)
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report
@@ -34,10 +42,11 @@ def train(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
-    untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz))
+    untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method))
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)

@@ -68,6 +68,9 @@ class MachineSettings(_Strict):
     window: WindowSettings
     sources: list[SourceSettings] = Field(min_length=1)
     baseline: str | None = Field(default=None, description="Name of the trained baseline; None: the asset's own.")
+    method: Literal["source", "default"] | None = Field(
+        default=None, description="gate-actuator, robust-residual: what decides; None: what the baseline was trained with."
+    )
     alarms: AlarmRule | None = Field(
         default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
     )
