@@ -39,6 +39,7 @@ class ControlView(BaseModel, extra="forbid"):
     only: Literal["overshoot", "settling-time", "high-gain", "critical-frequency"] | None = Field(
         None, description="One wish alone chooses the point: the first two with `nominal`, the others with `robust`."
     )
+    in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time, not by the weight.")
     lower: Limit = None
     upper: Limit = None
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Of the random plants.")
@@ -54,7 +55,7 @@ class ControlView(BaseModel, extra="forbid"):
 def view(running: Running, asked: ControlView) -> Response:
     """Controllers along the front of what is possible: bounds, open loop, step responses of drawn plants, code to download."""
     contents = [_content(running, each) for each in asked.models]
-    wishes = asked.model_dump(include={"aim", "overshoot", "settling_time", "slack", "only"})
+    wishes = asked.model_dump(include={"aim", "overshoot", "settling_time", "slack", "only", "in_time"})
     arguments = (contents, asked.structure, wishes, (asked.lower, asked.upper), asked.seed)
     return accepted(running.jobs.submit("control-view", view_control_design, *arguments))
 

@@ -11,7 +11,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.certificates.time_domain import StepResponse, over_plants
+from residuum.robust_control.certificates.time_domain import StepResponse
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.state_space import weighted_loop
 from residuum.robust_control.synthesis.constrained_structure import Constrained
@@ -20,6 +20,7 @@ from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report, to_plain
 from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
+from residuum.service.views.control_promise import promise_and_measurement, says
 
 app = typer.Typer(add_completion=False)
 
@@ -45,6 +46,10 @@ def design(
         str | None,
         typer.Option(help="One wish alone: overshoot or settling-time; with --aim robust high-gain or critical-frequency."),
     ] = None,
+    in_time: Annotated[
+        bool,
+        typer.Option(help="nominal: keep overshoot and settling time in time, on the nominal loop and 95 % of random plants."),
+    ] = False,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter of the controller.")] = None,
     within: Annotated[
         list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Keep a parameter of the controller between limits.")
@@ -59,7 +64,7 @@ def design(
     as_json: AsJson = False,
 ) -> None:
     """Design a controller; exit status 1 when no controller of the structure meets the aim."""
-    wishes = Wishes(aim, overshoot, settling_time, slack, only)
+    wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time)
     if structure not in STRUCTURES:
         raise BadInput(f"--structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
     check_output_file(out)
@@ -73,8 +78,9 @@ def design(
         report(described | {"feasible": False, "reason": str(no)}, f"infeasible: {no}", as_json=as_json)
         raise typer.Exit(_ANSWER_IS_NO) from None
     controller = found.chosen.design.controller
-    figures = over_plants(problem.random_plants(), controller, problem.horizon)
-    result = described | _json(found, wishes.names, figures, problem, out)
+    seen = problem.measured(found, wishes)
+    result = described | _json(found, wishes.names, list(seen.drawn), problem, out)
+    result |= promise_and_measurement(found, wishes, seen)
     equation = DifferenceEquation(controller, *limits)
     result["difference_equation"] = equation.text()
     if export is not None:
@@ -169,6 +175,7 @@ def _human(result: dict[str, Any]) -> str:
             f"  nominal loop {'stable' if result['stable'] else 'UNSTABLE'}; {plants['count']} random plants: "
             f"{plants['unstable']} unstable, median overshoot {100 * plants['overshoot_median']:.2g} %, "
             f"settling {plants['settling_time_median_s']:.3g} s",
+            *says(result),
             f"  written to {result['file']}" + (f" and {result['exported']}" if "exported" in result else ""),
         ]
     )

@@ -13,11 +13,13 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
+from residuum.robust_control.certificates.time_domain import Measured, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.multi_model import average_plant, overall_uncertainty
 from residuum.robust_control.synthesis.controller_structure import PI, PID, PIDN, ControllerStructure, LeadLag, Rational
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
+from residuum.robust_control.synthesis.time_domain_design import TimeAim, design_in_time
 from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 from residuum.robust_control.weights.reference_model import ReferenceModel
@@ -26,6 +28,9 @@ FloatArray = npt.NDArray[np.float64]
 AIMS = ("nominal", "robust")
 STRUCTURES: dict[str, type[ControllerStructure]] = {"pidn": PIDN, "pid": PID, "pi": PI, "lead-lag": LeadLag, "rational": Rational}
 _VALIDATION_PLANTS = 200
+_PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
+_FOLLOWED = 1.5
+"""Steps are followed for so many of the settling times that are asked for or promised."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class Wishes:
         γ of the mixed-sensitivity bound 1 + γ.
     only : str or None
         One wish alone (Remark 2.7).
+    in_time : bool
+        nominal: overshoot and settling time are limits on step responses, not parameters of a weight (`design_in_time`).
     """
 
     aim: str = "nominal"
@@ -51,10 +58,15 @@ class Wishes:
     settling_time: float | None = None
     slack: float = 0.1
     only: str | None = None
+    in_time: bool = False
 
     def __post_init__(self) -> None:
         if self.aim not in AIMS:
             raise BadInput(f"aim {self.aim!r}: must be nominal or robust")
+        if self.in_time and (self.aim != "nominal" or self.only is not None):
+            raise BadInput("in time: needs the aim nominal, and holds both wishes; leave `only` out")
+        if self.in_time and not (0 < self.overshoot < 1 and (self.settling_time is None or self.settling_time > 0)):
+            raise BadInput("in time: the overshoot must lie between 0 and 1, and the settling time be positive")
 
     @property
     def names(self) -> tuple[str, str]:
@@ -128,6 +140,8 @@ class ControlProblem:
         Infeasible
             No controller of the structure meets the aim; says which constraint, where and by how much.
         """
+        if wishes.in_time:
+            return self._in_time(law, wishes)
         if wishes.aim == "nominal":
             longest = self.response_time if wishes.settling_time is None else wishes.settling_time
             wanted = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
@@ -145,13 +159,28 @@ class ControlProblem:
         gain = self._robust_aim(wishes).low_gain_db
         return Weights(MonotoneWeight(gain, point.first, point.second).magnitude(self.loop.omega), self.magnitude, "1")
 
-    def random_plants(self, count: int = _VALIDATION_PLANTS) -> list[TransferFunction]:
-        """Plants of every model's posterior, other ones than the weight was made from."""
+    def _in_time(self, law: ControllerStructure, wishes: Wishes) -> Solution:
+        limit = self.horizon / _FOLLOWED if wishes.settling_time is None else wishes.settling_time
+        aim = TimeAim(wishes.overshoot, limit)
+        plants = self.random_plants(_PLANTS_IN_SEARCH, stream=2)
+        mixed = [plants[k] for k in np.random.default_rng(self.seed).permutation(len(plants))]
+        others = self.random_plants(_PLANTS_OF_PROMISE, stream=3)
+        found = design_in_time(self.loop, mixed, others, self.magnitude, law, aim, self.crossing)
+        chosen = Point(wishes.overshoot, found.settling_time, found.design)
+        return Solution(chosen, (chosen,))
+
+    def measured(self, found: Solution, wishes: Wishes) -> Measured:
+        """Step responses of the nominal loop and of plants that no design has seen."""
+        duration = max(self.horizon, _FOLLOWED * found.chosen.second) if wishes.aim == "nominal" else self.horizon
+        return measured(self.plant, self.random_plants(), found.chosen.design.controller, duration)
+
+    def random_plants(self, count: int = _VALIDATION_PLANTS, stream: int = 1) -> list[TransferFunction]:
+        """Plants of every model's posterior, other ones than the weight was made from; another `stream`, others."""
         plants = []
         each = math.ceil(count / len(self.models))
         for number, model in enumerate(self.models):
             den = np.r_[1.0, np.zeros(model.delay + model.order - 1)]
-            drawn = model.sample(each, np.random.default_rng([self.seed, 1, number]))
+            drawn = model.sample(each, np.random.default_rng([self.seed, stream, number]))
             plants += [TransferFunction(g, den, model.sample_time) for g in drawn]
         return plants
 

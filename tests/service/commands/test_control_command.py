@@ -9,9 +9,11 @@ from typer.testing import CliRunner
 
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.identified_model_file import save_identified
+from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.service.commands.control import app
+from residuum.service.views.control_promise import says
 
 
 @pytest.fixture(scope="module")
@@ -46,3 +48,54 @@ def test_held_and_limited_parameters_reach_the_controller(model, tmp_path):
 def test_bad_settings_are_refused(model, tmp_path, options, says):
     done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options])
     assert isinstance(done.exception, BadInput) and says in str(done.exception)
+
+
+def stepped(numerator, denominator, plant, duration):
+    """Overshoot and settling time of a loop, sample by sample, by nothing that the design uses."""
+    controller, n = TransferFunction(numerator, denominator, 0.1), round(duration / 0.1)
+    b = np.r_[np.zeros(len(controller.den) - len(controller.num)), controller.num] / controller.den[0]
+    a = controller.den / controller.den[0]
+    y, e, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(n):
+        past = min(k, len(plant))
+        y[k] = plant[:past] @ u[k - past : k][::-1]
+        e[k] = 1.0 - y[k]
+        u[k] = sum(b[i] * e[k - i] for i in range(min(k + 1, len(b)))) - sum(
+            a[i] * u[k - i] for i in range(1, min(k + 1, len(a)))
+        )
+    outside = np.flatnonzero(np.abs(y - 1) > 0.02)
+    return max(0.0, y.max() - 1), 0.1 * (outside[-1] + 1)
+
+
+@pytest.mark.parametrize("options", [[], ["--in-time"], ["--in-time", "--overshoot", "0.05"]])
+def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options):
+    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    controller, promised, measured = found["controller"], found["promised"], found["measured"]
+    nominal = load_identified(model)
+    overshoot, settling = stepped(controller["numerator"], controller["denominator"], nominal.impulse_response, 15.0)
+    assert measured["nominal"]["overshoot"] == pytest.approx(overshoot, abs=1e-6)
+    assert measured["nominal"]["settling_time_s"] == pytest.approx(settling, abs=1e-9)
+    held = overshoot <= promised["overshoot"] and settling <= promised["settling_time_s"]
+    assert measured["kept"] == held
+    if options:
+        assert held and found["robust_stability_norm"] < 1
+        assert promised["overshoot"] == (0.05 if len(options) > 1 else 0.01)
+        drawn = nominal.sample(60, seed=77)  # plants that nobody has looked at
+        each = [stepped(controller["numerator"], controller["denominator"], g, 15.0) for g in drawn]
+        kept = [o <= promised["overshoot"] and s <= promised["settling_time_s"] for o, s in each]
+        assert np.mean(kept) >= 0.9  # of 95 % promised: fewer than 54 of 60 come by chance once in 20
+        truth = 0.3 * 0.8 ** np.arange(150)
+        overshoot, settling = stepped(controller["numerator"], controller["denominator"], truth, 15.0)
+        assert overshoot <= promised["overshoot"] and settling <= promised["settling_time_s"]
+    else:
+        assert ("NOT kept" in says(found)[0]) == (not held)
+
+
+def test_a_promise_that_cannot_be_kept_is_not_made(model, tmp_path):
+    options = ["--in-time", "--settling-time", "0.3", "--json"]
+    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), *options])
+    assert done.exit_code == 1
+    assert "none was found" in json.loads(done.stdout)["reason"]
+    assert not (tmp_path / "k.json").exists()
