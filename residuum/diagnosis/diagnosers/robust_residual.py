@@ -305,7 +305,7 @@ def _has_died_out(model: IdentifiedModel) -> bool:
     """Whether the last tenth of the impulse response is within its band, or below a hundredth of the largest value."""
     last = slice(-max(len(model.impulse_response) // 10, 1), None)
     g = np.abs(model.impulse_response)
-    return bool(np.all(g[last] < np.maximum(3 * model.std[last], 0.01 * g.max())))
+    return bool(np.all(g[last] < np.maximum(3 * model.conditional_std[last], 0.01 * g.max())))
 
 
 def _describe(estimate: FaultEstimate, evidence: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.marginal_bands import band_says
 from residuum.identification.linear_models.fit import simulation_fit
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import save_identified
@@ -153,6 +154,7 @@ def _json(
         "sample_time": model.sample_time,
         "impulse_response": model.impulse_response,
         "std": model.std,
+        "std_says": band_says(model),
         "hyper_parameters": dict(model.hyper_parameters),
         "noise_variance": model.noise_variance,
         "negative_log_likelihood": model.negative_log_likelihood,
@@ -198,6 +200,8 @@ def _human(model: IdentifiedModel, result: dict[str, Any]) -> str:
     ]
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
+    if (said := band_says(model)) is not None:
+        lines.append(f"  bands             {said}")
     if model.hyper_parameters:
         lines.append("  hyper-parameters  " + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()))
     lines += [f"  warning           {text}" for text in model.warnings]
