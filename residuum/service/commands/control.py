@@ -19,7 +19,17 @@ from residuum.robust_control.synthesis.controller_structure import ControllerStr
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report, to_plain
-from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
+from residuum.service.commands.weight_options import (
+    EPSILON,
+    WEIGHT_ORDER,
+    ZETA,
+    Epsilon,
+    Lowest,
+    Rule,
+    WeightOrder,
+    Zeta,
+)
+from residuum.service.views.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.service.views.control_promise import promise_and_measurement, says
 
 app = typer.Typer(add_completion=False)
@@ -50,6 +60,20 @@ def design(
         bool,
         typer.Option(help="nominal: keep overshoot and settling time in time, on the nominal loop and 95 % of random plants."),
     ] = False,
+    low_gain: Annotated[float, typer.Option(help="robust: l_g, gain of W_S at low frequency \\[dB].")] = 120.0,
+    high_gain: Annotated[float, typer.Option(help="robust: smallest h_g, gain of W_S at high frequency \\[dB].")] = -50.0,
+    critical_frequency: Annotated[
+        float | None, typer.Option(help="robust: lowest ω_c \\[rad/s]; default: a thousandth of where W_T reaches 1.")
+    ] = None,
+    joined: Annotated[
+        Path | None, typer.Option(help="The nominal plant: a model of all operating points' records (default: the models' mean).")
+    ] = None,
+    epsilon: Epsilon = EPSILON,
+    zeta: Zeta = ZETA,
+    rule: Rule = "chernoff",
+    weight_order: WeightOrder = WEIGHT_ORDER,
+    points: Annotated[int, typer.Option(help="Frequencies of the grid, logarithmic up to π/Ts.", min=50, max=5000)] = 600,
+    lowest: Lowest = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter of the controller.")] = None,
     within: Annotated[
         list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Keep a parameter of the controller between limits.")
@@ -64,12 +88,14 @@ def design(
     as_json: AsJson = False,
 ) -> None:
     """Design a controller; exit status 1 when no controller of the structure meets the aim."""
-    wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time)
+    wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time, low_gain, high_gain, critical_frequency)
     if structure not in STRUCTURES:
         raise BadInput(f"--structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
     check_output_file(out)
     _check_export(export, limits)
-    problem = ControlProblem([load_identified(file) for file in identified], seed)
+    choice = WeightChoice(epsilon, zeta, rule, weight_order, points, lowest)
+    middle = None if joined is None else load_identified(joined)
+    problem = ControlProblem([load_identified(file) for file in identified], seed, joined=middle, weight=choice)
     law = _constrained(STRUCTURES[structure](problem.loop.sample_time), fix or [], within or [])
     described = {"aim": aim, "structure": structure, "models": [str(file) for file in identified]}
     try:
@@ -80,6 +106,7 @@ def design(
     controller = found.chosen.design.controller
     seen = problem.measured(found, wishes)
     result = described | _json(found, wishes.names, list(seen.drawn), problem, out)
+    result |= problem.nominal_plants() | {"samples": choice.samples}
     result |= promise_and_measurement(found, wishes, seen)
     equation = DifferenceEquation(controller, *limits)
     result["difference_equation"] = equation.text()
@@ -162,6 +189,13 @@ def _json(
     }
 
 
+def _about(result: dict[str, Any]) -> list[str]:
+    about = result["largest_uncertainty_about"]
+    if about["joined"] is None:
+        return []
+    return [f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}"]
+
+
 def _human(result: dict[str, Any]) -> str:
     plants, control_law = result["random_plants"], result["parameters"]
     wishes = ", ".join(f"{name} = {value:.4g}" for name, value in result["chosen"].items())
@@ -169,6 +203,7 @@ def _human(result: dict[str, Any]) -> str:
         [
             f"{result['structure']}: K = {result['equation']}",
             "  " + ", ".join(f"{name} = {value:.5g}" for name, value in control_law.items()),
+            *_about(result),
             f"  aim {result['aim']}: {wishes}",
             f"  cost {result['certified_cost']:.4g}, largest at {result['worst_frequency_rad_s']:.4g} rad/s; "
             f"robust stability ‖W_T T‖∞ = {result['robust_stability_norm'] or math.inf:.6g}",

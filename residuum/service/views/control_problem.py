@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES, Rule
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.certificates.time_domain import Measured, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
@@ -49,6 +51,8 @@ class Wishes:
         γ of the mixed-sensitivity bound 1 + γ.
     only : str or None
         One wish alone (Remark 2.7).
+    low_gain_db, smallest_high_gain_db, lowest_critical_frequency : float
+        robust: l_g, h_g,min [dB] and ω_c,min [rad/s] of (2.37); the last None: a thousandth of where |W_T| reaches 1.
     in_time : bool
         nominal: overshoot and settling time are limits on step responses, not parameters of a weight (`design_in_time`).
     """
@@ -59,6 +63,9 @@ class Wishes:
     slack: float = 0.1
     only: str | None = None
     in_time: bool = False
+    low_gain_db: float = 120.0
+    smallest_high_gain_db: float = -50.0
+    lowest_critical_frequency: float | None = None
 
     def __post_init__(self) -> None:
         if self.aim not in AIMS:
@@ -79,6 +86,23 @@ class Wishes:
         return 1.0 + self.slack if self.aim == "nominal" else 1.0
 
 
+@dataclass(frozen=True)
+class WeightChoice:
+    """How the uncertainty weight is made: ε, ζ and the rule of the number of plants, its order, and the grid's frequencies."""
+
+    epsilon: float = 0.05
+    zeta: float = 0.05
+    rule: Rule = "chernoff"
+    order: int = 2
+    points: int = 600
+    lowest: float | None = None
+
+    @property
+    def samples(self) -> int:
+        """Random plants in all."""
+        return SAMPLE_SIZE_RULES[self.rule](self.epsilon, 1 - self.zeta)
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The chosen point of the Pareto front, and the whole front."""
@@ -96,6 +120,10 @@ class ControlProblem:
         One an operating point, of one sample time.
     seed : int
         Of the random plants.
+    joined : IdentifiedModel or None
+        One model of the data of all operating points, the nominal plant of Algorithm 4 as the source has it; None: the mean of
+        the models' impulse responses.
+    weight : WeightChoice
 
     Attributes
     ----------
@@ -113,14 +141,34 @@ class ControlProblem:
         No model, different sample times, an uncertainty of over 100 % at the lowest frequency.
     """
 
-    def __init__(self, models: Sequence[IdentifiedModel], seed: int = 0) -> None:
-        self.models, self.seed = tuple(models), seed
-        self.plant = average_plant(models)
-        omega = frequency_grid([self.plant])
-        self.W_T, self.largest = overall_uncertainty(models, self.plant, omega, seed=seed)
+    def __init__(
+        self,
+        models: Sequence[IdentifiedModel],
+        seed: int = 0,
+        *,
+        joined: IdentifiedModel | None = None,
+        weight: WeightChoice | None = None,
+    ) -> None:
+        self.models, self.seed, self.joined, self.choice = tuple(models), seed, joined, weight or WeightChoice()
+        mean = average_plant([*models] if joined is None else [*models, joined])  # refuses unequal sample times
+        self.plant = mean if joined is None else joined.transfer_function()
+        omega = frequency_grid([self.plant], points=self.choice.points, lowest=self.choice.lowest)
+        self.W_T, self.largest = self._uncertainty(self.plant, omega)
         self.loop = Loop([self.plant], omega)
         self.magnitude = np.abs(self.W_T.frequency_response(omega))
         self.crossing = _critical_frequency(omega, self.magnitude)
+
+    def _uncertainty(self, plant: TransferFunction, omega: FloatArray) -> tuple[TransferFunction, FloatArray]:
+        choice = self.choice
+        return overall_uncertainty(self.models, plant, omega, n_samples=choice.samples, order=choice.order, seed=self.seed)
+
+    def nominal_plants(self) -> dict[str, Any]:
+        """The largest uncertainty about the joined model and about the models' mean, and which of them is the nominal plant."""
+        mean = average_plant(self.models)
+        other = None if self.joined is None else float(self._uncertainty(mean, frequency_grid([mean]))[1].max())
+        largest = float(self.largest.max())
+        about = {"joined": None, "mean": largest} if self.joined is None else {"joined": largest, "mean": other}
+        return {"nominal": "mean" if self.joined is None else "joined", "largest_uncertainty_about": about}
 
     @property
     def response_time(self) -> float:
@@ -185,7 +233,8 @@ class ControlProblem:
         return plants
 
     def _robust_aim(self, wishes: Wishes) -> RobustAim:
-        return RobustAim(lowest_critical_frequency=self.crossing / 1000.0, only=wishes.only)
+        lowest = self.crossing / 1000.0 if wishes.lowest_critical_frequency is None else wishes.lowest_critical_frequency
+        return RobustAim(wishes.low_gain_db, wishes.smallest_high_gain_db, lowest_critical_frequency=lowest, only=wishes.only)
 
 
 def _critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:

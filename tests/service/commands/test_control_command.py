@@ -12,6 +12,7 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
+from residuum.service.cli import run
 from residuum.service.commands.control import app
 from residuum.service.views.control_promise import says
 
@@ -99,3 +100,69 @@ def test_a_promise_that_cannot_be_kept_is_not_made(model, tmp_path):
     assert done.exit_code == 1
     assert "none was found" in json.loads(done.stdout)["reason"]
     assert not (tmp_path / "k.json").exists()
+
+
+@pytest.fixture(scope="module")
+def two_points(tmp_path_factory):
+    """Two operating points, the second recorded three times as long, each by itself and both joined."""
+    folder, records, files = tmp_path_factory.mktemp("points"), [], []
+    for number, (gain, n) in enumerate([(0.3, 500), (0.4, 1500)]):
+        rng = np.random.default_rng(number)
+        u = rng.normal(size=n)
+        y = lfilter([0, gain], [1, -0.8], u) + 0.05 * rng.normal(size=n)
+        records.append(Record({"u": u, "y": y}, {"u": "", "y": ""}, 0.1, source=f"point {number}"))
+    for name, each in (("first", records[:1]), ("second", records[1:]), ("joined", records)):
+        files.append(str(folder / f"{name}.json"))
+        save_identified(identify_impulse_response(each, "u", "y", order=30), files[-1])
+    return files
+
+
+def test_joined_data_make_another_nominal_plant_than_the_mean_of_models(two_points, tmp_path):
+    first, second, joined = two_points
+    command = ["design", first, second, "--out", str(tmp_path / "k.json"), "--settling-time", "30", "--json"]
+    said = {}
+    for name, options in (("mean", []), ("joined", ["--joined", joined])):
+        done = CliRunner().invoke(app, [*command, *options])
+        assert done.exit_code == 0, done.output
+        said[name] = json.loads(done.stdout)
+        assert said[name]["nominal"] == name
+        assert said[name]["largest_uncertainty"] == said[name]["largest_uncertainty_about"][name]
+    both = said["joined"]["largest_uncertainty_about"]
+    assert both["mean"] == pytest.approx(said["mean"]["largest_uncertainty"], rel=1e-6)
+    # Joined by its samples the middle is nearer to the longer record: the first point's gain is 20 % below it, not 14 %.
+    gains = [load_identified(file).frequency_response(0.0).real for file in two_points]
+    assert abs(gains[2] - (gains[0] + 3 * gains[1]) / 4) < 0.25 * abs(gains[2] - (gains[0] + gains[1]) / 2)
+    assert both["joined"] != pytest.approx(both["mean"], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("options", "samples"),
+    [([], 738), (["--epsilon", "0.01"], 18445), (["--rule", "worst-case"], 59), (["--zeta", "0.2", "--epsilon", "0.1"], 116)],
+)
+def test_the_number_of_plants_is_the_sources_by_either_rule(model, tmp_path, options, samples):
+    done = CliRunner().invoke(app, ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", *options])
+    assert json.loads(done.stdout)["samples"] == samples
+
+
+def test_inputs_of_algorithm_3_reach_the_weight(model, tmp_path):
+    command = ["design", str(model), "--out", str(tmp_path / "k.json"), "--json", "--aim", "robust", "--weight-order", "3"]
+    done = CliRunner().invoke(app, [*command, "--high-gain", "-6", "--critical-frequency", "0.02", "--low-gain", "60"])
+    chosen = json.loads(done.stdout)
+    assert done.exit_code == 0 and chosen["chosen"]["high_gain_db"] >= -6 - 1e-9
+    assert chosen["chosen"]["critical_frequency_rad_s"] >= 0.02 - 1e-12
+    assert len(chosen["uncertainty_weight"]["denominator"]) == 4
+    too_fast = CliRunner().invoke(app, [*command, "--critical-frequency", "30"])
+    assert too_fast.exit_code == 1
+
+
+@pytest.mark.parametrize("form", ["multiplicative", "additive", "inverse-multiplicative"])
+def test_the_uncertainty_command_bounds_every_form(model, capsys, form):
+    grid = ["--points", "50", "--lowest", "0.5", "--weight-order", "1", "--rule", "worst-case"]
+    assert run(["uncertainty", str(model), "--form", form, *grid, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["samples"], said["form"], said["certified"]) == (59, form, True)
+    assert len(said["frequency_rad_s"]) == 50 and said["frequency_rad_s"][0] == pytest.approx(0.5)
+    weight = TransferFunction(said["weight"]["numerator"], said["weight"]["denominator"], 0.1)
+    assert np.all(np.abs(weight.frequency_response(said["frequency_rad_s"])) >= np.array(said["largest_error"]) * (1 - 1e-9))
+    assert run(["uncertainty", str(model), "--lowest", "99"]) == 2
+    assert "must lie between 0 and the Nyquist frequency" in capsys.readouterr().err
