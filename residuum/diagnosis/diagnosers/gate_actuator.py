@@ -226,12 +226,3 @@ def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str
     if unknown := [label for label in given if label not in _SPELLINGS]:
         raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; known are {', '.join(_SPELLINGS)}")
     return [_SPELLINGS[label] for label in given]
-
-
-def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str]:
-    given = [HEALTHY] * len(records) if labels is None else list(labels)
-    if not records or len(given) != len(records):
-        raise BadInput(f"gate-actuator: {len(records)} records and {len(given)} labels; must be one each, at least one")
-    if unknown := [label for label in given if label not in _SPELLINGS]:
-        raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; known are {', '.join(_SPELLINGS)}")
-    return [_SPELLINGS[label] for label in given]

@@ -135,7 +135,7 @@ class _Search:
 
     def from_weights(self, critical_frequency: float) -> list[FloatArray]:
         """Controllers by mixed sensitivity for reference models of several bandwidths and dampings."""
-        found = []
+        found: list[FloatArray] = []
         for scale in _DAMPINGS:
             overshoot = scale * self.aim.overshoot
             fastest = min(shortest_settling_time(overshoot, critical_frequency), 0.5 * self.aim.settling_time)
