@@ -133,7 +133,8 @@ def _bounds(oven: Oven) -> Item:
         figure.add_scatter(x=oven.loop.omega, y=bound, name=f"bound of {name}", line={"dash": "dash"})
     good = made.stable and all(bool(np.all(magnitude <= bound)) for magnitude, bound in curves.values())
     says = f"cost {made.certified:.4f} below {1 + AIM.slack:.2f} for ℓ = {reference.settling_time:.0f} s"
-    return Item("Fig. 62", "Constraints of the automatic design", "both constraints hold with γ = 0.15", says, good, (), [figure])
+    title, source = "Constraints of the automatic design", "both constraints hold with γ = 0.15"
+    return Item("Fig. 62", title, source, says, good, (), [figure], by_construction=True)
 
 
 def _steps(oven: Oven) -> Item:
