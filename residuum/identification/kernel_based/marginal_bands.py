@@ -24,7 +24,7 @@ from residuum.identification.kernel_based.marginal_likelihood import MarginalLik
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 
 FloatArray = npt.NDArray[np.float64]
-COVERAGE = {"tc": "94 to 96", "dc": "94", "di": "94 to 96", "ss": "81 to 95 (81 where the noise is as strong as the signal)"}
+COVERAGE = {"tc": "94 to 97", "dc": "94 to 98", "di": "94 to 96", "ss": "81 to 95 (81 where noise is as strong as signal)"}
 """Measured share [%] of coefficients within 1.96 standard deviations, at variance ratios 1, 10, 100 (docs/identification.md)."""
 WEAK_SLOW_MODE = {"tc": 67, "dc": 53, "di": 60, "ss": 57}
 """The same where a weak slow mode lies beside a fast one: the likelihood settles for the fast decay, and rules the other out."""
