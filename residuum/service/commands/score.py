@@ -13,10 +13,11 @@ from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
     FalseAlarms,
     Hertz,
+    Method,
     Orders,
     SpeedRpm,
-    bearing_settings,
     diagnoser_class,
+    diagnoser_settings,
     model_settings,
     new_diagnoser,
 )
@@ -39,11 +40,12 @@ def score(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
     false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
-    settings = bearing_settings(speed_rpm, orders, hertz) | model_settings(None, False, false_alarms_per_day)
+    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]

@@ -206,8 +206,8 @@ def _parameters(table: Table, what: str) -> dict[str, dict[str, Any]]:
         numbers = {key: text.number(f"{each}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
         flags = {key: text.truth(f"{each}: {key}") for key, text in given.items() if key in ("fixed", "size")}
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
-        found[name] = {"value": 0.0, "unit": "", "meaning": name} | texts | numbers | flags
-        if not numbers.get("lower", -np.inf) <= found[name]["value"] <= numbers.get("upper", np.inf):
+        found[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
+        if not numbers.get("lower", -np.inf) <= numbers.get("value", 0.0) <= numbers.get("upper", np.inf):
             raise entry.place.refuse(f"{each}: value is outside its bounds")
     return found
 
