@@ -48,7 +48,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
     limit = baseline.calibration.limit(false_alarms_per_day, baseline.usual.seconds)
-    each = deviations(window.judged, baseline.groups, baseline.calibration.inflation)
+    each = deviations(window.judged, baseline.groups, baseline.calibration.inflation * novelty(baseline, window))
     energies = baseline.energies.deviations(window.sums)
     standing = _standing(baseline, window)
     largest = max(float(np.max(each)), float(np.max(energies)), 0.0 if standing is None else 2.0 * limit)
@@ -133,6 +133,15 @@ def not_excited(baseline: Baseline, window: Window) -> bool:
     at = baseline.free_sizes or baseline.scatter.own.tolist()
     told = np.diag(window.sums.A)[at] / np.maximum(baseline.usual.information[at], 1e-300)
     return bool(np.max(told) < _EXCITED)
+
+
+def novelty(baseline: Baseline, window: Window) -> Array:
+    """How much more a window tells of each hypothesis than any healthy one did, shape (hypotheses,), at least 1.
+
+    What no healthy window could show, none has vouched for: its scatter is taken to be as much larger.
+    """
+    ratio = np.diag(window.sums.A) / np.maximum(baseline.usual.shown, 1e-300)
+    return np.array([max(1.0, float(np.max(ratio[list(g.sizes)]))) for g in baseline.groups])
 
 
 def parameters(baseline: Baseline, window: Window) -> dict[str, Any]:

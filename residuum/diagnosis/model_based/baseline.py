@@ -36,6 +36,8 @@ class Usual:
         Length of a healthy window.
     information : array, shape (m,)
         Least information of a healthy window on each size.
+    shown : array, shape (m,)
+        Largest information of a healthy window on each size.
     spans : array, shape (outputs,)
         Smallest largest-minus-smallest reading of each output; `ranges` the largest.
     input_spans : array, shape (inputs,)
@@ -50,6 +52,7 @@ class Usual:
 
     seconds: float
     information: Array
+    shown: Array
     spans: Array
     ranges: Array
     input_spans: Array
@@ -129,7 +132,7 @@ class Baseline:
             "output_variance": t.noise.output_variance, "scales": t.scales, "scale": s.scale, "own": s.own, "mean": s.mean,
             "covariance": s.covariance, "inflation": c.inflation,
             "left_out": c.left_out, "energy_mean": e.mean, "energy_std": e.std,
-            "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans,
+            "information": u.information, "shown": u.shown, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans,
             "runs": u.runs, "low": u.low, "high": u.high,
             "together_low": u.together_low, "together_high": u.together_high, "hold": self.hold, "measured": self.measured,
         }  # fmt: skip
@@ -153,7 +156,7 @@ def _restored(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -
     of, energy_windows = meta["windows"]
     usual = Usual(
         float(meta["seconds"]),
-        *(arrays[n] for n in ("information", "spans", "ranges", "input_spans", "runs")),
+        *(arrays[n] for n in ("information", "shown", "spans", "ranges", "input_spans", "runs")),
         *(arrays[n] for n in ("low", "high", "together_low", "together_high")),
     )
     return Baseline(

@@ -133,11 +133,13 @@ def calibrated(
         left_out.append((healthy_scatter(others, _LEFT_OUT_ROUNDS, scatter).judged(window), Energies.of(others), window))
     T = np.array([[chi_square(j, g.sizes) / len(g.sizes) for g in groups] for j, _, _ in left_out])
     inflation = np.maximum(np.mean(T, axis=0), 1.0) if len(T) else flat
+    usual = np.array([stats.chi2.isf(0.5 / len(windows), len(g.sizes)) / len(g.sizes) for g in groups])
     tests = len(scatter.own) + int(np.count_nonzero(energies.mean))
     highest = [float(max(np.max(deviations(j, groups, inflation)), np.max(e.deviations(w)))) for j, e, w in left_out]
     promised = [_normal(np.log(min((k + 0.5) / len(windows), 0.5) / tests)) for k in range(_HIGHEST)]
     stood = np.sort(highest)[::-1][:_HIGHEST]
     raised = float(np.mean(stood / np.array(promised[: len(stood)])))
+    inflation = np.maximum(inflation, np.max(T, axis=0) / usual)  # few windows of many may be those that differ
     return Calibration(inflation, tests, max(raised, 1.0), np.array(highest))
 
 

@@ -195,6 +195,7 @@ def _usual(
     return Usual(
         experiments[0].sample_time * float(np.median([e.n for e in experiments])),
         np.min([np.diag(s.A) for s in sums], axis=0),
+        np.max([np.diag(s.A) for s in sums], axis=0),
         spans.min(axis=0),
         spans.max(axis=0),
         np.min([np.ptp(e.U, axis=0) for e in experiments], axis=0),
