@@ -38,9 +38,9 @@ from residuum.identification.physics.model import BALANCE_KINDS
 
 FloatArray = npt.NDArray[np.float64]
 
-_ID = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
-_PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
+OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
+DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
+PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
 _ROLES = {
     "position": {"torque": "rad", "force": "m"},
     "velocity": {"torque": "rad/s", "force": "m/s"},
@@ -162,10 +162,10 @@ def effects_of(listing: Scalar | Listing | Table | None, tree: Table) -> list[Wr
 
 
 def _effect(item: Table) -> WrittenEffect:
-    item.only(_KEYS, "effect")
+    item.only(DEFINITION_KEYS, "effect")
     id = item.scalar("id", "effect")
     what = f"effect {id.text!r}"
-    if not _ID.fullmatch(id.text):
+    if not re.fullmatch(OWN_ID, id.text):
         raise id.place.refuse(f"{what}: an id is of small letters, digits and '-'")
     acts_on = _acts_on(item, what)
     on_path = acts_on[0] in ("input", "output")
@@ -186,11 +186,11 @@ def _effect(item: Table) -> WrittenEffect:
 def _acts_on(item: Table, what: str) -> list[str]:
     listing = item.entries.get("acts_on")
     if not isinstance(listing, Listing) or not listing.items:
-        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
     kinds = []
     for kind in listing.items:
-        if not isinstance(kind, Scalar) or kind.text not in _PLACES:
-            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+        if not isinstance(kind, Scalar) or kind.text not in PLACES:
+            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
         kinds.append(kind.text)
     if len(kinds) > 1 and {"input", "output"} & set(kinds):
         raise listing.place.refuse(f"{what}: acts on balances, on an input or on an output, not on several of these")
