@@ -1,10 +1,10 @@
-# run · test · check · bench · soak · sbom · reproduce — each makes .venv first; nothing else has to be installed.
+# run · test · check · bench · docs · soak · sbom · reproduce — each makes .venv first; nothing else has to be installed.
 PYTHON ?= python3
 BIN := .venv/bin
 MAKEFLAGS += --no-print-directory
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test check bench soak sbom reproduce clean
+.PHONY: run test check bench docs soak sbom reproduce clean
 .DEFAULT_GOAL := run
 
 .venv/run: pyproject.toml
@@ -12,11 +12,12 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 	@echo "installing residuum into .venv, and compiling what every explanation needs (once; about two minutes)"
 	@$(BIN)/python -m pip install -qq -e .
 	@$(BIN)/python -m residuum.identification.discrepancy.compile_ahead
+	@if $(BIN)/python -m pip install -qq 'mkdocs-material>=9.5'; then NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet; fi || true
 	@touch $@
 
 .venv/dev: pyproject.toml .venv/run
 	@echo "installing what the tests need into .venv (once)"
-	@$(BIN)/python -m pip install -qq -e '.[dev,formats,postgres,mqtt,oidc,fleet]'
+	@$(BIN)/python -m pip install -qq -e '.[dev,docs,notebook,formats,postgres,mqtt,oidc,fleet]'
 	@touch $@
 
 run: .venv/run
@@ -30,6 +31,11 @@ check: .venv/dev
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+
+# The reference pages from the code, and the site that the service shows under /docs/.
+docs: .venv/dev
+	@$(BIN)/python docs/make_reference.py
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: .venv/dev
 	@$(BIN)/python -m benchmarks

@@ -13,7 +13,8 @@ MAY_IMPORT = {
     "diagnosis": {"identification"},
     "robust_control": {"identification"},
     "simulation": set(),
-    "service": {"identification", "diagnosis", "robust_control", "simulation"},
+    "library": {"identification", "diagnosis", "robust_control", "simulation"},
+    "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
 ONLY_IN_SERVICE = {
     "fastapi",
@@ -27,7 +28,7 @@ ONLY_IN_SERVICE = {
     "typer",
     "uvicorn",
 }
-MAY_USE_SIMULATION = ("service/commands/", "service/simulated/")
+MAY_USE_SIMULATION = ("library/virtual_machine", "service/commands/", "service/simulated/")
 APART = ("fieldbus", "storage", "api")
 
 

@@ -18,8 +18,8 @@ from benchmarks import fleet as fleet_benchmark
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
+from residuum.library.identification_methods import Request
 from residuum.service.cli import run
-from residuum.service.commands.identify import Request
 from residuum.service.storage import DiskStore
 from residuum.service.work import fleet_source
 from residuum.service.work.fleet import open_executor, run_fleet

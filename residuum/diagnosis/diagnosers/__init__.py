@@ -6,6 +6,7 @@ from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
+from residuum.identification.entry_points import from_entry_points
 
 DIAGNOSERS: dict[str, type[Diagnoser]] = {
     GateActuator.name: GateActuator,
@@ -14,3 +15,5 @@ DIAGNOSERS: dict[str, type[Diagnoser]] = {
     RobustResidual.name: RobustResidual,
     ModelBased.name: ModelBased,
 }
+for _found in from_entry_points("residuum.diagnosers"):
+    DIAGNOSERS.setdefault(_found.name, _found)

@@ -87,6 +87,11 @@ class Comparison:
     where: tuple[Region, ...]
 
     @property
+    def present(self) -> bool:
+        """Whether any output's error is structured."""
+        return any(test.present for test in self.structured.values())
+
+    @property
     def p_value(self) -> float:
         """Of "every output's error is noise of some colour" (Bonferroni over the outputs)."""
         return min(1.0, len(self.structured) * min((test.p_value for test in self.structured.values()), default=1.0))

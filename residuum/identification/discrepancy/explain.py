@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
@@ -18,6 +19,7 @@ from residuum.identification.discrepancy.held_values import HeldValue, freed, he
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Judgement, at_the_noise, is_incomplete, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
+from residuum.identification.discrepancy.proposals import informed
 from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.share import ShareSearch, search_by_share
 from residuum.identification.discrepancy.share_judgement import as_search, does_better, judged, with_shares
@@ -91,6 +93,7 @@ def explain(
     mapping: Mapping[str, str] | None = None,
     *,
     effects: Iterable[str] | None = None,
+    learned: bool = False,
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Explanation:
@@ -105,10 +108,16 @@ def explain(
     mapping : mapping of model name to column
     effects : iterable of effect id
         Consider only these (default: all that fit the model).
+    learned : bool
+        Where nothing with a name is real, learn a curve over one signal.
     seconds : float, optional
         Time after which the search for an exact structure is left; what explains most on blocks kept aside stands then.
     tell : callable
         Told how far the work is.
+
+    Returns
+    -------
+    The answer; its verdict is `adequate` only where `compare` finds no structure in what the re-estimated model leaves.
 
     Raises
     ------
@@ -125,7 +134,9 @@ def explain(
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
     tell(0.0, "what takes away most on blocks kept aside")
-    shares = search_by_share(model, match(model, records, mapping)[1], wanted)
+    model, whole = _informed(model, records, mapping, wanted)
+    with within(seconds):
+        shares = search_by_share(model, whole, wanted, learned=learned)
     spent = time.perf_counter() - began
     searched_ = None
     try:
@@ -150,6 +161,8 @@ def explain(
         judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
         if shares is not None:
             judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, shares.blocks))
+    if judgement.verdict == "adequate" and compare(found.best.model, records, mapping).present:
+        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
     tell(0.85, "what could not have been seen, and the next experiment")
     return Explanation(
         verdict=judgement.verdict,
@@ -168,6 +181,17 @@ def explain(
         remaining=None if shares is None else remaining_on(found.best.model, shares.blocks),
         seconds=time.perf_counter() - began,
     )
+
+
+def _informed(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None
+) -> tuple[PhysicalModel, list[Experiment]]:
+    """The model with columns of the records that may be forgotten inputs, and the whole records as its experiments."""
+    _, whole = match(model, records, mapping)
+    if wanted is not None and "forgotten-input" not in wanted:
+        return model, whole
+    knowing = informed(model, whole)
+    return knowing, whole if knowing is model else match(knowing, records, mapping)[1]
 
 
 @dataclass(frozen=True, eq=False)

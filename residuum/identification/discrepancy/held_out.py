@@ -19,6 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 
 TRAINING_SHARE = 0.7
 _STATES_ONLY = Settings(iterations=20, tolerance=1e-4)
+_STILL = 0.2
+"""Part of a channel's standard deviation in the record under which it stands still in a part of it."""
 _FEWEST = 60
 """Samples that a record must have for a part of it to be kept aside."""
 
@@ -40,16 +42,32 @@ class Split:
 def split(records: Sequence[Record], *, end: bool = True) -> Split:
     """Several records: every third is kept aside (of two, the second). One: its end, by its note `split: 0.7` or 30 %; or as
     much of its beginning.
+
+    A part in which the record stands still judges nothing: then the beginning is kept aside, or the middle.
     """
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
         return Split([r for k, r in enumerate(records) if k not in testing], [(records[k], 0) for k in testing])
     record = records[0]
     first = int(record.n * (record.split or TRAINING_SHARE))
-    if end:
-        return Split([record.window(0, first)], [(record, first)])
-    aside = record.n - first
-    return Split([record.window(aside, record.n)], [(record.window(0, aside), 0)])
+    aside, middle = record.n - first, first // 2
+    spans = [(first, record.n), (0, aside)] if end else [(0, aside), (first, record.n)]
+    wanted = spans[:1] if record.split is not None else [*spans, (middle, middle + aside)]
+    begin, stop = next((span for span in wanted if _moves(record, *span)), wanted[0])
+    if stop == record.n:
+        return Split([record.window(0, begin)], [(record, begin)])
+    rest = [record.window(0, begin), record.window(stop, record.n)] if begin else [record.window(stop, record.n)]
+    return Split(rest, [(record.window(begin, stop), 0)])
+
+
+def _moves(record: Record, begin: int, stop: int) -> bool:
+    """Whether every channel that changes in the record does so in this part of it too."""
+    with np.errstate(invalid="ignore"):
+        for values in record.channels.values():
+            whole, part = np.nanstd(values), np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0
+            if whole > 0.0 and part < _STILL * whole:
+                return False
+    return True
 
 
 def split_experiments(

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.deadline import in_time
-from residuum.identification.discrepancy.track import Track
+from residuum.identification.discrepancy.track import Track, joined_spare
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
 from residuum.identification.physics.simulate.kalman import Filter, first_noise, noise_floor
@@ -31,10 +31,14 @@ _BLOCKS = (60, 30, 15)
 """Stretches that the records are cut into: fewer, hence longer, where the shorter ones do not show the model's error."""
 _SHORTEST, _LONGEST = 20, 600
 """Samples of a stretch."""
+_MOSTLY = 0.5
+"""Part of an output's power that one block may hold."""
 _SHOWN = 10.0
 """Times the measurement noise that an error over a stretch has to stand to be judged."""
 _REFIT, _LOOK = 15, 6
 """Gauss–Newton steps of a candidate that is judged, and of one of its starts."""
+_MOST, _GLANCED = 12_000, 3_000
+"""Samples of all stretches, and of those on which a start is looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,17 @@ class Blocks:
     def samples(self) -> int:
         """Length of a stretch."""
         return self.test[0].n
+
+    @property
+    def few(self) -> Blocks:
+        """The same with some of the training blocks alone, evenly spread."""
+        total = sum(part.n for part in self.train)
+        return replace(self, train=self.train[:: max(1, round(total / _GLANCED))])
+
+    @property
+    def turned(self) -> Blocks:
+        """The same with what trains and what tests exchanged."""
+        return replace(self, train=self.test, test=self.train)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +84,31 @@ class Errors:
         count = self.count.sum(axis=0)
         return np.sqrt(np.divide(self.power.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
 
+    def beside(self, other: Errors) -> Errors:
+        """These blocks, and then the other's."""
+        return Errors(np.concatenate([self.power, other.power]), np.concatenate([self.count, other.count]))
+
     def stands_out(self, noise: FloatArray, times: float) -> bool:
         """Whether an output's error is so many times its measurement noise."""
         return bool(np.any(self.rms > times * noise))
 
     def relative(self, base: Errors) -> FloatArray:
-        """Power of each block, outputs in units of the base's mean power, in sum one for the base itself; shape (blocks,)."""
-        total = base.power.sum(axis=0)
+        """Power of each block, outputs in units of the base's mean power, in sum one for the base itself; shape (blocks,).
+
+        A block that holds most of an output's power by itself (a beginning that nothing explains) would decide alone; it counts
+        there as the next largest does.
+        """
+        power, limits = base.power, base.limits
+        total = np.minimum(power, limits).sum(axis=0)
         seen = total > 0.0
-        return np.asarray((self.power[:, seen] / total[seen]).sum(axis=1) / max(int(seen.sum()), 1))
+        return np.asarray((np.minimum(self.power, limits)[:, seen] / total[seen]).sum(axis=1) / max(int(seen.sum()), 1))
+
+    @property
+    def limits(self) -> FloatArray:
+        """Of each output the power above which a block is no more than one of many, shape (outputs,)."""
+        largest = np.sort(self.power, axis=0)[::-1]
+        alone = largest[0] > _MOSTLY * largest.sum(axis=0)
+        return np.where(alone, largest[min(1, len(largest) - 1)], np.inf)
 
 
 def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> Blocks | None:
@@ -93,7 +124,8 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
         b: np.concatenate([s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for s in found]) for b in model.balances
     }
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
-    along = Track(replace(experiments[0], U=U, Y=Y, known={}), np.concatenate([s.X for s in found]), lacks)
+    spare = joined_spare(experiments)
+    along = Track(replace(experiments[0], U=U, Y=Y, known={}, spare=spare), np.concatenate([s.X for s in found]), lacks)
     noise, total = np.nan_to_num(noise_floor(Y)), sum(e.n for e in experiments)
     blocks = None
     for count in _BLOCKS:
@@ -101,6 +133,7 @@ def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> 
         parts = _stretches(simulator.states, experiments, [s.X for s in found], samples)
         if len(parts) < 6:
             break
+        parts = _thinned(parts, max(1, total // _MOST))
         blocks = Blocks(model, parts[::2], parts[1::2], along, noise)
         trained = fitted(model, blocks)
         errors = None if trained is None else errors_on(trained[0], blocks)
@@ -119,17 +152,22 @@ def _stretches(states: Sequence[str], experiments: Sequence[Experiment], X: Sequ
     return parts
 
 
+def _thinned(parts: list[Experiment], every: int) -> list[Experiment]:
+    """Neighbours in pairs, of which one trains and the other tests, one pair of so many."""
+    return [part for k, part in enumerate(parts) if (k // 2) % every == 0] if len(parts) > 30 else parts
+
+
 def _measured(parts: Sequence[Experiment]) -> FloatArray:
     return np.concatenate([part.Y for part in parts])
 
 
 def errors_on(model: PhysicalModel, blocks: Blocks) -> Errors | None:
     """The model's errors on the blocks kept aside, its effects' own states settled at each begin; None where it diverges."""
-    simulator = Simulator(model)
-    initial, p = [simulator.x0(part.known) for part in blocks.test], simulator.p()
+    simulator, test = Simulator(model), blocks.test
+    initial, p = [simulator.x0(part.known) for part in test], simulator.p()
     try:
-        steps = simulator.substeps_each(blocks.test, initial, p)
-        residuals = simulator.run_each(blocks.test, initial, p, substeps=steps).errors_of_each
+        steps = simulator.substeps_each(test, initial, p)
+        residuals = simulator.run_each(test, initial, p, substeps=steps).errors_of_each
     except NotIdentifiable:
         return None
     known = [np.isfinite(part.Y) for part in blocks.test]
@@ -158,6 +196,19 @@ def fitted(model: PhysicalModel, blocks: Blocks, *, look: bool = False) -> tuple
     return found.model, float(np.nansum((residuals * weights) ** 2))
 
 
+def cross_judged(model: PhysicalModel, blocks: Blocks) -> tuple[PhysicalModel, Errors] | None:
+    """The model estimated on the training blocks and tested on the others, and the other way round: its errors on all of them.
+
+    Every block is judged once by a model that has not seen it; None where one of the two diverges.
+    """
+    first = fitted(model, blocks)
+    second = None if first is None else fitted(first[0], blocks.turned)
+    if first is None or second is None:
+        return None
+    errors, others = errors_on(first[0], blocks), errors_on(second[0], blocks.turned)
+    return None if errors is None or others is None else (first[0], errors.beside(others))
+
+
 @dataclass(frozen=True)
 class Remaining:
     """What a model leaves on the blocks kept aside.
@@ -173,14 +224,12 @@ class Remaining:
 
 def remaining_on(model: PhysicalModel, blocks: Blocks) -> Remaining | None:
     """What the model, estimated on the training blocks, leaves on the others; None where it diverges."""
-    base, trained = fitted(blocks.model, blocks), fitted(model, blocks)
+    base, trained = cross_judged(blocks.model, blocks), cross_judged(model, blocks)
     if base is None or trained is None:
         return None
-    before, after = errors_on(base[0], blocks), errors_on(trained[0], blocks)
-    if before is None or after is None:
-        return None
-    power = after.relative(before)
-    worst = blocks.test[int(np.argmax(power))]
+    after = trained[1]
+    power = after.relative(base[1])
+    worst = [*blocks.test, *blocks.train][int(np.argmax(power))]
     times = after.rms / np.where(blocks.noise > 0, blocks.noise, np.nan)
     largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
     return Remaining(float(power.sum()), largest, (worst.t0, worst.t0 + worst.n * worst.sample_time))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise, product
@@ -11,22 +12,27 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse, split
 from residuum.identification.discrepancy.held_values import freed
 from residuum.identification.discrepancy.input_timing import experiments_and_base
-from residuum.identification.discrepancy.judgement import Candidate, Quantity, leaves_much
+from residuum.identification.discrepancy.judgement import Candidate, Quantity
 from residuum.identification.discrepancy.prediction_windows import in_windows
+from residuum.identification.discrepancy.proposals import uninformed
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.structures import Structure, fit_structure, in_likelier_order
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, candidates, estimate, match, with_coloured_noise
+from residuum.identification.physics.model import tied_to
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 
+_HALF = 0.5
+"""Part of the time that `explain` gets; the rest is for estimating what it names."""
 _PLAIN_SHIFT = 4.0
 """Standard deviations from zero at which a shift in time must lie to stay in a model."""
 _MOST_TOGETHER = 8
@@ -93,6 +99,8 @@ def improve(
     *,
     add: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
+    free: Sequence[str] = (),
+    learned: bool = False,
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Improvement:
@@ -101,73 +109,114 @@ def improve(
     Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
     simulation error on the rest does not rise. Where the end of a record refuses an effect, or its error stands far above
     the rest's, the beginning is kept aside instead: the end may show what the rest never did. The returned model is
-    re-estimated on everything.
+    re-estimated on everything. Values that the model fixes stay, but for those named in `free`. The verdict is that of `compare`
+    on the returned model: `adequate` where its error is not structured.
 
     Raises
     ------
     BadModel
-        An effect that is not in the catalogue, does not fit the model, or fits several places and names none.
+        An effect that is not in the catalogue, does not fit the model, or fits several places and names none; a name in `free`
+        that is no fixed parameter.
     NotIdentifiable
         The model diverges on a record.
     """
-    found = _improved(model, records, split(records), mapping, add, effects, tell, seconds)
+    _check_fixed(model, free)
+    how = _How(mapping, add, effects, free, learned, None if seconds is None else _HALF * seconds)
+    began, parts = time.perf_counter(), split(records)
+    found = _improved(model, records, parts, how, tell)
     if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
     again = split(records, end=False)
-    other = _improved(model, records, again, mapping, add, effects, lambda share, doing: tell(0.8 + 0.2 * share, doing), seconds)
+    spent = time.perf_counter() - began
+    if again.aside == parts.aside or (seconds is not None and spent > _HALF * seconds):
+        return found.improvement
+    later: Tell = lambda share, doing: tell(0.8 + 0.2 * share, doing)  # noqa: E731
+    other = _improved(model, records, again, replace(how, seconds=None if seconds is None else seconds - spent), later)
     return found.improvement if other.strange else other.improvement
 
 
-def _improved(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    parts: Split,
-    mapping: Mapping[str, str] | None,
-    add: Sequence[str] | None,
-    effects: Sequence[str] | None,
-    tell: Tell,
-    seconds: float | None,
-) -> _Attempt:
-    chosen = [] if add is None else [_resolved(model, id) for id in add]
+def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
+    fixed = [name for name, p in model.parameters.items() if p.fixed]
+    if unknown := [name for name in names if name not in fixed]:
+        there = ", ".join(fixed) or "none"
+        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; there are {there}")
+
+
+@dataclass(frozen=True)
+class _How:
+    """What was asked of `improve`, but for the model, the records and what is kept aside of them."""
+
+    mapping: Mapping[str, str] | None
+    add: Sequence[str] | None
+    effects: Sequence[str] | None
+    free: Sequence[str]
+    learned: bool
+    seconds: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """The training data, the model as it was on them, the base that effects join, what `explain` says, and the effects chosen."""
+
+    experiments: list[Experiment]
+    as_it_was: Structure
+    base: Structure
+    explanation: Explanation | None
+    chosen: list[tuple[str, str]]
+
+
+def _asked_for(model: PhysicalModel, records: Sequence[Record], parts: Split, how: _How, ids: Sequence[str]) -> _Begun:
+    """The base, and the effects that the user names."""
+    model = _with_columns_of(model, records, ids)
+    chosen = [_resolved(model, id) for id in ids]
+    experiments, base = experiments_and_base(model, parts.training, how.mapping)
+    return _Begun(experiments, base, _with_free(base, how.free, experiments), None, chosen)
+
+
+def _explained(model: PhysicalModel, parts: Split, how: _How, tell: Tell) -> _Begun:
+    """The base on the experiments that `explain` settled on, and the effects that it accepts."""
+    found = explain(
+        freed(model, how.free),
+        parts.training,
+        how.mapping,
+        effects=how.effects,
+        learned=how.learned,
+        seconds=how.seconds,
+        tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
+    )
+    search, experiments = found.search, found.experiments
+    initial, chosen = search.base.initial, [*search.accepted, *search.timing]
+    if turned := at_turned_timing(search, experiments):
+        experiments, initial, chosen = turned[0], turned[1].initial, list(search.accepted)
+    started = experiments_and_base(_with_inputs_of(model, search.base.model), parts.training, how.mapping, found.finer)
+    model = started[1].model
+    as_it_was = fit_structure(model, experiments, initial) or replace(search.base, model=model)
+    return _Begun(experiments, as_it_was, _with_free(as_it_was, how.free, experiments), found, chosen)
+
+
+def _with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalModel:
+    for name, signal in knowing.inputs.items():
+        model = model.with_input(name, signal.unit)
+    return model
+
+
+def _with_free(base: Structure, names: Sequence[str], experiments: Sequence[Experiment]) -> Structure:
+    return (fit_structure(freed(base.model, names), experiments, base.initial) if names else None) or base
+
+
+def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how: _How, tell: Tell) -> _Attempt:
     tell(0.0, "estimating the model as it is")
-    experiments, base = experiments_and_base(model, parts.training, mapping)
-    explanation = None
-    if add is None:
-        explanation = explain(
-            model,
-            parts.training,
-            mapping,
-            effects=effects,
-            seconds=seconds,
-            tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
-        )
-        if explanation.finer > 1 or np.any(explanation.experiments[0].hold != experiments[0].hold):
-            experiments = explanation.experiments
-            base = fit_structure(base.model, experiments, base.initial) or base
-        chosen = [*explanation.search.accepted, *explanation.search.timing]
-        if turned := at_turned_timing(explanation.search, experiments):
-            experiments, base = turned
-            chosen = list(explanation.search.accepted)
-    finer = 1 if explanation is None else explanation.finer
-    judge = _HeldOut(parts, experiments, base, mapping, finer)
-    history = [Step(None, judge.error(base))]
-    if explanation is not None and explanation.held:
-        names = [held.name for held in explanation.held]
-        base = fit_structure(freed(base.model, names), experiments, base.initial) or base
-        history += [Step(f"{name} freed", judge.error(base)) for name in names]
-    kept, waiting, tried = base, chosen, len(chosen) + 1
-    while len(waiting) < tried:  # what does not help alone may help beside what joined after it
-        tried = len(waiting)
-        kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
-    shifts = [] if explanation is None else explanation.search.timing
-    refused = any(key not in shifts for key in waiting)
-    if explanation is not None and refused and len(chosen) > 1:
-        together, steps = _joined_together(base, chosen, experiments, judge, history[-1].error, explanation)
-        if together is not None:
-            kept, refused, history = together, False, [history[0], *steps]
+    begun = _explained(model, parts, how, tell) if how.add is None else _asked_for(model, records, parts, how, how.add)
+    explanation, experiments, finer = begun.explanation, begun.experiments, 1
+    if explanation is not None:
+        finer = explanation.finer
+    judge = _HeldOut(parts, experiments, begun.base, how.mapping, finer)
+    history = [Step(None, judge.error(begun.as_it_was))]
+    history += [Step(f"{name} freed", judge.error(begun.base)) for name in how.free]
+    kept, refused = _all_joined(begun, judge, history, tell)
     strange = refused or bool(np.any(judge.errors(kept) > _STRANGE * kept.rmse))
     tell(0.8, "estimating on everything")
-    if add is None:
+    if how.add is None:
         kept, dropped = _without_needless(kept, experiments, judge, history[-1].error)
         history += dropped
     plain = _least_simulation_error(kept, experiments)
@@ -175,14 +224,32 @@ def _improved(
     simulates_better = error < history[-1].error
     if simulates_better:
         history = [replace(s, error=error) if s.together or s is history[-1] else s for s in history]
-    final = _on_everything(kept, records, mapping, finer, least_error=simulates_better)
-    for use in _vanished(final, history, shifts):
+    final = _on_everything(kept, records, how.mapping, finer, least_error=simulates_better)
+    for use in _vanished(final, history, [] if explanation is None else explanation.search.timing):
         final = replace(final, model=final.model.without_effect(use.label))
         history.append(Step(f"-{use.id}", history[-1].error))
-    improved = _with_provenance(final, records, history, judge)
+    improved = uninformed(_with_provenance(final, records, history, judge), model)
     fell = history[-1].error < history[0].error
-    verdict = ("improved" if fell else "not-improved") if explanation is None else _verdict(explanation, refused, history, kept)
+    verdict = ("improved" if fell else "not-improved") if how.add is not None else _verdict(improved, records, how.mapping)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
+
+
+def _all_joined(begun: _Begun, judge: _HeldOut, history: list[Step], tell: Tell) -> tuple[Structure, bool]:
+    """The base with the chosen effects that do not raise the held-out error, and whether one was refused (shifts apart)."""
+    explanation, experiments, chosen = begun.explanation, begun.experiments, begun.chosen
+    kept, waiting, tried = begun.base, chosen, len(chosen) + 1
+    before = list(history)
+    while len(waiting) < tried:  # what does not help alone may help beside what joined after it
+        tried = len(waiting)
+        kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
+    shifts = [] if explanation is None else explanation.search.timing
+    refused = any(key not in shifts for key in waiting)
+    if explanation is not None and refused and len(chosen) > 1:
+        together, steps = _joined_together(begun.base, chosen, experiments, judge, history[-1].error, explanation)
+        if together is not None:
+            history[:] = [*before, *steps]
+            return together, False
+    return kept, refused
 
 
 def added(
@@ -196,7 +263,7 @@ def added(
     starts = [screened.start for screened in Screen(structure, experiments).promising(*key)]
     if seen:
         model = structure.model.with_effect(*key)
-        starts.append(model.with_values({n: v for n, v in seen.items() if n in model.all_parameters}))
+        starts.append(model.with_values({n: v for n, v in seen.items() if n in model.free}))
     fitted = [fit_structure(start, experiments, structure.initial) for start in starts]
     best = max((found for found in fitted if found is not None), key=lambda found: found.log_likelihood, default=None)
     return best if best is None else in_likelier_order(best, key, experiments)
@@ -264,16 +331,21 @@ def _joined_together(
     return None, []
 
 
-def _verdict(explanation: Explanation, refused: bool, history: Sequence[Step], kept: Structure) -> str:
-    """`adequate` once everything that explain accepted is in and no more is left than the right effects leave; otherwise what
-    is left has no name.
-    """
-    astray = len(history) > 1 and leaves_much(kept)
-    return "unknown-effect" if refused or astray or explanation.verdict == "unknown-effect" else "adequate"
+def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
+    """That of `compare` on the model as it will be written: `adequate`, or what is left has no name."""
+    return "unknown-effect" if compare(improved, records, mapping).present else "adequate"
+
+
+def _with_columns_of(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]) -> PhysicalModel:
+    """The model with those columns of the records among its inputs that a forgotten input is to be tied to."""
+    for name in [n for id in ids for n in tied_to(id) if id.startswith("forgotten-input")]:
+        if name not in model.inputs and all(name in record.names for record in records):
+            model = model.with_input(name, records[0].units.get(name, ""))
+    return model
 
 
 def _resolved(model: PhysicalModel, id: str) -> tuple[str, str]:
-    name, _, target = id.partition("@")
+    name, _, target = id.replace(":", "@", 1).partition("@")
     fitting = [t for _, t in candidates(model, [name])]
     if target:
         model.with_effect(name, target)

@@ -24,7 +24,7 @@ from residuum.identification.discrepancy.structures import Structure, times_its_
 from residuum.identification.discrepancy.trials import ACCEPT, NOTHING_LEFT, SLOW
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Settings, Simulator, estimate
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -142,7 +142,7 @@ def _explains_a_part(found: Search) -> bool:
 def _recorded(found: Search) -> bool:
     """Whether the records say when the effects act that were accepted."""
     model = found.best.model
-    return all(EFFECTS[id].recorded(model.site(target, EFFECTS[id])) for id, target in found.accepted)
+    return all(find_effect(id).recorded(model.site(target, find_effect(id))) for id, target in found.accepted)
 
 
 def leaves_much(structure: Structure) -> bool:
@@ -264,10 +264,10 @@ def _is_open(key: tuple[str, str], structure: Structure, leader: tuple[str, str]
 
     Beside a spring that is at rest anywhere nobody can tell how friction differs between the two directions.
     """
-    if (EFFECTS[key[0]].generalises, key[1]) != leader or abs(structure.log_likelihood - log_likelihood) > _SAME:
+    if (find_effect(key[0]).generalises, key[1]) != leader or abs(structure.log_likelihood - log_likelihood) > _SAME:
         return False
     label, std = structure.label_of(key), dict(zip(structure.parameters, structure.std.tolist(), strict=True))
-    return all(std.get(f"{label}.{size}") == np.inf for size in EFFECTS[key[0]].sizes)
+    return all(std.get(f"{label}.{size}") == np.inf for size in find_effect(key[0]).sizes)
 
 
 def _candidate(

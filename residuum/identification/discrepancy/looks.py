@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.trials import trials
-from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect
 
 NEAR = 3.0
 """Factor from its nominal value within which a parameter is near."""
@@ -62,7 +62,8 @@ class Task:
 
     def candidates(self, structure: Structure) -> list[tuple[str, str]]:
         """Those that the structure does not have yet."""
-        return candidates(structure.model, self.wanted)
+        fitting = candidates(structure.model, self.wanted)
+        return fitting if self.wanted is not None else [key for key in fitting if find_effect(key[0]).exact]
 
     def origin(self, structure: Structure) -> PhysicalModel:
         """The structure's model, at its nominal values where the estimation led some of them away."""

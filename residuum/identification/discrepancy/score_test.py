@@ -16,9 +16,9 @@ from residuum.identification.discrepancy.track import regressed, track
 from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations, Stacked
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, conditions_at
-from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.estimate.least_squares import solve_scaled
+from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -103,11 +103,11 @@ class Screen:
 
     def where(self, model: PhysicalModel) -> Sampled:
         """Where a model's last effect is looked at first: once a block, if that shows it."""
-        return self.every if EFFECTS[model.effects[-1].id].every_sample else self.coarse
+        return self.every if find_effect(model.effects[-1].id).every_sample else self.coarse
 
     def starts(self, id: str, target: str) -> Sequence[dict[str, float]]:
         """First values of an effect's parameters in the conditions of the experiments."""
-        effect, found = EFFECTS[id], []
+        effect, found = find_effect(id), []
         for missing in self._lacks(effect, target):
             conditions = replace(self.conditions(effect, target), missing=missing)
             found += [dict(start) for start in effect.starts(conditions)]
@@ -158,7 +158,9 @@ class Screen:
         """Test several candidates side by side at every start of theirs."""
         new = [pair for pair in pairs if pair not in self._tested]
         starts = {pair: self.starts(*pair) for pair in new}
-        in_turn = [pair for pair in new if self._noise_alone and not (EFFECTS[pair[0]].vanishes and EFFECTS[pair[0]].rest == 0.0)]
+        in_turn = [
+            pair for pair in new if self._noise_alone and not (find_effect(pair[0]).vanishes and find_effect(pair[0]).rest == 0.0)
+        ]
         pieces = [(pair, starts[pair]) for pair in in_turn]
         pieces += [(pair, [start]) for pair in new if pair not in in_turn for start in starts[pair]]
         self._tested |= {pair: [] for pair in new}
@@ -190,7 +192,7 @@ class Screen:
 
     def test(self, id: str, target: str, start: dict[str, float]) -> Screened | None:
         """The score test at one start."""
-        effect = EFFECTS[id]
+        effect = find_effect(id)
         base = self.base.model
         if effect.rest > 0:
             model = self._nearest(id, target, start)
@@ -252,7 +254,7 @@ class Screen:
     def _nearest(self, id: str, target: str, start: dict[str, float]) -> PhysicalModel:
         """The model with the effect at that fraction of its start which simulates best: where it acts about as it should."""
         full = self._at(id, target, start)
-        label, sizes = full.effects[-1].label, [n for n in EFFECTS[id].sizes if n in start]
+        label, sizes = full.effects[-1].label, [n for n in find_effect(id).sizes if n in start]
         tried = [_inside(self.base.model, id, target, {n: f * start[n] for n in sizes}) for f in _FRACTIONS]
         models = [full.with_values({f"{label}.{n}": value for n, value in values.items()}) for values in tried]
         errors = [self.error(model) for model in models]
@@ -399,7 +401,7 @@ def _information(equations: NormalEquations, leading: int) -> float:
 
 def _inside(model: PhysicalModel, id: str, target: str, values: dict[str, float]) -> dict[str, float]:
     """The values moved to within their bounds."""
-    declared = {p.name: p for p in EFFECTS[id].parameters(model.site(target, EFFECTS[id]))}
+    declared = {p.name: p for p in find_effect(id).parameters(model.site(target, find_effect(id)))}
     return {n: float(np.clip(v, declared[n].lower, declared[n].upper)) for n, v in values.items() if n in declared}
 
 

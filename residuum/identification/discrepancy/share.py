@@ -22,17 +22,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from residuum.identification.discrepancy.deadline import in_time
-from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, errors_on, fitted
+from residuum.identification.discrepancy.deadline import OutOfTime, in_time
+from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, blocks_on_track, cross_judged, fitted
 from residuum.identification.discrepancy.noise_floor import PLAINLY
-from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.track import regressed
-from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, conditions_at
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.discrepancy.proposals import Key, curves, starts
+from residuum.identification.discrepancy.side_by_side import each_beside
+from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.physics.model import find_effect, tied_to
 
 FloatArray = npt.NDArray[np.float64]
-Key = tuple[str, str]
 
 LEVEL = 0.01
 """Probability that chance alone makes an effect real, all candidates counted (Bonferroni)."""
@@ -46,8 +44,9 @@ _MUCH = 0.5
 """Part of the leading one's share that another has to take away to stand for it."""
 _TRIFLE = 0.01
 """Part of the mean power of a block that is too small to matter, of noise or of anything."""
+_PROMISE = 0.02
+"""Part of the sum of squares that an effect has to take away where it was estimated to be tried on blocks kept aside."""
 _STEPS = 4
-_STARTS = 4
 _RESAMPLES = 400
 
 
@@ -64,17 +63,18 @@ class Shared:
 
     @property
     def simplicity(self) -> int:
-        """Number of free parameters and own states of the effect, fewest first."""
+        """Number of free parameters, own states and signals from outside the balance, fewest first."""
         use = self.model.effects[-1]
         free = sum(not p.fixed for p in use.parameters.values())
-        return free + len(use.effect.states(self.model.site(use.target, use.effect)))
+        return free + len(use.effect.states(self.model.site(use.target, use.effect))) + len(tied_to(use.target))
 
 
 @dataclass(frozen=True, eq=False)
 class ShareStep:
     """One step: the model before it, its errors, all candidates (the leading first), and the group of the first.
 
-    `wins` is how often each of the group leads when blocks are resampled; `accepted` is None where none is real.
+    `wins` is how often each of the group leads when blocks are resampled; `accepted` is None where none is real; `tried` is the
+    part of the candidates that there was time for.
     """
 
     base: PhysicalModel
@@ -83,6 +83,7 @@ class ShareStep:
     group: tuple[Key, ...]
     wins: Mapping[Key, float]
     accepted: Shared | None
+    tried: float = 1.0
 
 
 @dataclass(eq=False)
@@ -105,7 +106,7 @@ class ShareSearch:
 
 
 def search_by_share(
-    model: PhysicalModel, experiments: Sequence[Experiment], effects: Sequence[str] | None = None
+    model: PhysicalModel, experiments: Sequence[Experiment], effects: Sequence[str] | None = None, *, learned: bool = False
 ) -> ShareSearch | None:
     """Grow the model by the effects that take away most on blocks kept aside, while one is real.
 
@@ -116,6 +117,8 @@ def search_by_share(
         Whole records; the blocks are cut here.
     effects : sequence of effect id
         Consider only these (default: all that fit).
+    learned : bool
+        Where no effect with a name is real, learn a curve over one signal.
 
     Returns
     -------
@@ -128,14 +131,20 @@ def search_by_share(
     found: ShareSearch | None = None
     current = model
     for _ in range(_STEPS):
-        blocks = blocks_on_track(current, experiments)
-        base = None if blocks is None else fitted(current, blocks)
+        try:
+            blocks = blocks_on_track(current, experiments)
+            base = None if blocks is None else cross_judged(current, blocks)
+        except OutOfTime:
+            return found
         if blocks is None or base is None:
             return found
+        before = base[1]
         found = found or ShareSearch(blocks)
-        step = _step(base[0], blocks, experiments, effects, found.accepted)
-        if step is None:
-            return found if found.steps else None
+        taken = found.accepted
+        keys = _simplest_first(base[0], [key for key in candidates(base[0], effects) if key not in taken])
+        step = _step(base[0], blocks, experiments, before, keys, first=not taken)
+        if step.accepted is None and learned:
+            step = _step(base[0], blocks, experiments, before, curves(base[0], blocks), first=not taken)
         found.steps.append(step)
         if step.accepted is None:
             break
@@ -144,61 +153,71 @@ def search_by_share(
 
 
 def _step(
-    base: PhysicalModel, blocks: Blocks, experiments: Sequence[Experiment], effects: Sequence[str] | None, taken: Sequence[Key]
-) -> ShareStep | None:
-    before = errors_on(base, blocks)
-    if before is None:
-        return None
-    keys = [key for key in candidates(base, effects) if key not in taken]
-    judged = [s for s in side_by_side(lambda key: _shared(base, key, blocks, experiments, before), keys) if s is not None]
+    base: PhysicalModel, blocks: Blocks, experiments: Sequence[Experiment], before: Errors, keys: Sequence[Key], *, first: bool
+) -> ShareStep:
+    few = blocks.few
+    start = fitted(base, few, look=True) if len(few.train) < len(blocks.train) else None
+    glanced = np.inf if start is None else start[1]
+
+    late: list[Key] = []
+
+    def one(key: Key) -> Shared | None:
+        try:
+            return _shared(base, key, blocks, experiments, before, glanced)
+        except OutOfTime:
+            late.append(key)
+            return None
+
+    judged = [s for s in each_beside(one, keys) if s is not None]
     judged.sort(key=lambda s: -s.share)
     if not judged:
         return ShareStep(base, before, (), (), {}, None)
     worth = max(LEAST, _MUCH * judged[0].share)
     alike = [s for s in judged if s.share > worth and _behind(s, judged[0], before) < ALIKE]
-    certain = not taken and before.stands_out(blocks.noise, PLAINLY)
+    certain = first and before.stands_out(blocks.noise, PLAINLY)
     level = PLAIN_LEVEL if certain else LEVEL / len(keys)
     real = [s for s in alike if s.p_value < level]
     leading = min(real, key=lambda s: (s.simplicity, -round(s.share, 2)), default=None)
     ordered = sorted(judged, key=lambda s: (s is not leading, s not in alike))
     group = tuple(s.key for s in ordered if s in alike) if leading is not None else ()
-    return ShareStep(base, before, tuple(ordered), group, _wins([s for s in judged if s in alike], before), leading)
+    wins, tried = _wins([s for s in judged if s in alike], before), 1.0 - len(late) / len(keys)
+    return ShareStep(base, before, tuple(ordered), group, wins, leading, tried)
 
 
-def _shared(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment], before: Errors) -> Shared | None:
-    """The candidate at the best of its starts, judged; None where it diverges or fits nowhere."""
-    looks = [found for start in _starts(base, key, blocks, experiments) if (found := fitted(start, blocks, look=True))]
-    if not looks:
+def _simplest_first(model: PhysicalModel, keys: Sequence[Key]) -> list[Key]:
+    """Effects with few parameters before those with many: what there is no time for would not have led a tie."""
+
+    def weight(key: Key) -> int:
+        effect = find_effect(key[0])
+        site = model.site(key[1], effect)
+        return sum(not p.fixed for p in effect.parameters(site)) + 2 * len(effect.states(site)) - 2 * len(tied_to(key[1]))
+
+    return sorted(keys, key=weight)
+
+
+def _shared(
+    base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment], before: Errors, glanced: float
+) -> Shared | None:
+    """The candidate at the best of its starts, judged; None where it diverges or promises nothing.
+
+    `glanced` is the weighted sum of squares of the model without it on the few blocks where the starts are looked at, infinite
+    where those are all and nothing is gained by leaving a candidate early.
+    """
+    few = blocks.few
+    looks = [found for start in starts(base, key, blocks, experiments) if (found := fitted(start, few, look=True))]
+    if not looks or min(found[1] for found in looks) > (1.0 - _PROMISE) * glanced:
         return None
     in_time()
-    best = fitted(min(looks, key=lambda found: found[1])[0], blocks)
-    errors = None if best is None else errors_on(best[0], blocks)
-    if best is None or errors is None:
+    best = cross_judged(min(looks, key=lambda found: found[1])[0], blocks)
+    if best is None:
         return None
+    errors = best[1]
     gain = before.relative(before) - errors.relative(before)
     n = len(gain)
     fall = _loss(before, before) - _loss(errors, before)
     scatter = float(fall.std(ddof=1) / np.sqrt(n))
     p_value = float(stats.t.sf(fall.mean() / scatter, n - 1)) if scatter > 0.0 else 1.0
     return Shared(key, best[0], float(gain.sum()), float(np.sqrt(n) * gain.std(ddof=1)), p_value, errors)
-
-
-def _starts(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment]) -> list[PhysicalModel]:
-    """The effect at its own first values, and regressed on what its balance lacked."""
-    id, target = key
-    longest = int(np.argmax([e.n for e in experiments]))
-    begin = sum(e.n for e in experiments[:longest])
-    X = blocks.track.X[begin : begin + experiments[longest].n]
-    conditions = conditions_at(base, EFFECTS[id], target, experiments[longest], X)
-    models = []
-    for start in list(EFFECTS[id].starts(conditions))[:_STARTS]:
-        try:
-            models.append(base.with_effect(id, target, start))
-            if (along := regressed(base, id, target, start, blocks.track)) is not None:
-                models.append(along[1])
-        except (BadInput, NotImplementedError):
-            continue
-    return models
 
 
 def _loss(errors: Errors, base: Errors) -> FloatArray:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, errors_on, fitted
+from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged
 from residuum.identification.discrepancy.judgement import Candidate, Judgement, Quantity
 from residuum.identification.discrepancy.share import Shared, ShareSearch, ShareStep
 from residuum.identification.discrepancy.structures import Structure, fit_structure
@@ -16,6 +16,8 @@ from residuum.identification.physics import Experiment, PhysicalModel
 
 _MOST_OF_A_GROUP = 4
 """Members of a group that are estimated in full."""
+_UNDECIDED = 0.8
+"""Probability of something else, where no effect is real."""
 _LEFT_OVER = 0.05
 """Probability that remains for what the catalogue does not hold, once an effect is real."""
 
@@ -47,13 +49,22 @@ def judged(shares: ShareSearch, found: Search) -> Judgement:
     """Candidates of the accepted steps: a group shares the probability that one of it is missing, equally."""
     listed = [c for k, step in enumerate(shares.steps[: len(found.accepted)]) for c in _candidates(step, found, k)]
     if not listed:
-        return Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
+        return _undecided(shares, found)
     first = shares.steps[0]
     last = next((s.accepted for s in reversed(shares.steps) if s.accepted is not None), None)
     left = float(last.errors.relative(last_before(shares)).sum()) if last is not None else 1.0
     named = sum(c.probability for c in listed if c.step == 0)
     none = first.accepted.p_value if first.accepted is not None else 1.0
     return Judgement("missing-effect", tuple(listed), min(none, 1.0 - named), max(0.0, 1.0 - named - none), min(left, 1.0))
+
+
+def _undecided(shares: ShareSearch, found: Search) -> Judgement:
+    """Nothing is real: those that took away most are told, each far from certain."""
+    tried = [s for s in shares.steps[0].judged if s.share > s.std] if shares.steps else []
+    tried = sorted(tried, key=lambda s: -s.share)[:_MOST_OF_A_GROUP]
+    each = (1.0 - _UNDECIDED) / max(len(tried), 1)
+    listed = tuple(_candidate(s, shares.steps[0], found, 0, each, ()) for s in tried)
+    return Judgement("unknown-effect", listed, 0.0, _UNDECIDED, 1.0)
 
 
 def last_before(shares: ShareSearch) -> Errors:
@@ -65,7 +76,7 @@ def _candidates(step: ShareStep, found: Search, number: int) -> list[Candidate]:
     accepted = step.accepted
     assert accepted is not None
     listed = []
-    claimed = 1.0 - _LEFT_OVER - min(accepted.p_value, _LEFT_OVER)
+    claimed = (1.0 - _LEFT_OVER - min(accepted.p_value, _LEFT_OVER)) * step.tried
     for shared in [s for s in step.judged if s.key in step.group]:
         others = tuple(k[0] for k in step.group if k != shared.key)
         listed.append(_candidate(shared, step, found, number, claimed / len(step.group), others))
@@ -75,7 +86,7 @@ def _candidates(step: ShareStep, found: Search, number: int) -> list[Candidate]:
 def _candidate(
     shared: Shared, step: ShareStep, found: Search, number: int, probability: float, others: tuple[str, ...]
 ) -> Candidate:
-    structure = found.alternatives[number].get(shared.key)
+    structure = found.alternatives[number].get(shared.key) if number < len(found.alternatives) else None
     use = shared.model.effects[-1]
     doubts: Mapping[str, float] = {}
     values = {name: p.value for name, p in use.parameters.items()}
@@ -124,8 +135,8 @@ def _share(candidate: Candidate, found: Search, blocks: Blocks) -> Quantity | No
 
 
 def _errors(model: PhysicalModel, blocks: Blocks) -> Errors | None:
-    trained = fitted(model, blocks)
-    return None if trained is None else errors_on(trained[0], blocks)
+    found = cross_judged(model, blocks)
+    return None if found is None else found[1]
 
 
 def because(candidate: Candidate) -> str:

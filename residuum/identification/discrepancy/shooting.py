@@ -19,7 +19,7 @@ from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.track import track
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
 Key = tuple[str, str]
@@ -88,7 +88,7 @@ def _alone(screen: Screen, keys: Sequence[Key]) -> tuple[list[_Shot], _Stretches
     if nothing is None:
         return [], stretches
     stretches = replace(stretches, weights=nothing.weights)
-    felt = [key for key in keys if EFFECTS[key[0]].place != "output"]
+    felt = [key for key in keys if find_effect(key[0]).place != "output"]
     found: dict[Key, _Shot] = {}
     for shot in sorted(_tried(screen, screen.origin, felt, stretches), key=lambda s: s.score):
         found.setdefault(shot.key, shot)
@@ -97,7 +97,7 @@ def _alone(screen: Screen, keys: Sequence[Key]) -> tuple[list[_Shot], _Stretches
 
 def _needless(shot: _Shot, found: Mapping[Key, _Shot]) -> bool:
     """Whether an effect does little more than the one that it generalises: later steps of a search grow it from that."""
-    special = found.get((EFFECTS[shot.key[0]].generalises, shot.key[1]))
+    special = found.get((find_effect(shot.key[0]).generalises, shot.key[1]))
     return special is not None and special is not shot and special.score < shot.score + _LITTLE
 
 
@@ -108,7 +108,7 @@ def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches:
     def tried(one: tuple[Key, dict[str, float]]) -> _Shot | None:
         (id, target), start = one
         try:
-            return _shot(model.with_effect(id, target, EFFECTS[id].at_rest(start)), stretches, iterations=4)
+            return _shot(model.with_effect(id, target, find_effect(id).at_rest(start)), stretches, iterations=4)
         except (BadInput, NotImplementedError):
             return None
 

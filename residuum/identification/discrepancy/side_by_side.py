@@ -30,8 +30,13 @@ def side_by_side(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         in_time()
         return function(item)
 
+    return each_beside(timed, items)
+
+
+def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """`function` of each item, in order, which looks after the time itself."""
     if len(items) < 2:
-        return [timed(item) for item in items]
+        return [function(item) for item in items]
     with ThreadPoolExecutor(min(_THREADS, len(items))) as pool:
         contexts = [copy_context() for _ in items]
-        return list(pool.map(lambda context, item: context.run(timed, item), contexts, items))
+        return list(pool.map(lambda context, item: context.run(function, item), contexts, items))

@@ -18,7 +18,7 @@ from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -235,7 +235,7 @@ def in_likelier_order(structure: Structure, key: tuple[str, str], experiments: S
     """
     effects = structure.model.effects
     stages = [use for use in effects if use.target == key[1]]
-    if EFFECTS[key[0]].place == "balance" or len(stages) < 2 or (stages[0].id, stages[0].target) == key:
+    if find_effect(key[0]).place == "balance" or len(stages) < 2 or (stages[0].id, stages[0].target) == key:
         return structure
     moved = next(use for use in stages if use.id == key[0])
     model = replace(structure.model, effects=(moved, *(use for use in effects if use is not moved)))

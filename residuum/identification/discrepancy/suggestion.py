@@ -40,23 +40,28 @@ class Suggestion:
 
 
 def suggestion(free: FreeTerm) -> Suggestion | None:
-    """The sparse regression of the free term's curve; None for a curve without any spread.
+    """The formula that comes nearest to the free term's curve; None for a curve without any spread."""
+    return nearest_formula(np.asarray(free.at), np.asarray(free.value))
+
+
+def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:
+    """The sparse regression of a curve, `value` (knots,) over `at` (knots,); None for one without any spread.
 
     Every sum of up to three functions is tried (the library is small); Schwarz's criterion on the knots chooses. It is a
     description, not a law: a function of the wrong axis is described as willingly.
     """
-    largest = float(np.max(np.abs(free.at)))
-    spread = float(np.sum((free.value - free.value.mean()) ** 2))
+    largest = float(np.max(np.abs(at)))
+    spread = float(np.sum((value - value.mean()) ** 2))
     if not largest > 0 or not spread > 0:
         return None
-    z, n = free.at / largest, free.at.size
+    z, n = at / largest, at.size
     columns = {name: function(z) for name, function in LIBRARY.items()}
     best: tuple[float, tuple[str, ...], FloatArray, float] | None = None
     for count in range(1, _MOST + 1):
         for names in combinations(columns, count):
             design: FloatArray = np.column_stack([columns[name] for name in names])
-            coefficients: FloatArray = np.asarray(np.linalg.lstsq(design, free.value, rcond=None)[0], dtype=np.float64)
-            rest = float(np.sum((free.value - design @ coefficients) ** 2))
+            coefficients: FloatArray = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], dtype=np.float64)
+            rest = float(np.sum((value - design @ coefficients) ** 2))
             criterion = float(n * np.log(rest / spread + 1e-6) + count * np.log(n))
             if best is None or criterion < best[0]:
                 best = criterion, names, coefficients, rest

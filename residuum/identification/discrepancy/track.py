@@ -16,7 +16,8 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.model import find_effect, place_of, term_name
+from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,8 +45,15 @@ def track(model: PhysicalModel, base: Structure, experiments: Sequence[Experimen
         states.append(found.X if follows else X)
         lacks.append({b: missing[b] if follows and b in missing else np.zeros(e.n) for b in model.balances})
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
-    joined = replace(experiments[0], U=U, Y=Y, known={})
+    joined = replace(experiments[0], U=U, Y=Y, known={}, spare=joined_spare(experiments))
     return Track(joined, np.concatenate(states), {b: np.concatenate([w[b] for w in lacks]) for b in model.balances})
+
+
+def joined_spare(experiments: Sequence[Experiment]) -> dict[str, Spare]:
+    """The columns that every experiment has to spare, one after the other."""
+    first, *others = experiments
+    names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in others)]
+    return {n: replace(first.spare[n], values=np.concatenate([e.spare[n].values for e in experiments])) for n in names}
 
 
 def regressed(
@@ -56,13 +64,13 @@ def regressed(
     Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose
     parameters may be off. None for an effect with states of its own, without sizes or with none inside its bounds.
     """
-    effect = EFFECTS[id]
+    effect = find_effect(id)
     if effect.place != "balance" or not effect.sizes or effect.states(model.site(target, effect)):
         return None
     every = slice(None, None, max(1, along.experiment.n // _MOST_ROWS))
-    e = replace(along.experiment, U=along.experiment.U[every], Y=along.experiment.Y[every])
-    X, w = along.X[every], along.missing[target][every]
-    own = _own_terms(model, target, e, X)
+    e = replace(along.experiment, U=along.experiment.U[every], Y=along.experiment.Y[every], spare={})
+    X, w = along.X[every], along.missing[place_of(target)][every]
+    own = own_terms(model, place_of(target), e, X)
     rest = _rest(own, w)
     power = float(rest @ rest)
     sizes = {n: start[n] for n in effect.sizes if start.get(n)}
@@ -81,7 +89,7 @@ def regressed(
     return None
 
 
-def _own_terms(model: PhysicalModel, target: str, e: Experiment, X: FloatArray) -> FloatArray:
+def own_terms(model: PhysicalModel, target: str, e: Experiment, X: FloatArray) -> FloatArray:
     """Orthonormal basis of the balance's terms along the states."""
     look = Simulator(model).look(e, X)
     terms = [z for name, z in look.items() if name.startswith(f"{target}.") and name != f"{target}.missing" and np.any(z)]
@@ -95,9 +103,10 @@ def _column(
     model: PhysicalModel, id: str, target: str, start: Mapping[str, float], size: str, e: Experiment, X: FloatArray
 ) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
-    alone = {n: 0.0 if n in EFFECTS[id].sizes and n != size else value for n, value in start.items()}
+    alone = {n: 0.0 if n in find_effect(id).sizes and n != size else value for n, value in start.items()}
     try:
-        term = Simulator(model.with_effect(id, target, alone)).look(e, X)[f"{target}.{id}"]
+        used = model.with_effect(id, target, alone)
+        term = Simulator(used).look(e, X)[f"{place_of(target)}.{term_name(used.effects[-1])}"]
     except (BadInput, NotImplementedError):
         return None
     return term if np.all(np.isfinite(term)) else None

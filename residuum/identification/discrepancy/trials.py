@@ -22,8 +22,8 @@ from residuum.identification.discrepancy.structures import (
     times_its_innovations,
 )
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, candidates, conditions_at
-from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions, Effect
+from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def trials(
     lowest = -FAR_BEHIND if times_its_innovations(best) < NOISE_ALONE else -np.inf
     refitted = _refitted(screen, [s.start for s in tested if s.gain > 2.0][:refits])
     negative = [s for s in tested if lowest < s.gain < 0.0]
-    without_zero = [s for s in negative[MOST_GLIMPSES:] if not EFFECTS[s.effect].vanishes or _has_states(best.model, s.key)]
+    without_zero = [s for s in negative[MOST_GLIMPSES:] if not find_effect(s.effect).vanishes or _has_states(best.model, s.key)]
     doubted = [[s.start for s in (*negative[:MOST_GLIMPSES], *without_zero)]]
     if times_its_innovations(best) > SLOW:
         doubted += [_from_the_track(screen, pairs)[:MOST_GLIMPSES], _with_states(screen, pairs)]
@@ -72,14 +72,14 @@ def that_say_more(refitted: dict[tuple[str, str], Structure]) -> dict[tuple[str,
     """
     found = dict(refitted)
     for (id, target), general in refitted.items():
-        special = refitted.get((EFFECTS[id].generalises, target))
+        special = refitted.get((find_effect(id).generalises, target))
         if special is None or special is general or special.log_likelihood < general.log_likelihood - LOWER_TOP:
             continue
         label = f"{general.label_of((id, target))}."
         values = {n.removeprefix(label): v for n, v in general.model.values.items() if n.startswith(label)}
         doubts = dict(zip(general.parameters, general.std.tolist(), strict=True))
         std = {n: doubts.get(f"{label}{n}", 0.0) for n in values}
-        if not EFFECTS[id].says_more(values, std):
+        if not find_effect(id).says_more(values, std):
             del found[id, target]
     return found
 
@@ -186,11 +186,11 @@ def _grown(
     well = max(ACCEPT, _WELL * (rival.log_likelihood - best.log_likelihood))
     starts: list[tuple[PhysicalModel, Sequence[FloatArray]]] = []
     for id, target in pairs:
-        special = refitted.get((EFFECTS[id].generalises, target))
+        special = refitted.get((find_effect(id).generalises, target))
         if special is None or special.log_likelihood - best.log_likelihood < well:
             continue
         known = best.model.with_values({n: v for n, v in special.model.values.items() if n in best.model.all_parameters})
-        initial = special.initial if EFFECTS[id].generalises == id else best.initial
+        initial = special.initial if find_effect(id).generalises == id else best.initial
         each = _grown_starts(id, target, special, experiments)
         starts += [(known.with_effect(id, target, values), initial) for values in each]
     structures = side_by_side(lambda one: refit(best, one[0], experiments, initial=one[1], rival=rival), starts)
@@ -209,13 +209,13 @@ def _simplified(screen: Screen, refitted: Mapping[tuple[str, str], Structure]) -
     best, experiments = screen.base, screen.experiments
     found: dict[tuple[str, str], Structure] = {}
     for (id, target), general in refitted.items():
-        key = EFFECTS[id].generalises, target
+        key = find_effect(id).generalises, target
         special, label = found.get(key, refitted.get(key)), general.label_of((id, target))
         reached = best.log_likelihood + ACCEPT if special is None else schwarz(special, best)
         if key not in candidates(best.model, [key[0]] if key[0] else []) or schwarz(general, best) <= reached:
             continue
         own = {n.removeprefix(f"{label}."): v for n, v in general.model.values.items() if n.startswith(f"{label}.")}
-        values = EFFECTS[id].specialised(own, screen.conditions(EFFECTS[id], target))
+        values = find_effect(id).specialised(own, screen.conditions(find_effect(id), target))
         if not values:
             continue
         known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
@@ -228,7 +228,8 @@ def _simplified(screen: Screen, refitted: Mapping[tuple[str, str], Structure]) -
 
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
     longest = int(np.argmax([e.n for e in experiments]))
-    return EFFECTS[id].grown(*_at_estimate(special, (EFFECTS[id].generalises, target), experiments, longest, EFFECTS[id]))
+    effect = find_effect(id)
+    return effect.grown(*_at_estimate(special, (effect.generalises, target), experiments, longest, effect))
 
 
 def _is_sound(structure: Structure, key: tuple[str, str], screen: Screen) -> bool:
@@ -238,7 +239,7 @@ def _is_sound(structure: Structure, key: tuple[str, str], screen: Screen) -> boo
 
 def _shows(structure: Structure, key: tuple[str, str], experiments: Sequence[Experiment]) -> bool:
     """Whether in one of the experiments the effect, as it was estimated, can be told from an unknown load."""
-    effect = EFFECTS[key[0]]
+    effect = find_effect(key[0])
     if type(effect).shows is Effect.shows:
         return True
     longest_first = sorted(range(len(experiments)), key=lambda k: -experiments[k].n)
@@ -253,7 +254,7 @@ def _at_estimate(
     X = simulator.run_vectors(experiments[k], structure.initial[k], simulator.p(), substeps=structure.substeps[k]).X
     label = f"{structure.label_of(key)}."
     values = {n.removeprefix(label): v for n, v in structure.model.values.items() if n.startswith(label)}
-    return values, conditions_at(structure.model, beside or EFFECTS[key[0]], key[1], experiments[k], X)
+    return values, conditions_at(structure.model, beside or find_effect(key[0]), key[1], experiments[k], X)
 
 
 def _overlooked(
@@ -296,7 +297,7 @@ def _with_states(screen: Screen, pairs: Sequence[tuple[str, str]]) -> list[Physi
 
 def _has_states(model: PhysicalModel, key: tuple[str, str]) -> bool:
     """Whether an effect remembers: play, a second store, hysteresis."""
-    effect = EFFECTS[key[0]]
+    effect = find_effect(key[0])
     return bool(effect.states(model.site(key[1], effect)))
 
 

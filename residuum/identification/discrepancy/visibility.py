@@ -8,7 +8,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.trials import ACCEPT
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.model import find_effect
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ def undetectable(found: Search) -> tuple[Undetectable, ...]:
     """
     listed = []
     for (id, target), screened in found.screened.items():
-        effect = EFFECTS[id]
+        effect = find_effect(id)
         if (id, target) in found.accepted or not effect.sizes or not screened.information > 0:
             continue
         name = effect.sizes[0]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics.effects import EFFECTS, UNNAMED
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
 from residuum.identification.physics.files.expression import Expression
 
@@ -87,11 +88,19 @@ class EffectUse:
     parameters: Mapping[str, Parameter]
     instance: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    own: Effect | None = field(default=None, compare=False)
 
     @property
     def effect(self) -> Effect:
-        """The catalogue's entry, or an unnamed one."""
-        return EFFECTS[self.id] if self.id in EFFECTS else UNNAMED[self.id]
+        """The catalogue's entry, an unnamed one, or the one that the model's own file defines."""
+        if self.own is not None:
+            return self.own
+        return UNNAMED[self.id] if self.id in UNNAMED else find_effect(self.id)
+
+    @property
+    def place(self) -> str:
+        """The balance, input or output that it acts on: its target without the signals that it is tied to."""
+        return place_of(self.target)
 
     @property
     def label(self) -> str:
@@ -146,6 +155,8 @@ class PhysicalModel:
 
         A balance, an input and an output may share a name: the one that the effect acts on is meant.
         """
+        if effect.signals or effect.between:
+            return self._tied_site(target, effect)
         sites = []
         if balance := self.balances.get(target):
             sites.append(Site(balance.kind, target, balance.unit, self._roles(balance)))
@@ -156,6 +167,38 @@ class PhysicalModel:
             return next((site for site in sites if site.kind in effect.acts_on), sites[0])
         known = ", ".join([*self.balances, *self.inputs, *self.outputs])
         raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; there are {known}")
+
+    def _tied_site(self, target: str, effect: Effect) -> Site:
+        """The site of an effect at `balance(signal)` or `balance(other)`."""
+        place, tied = place_of(target), tied_to(target)
+        if place not in self.balances or len(tied) != (effect.signals or 1):
+            form = "balance(other balance)" if effect.between else "balance(signal)"
+            there = ", ".join(self.balances)
+            raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {there}")
+        known = self.balances if effect.between else {**self.inputs, **self.states, **self._defined()}
+        for name in tied:
+            if name not in known or name == place:
+                raise BadModel(f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; there are {', '.join(known)}")
+        balance = self.balances[place]
+        if effect.between and self.balances[tied[0]].kind != balance.kind:
+            raise BadModel(f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of different kinds")
+        units = self._roles(balance) | ({} if effect.between else {name: self.unit_of(name) for name in tied})
+        return Site(balance.kind, target, balance.unit, units, tied)
+
+    def _defined(self) -> dict[str, str]:
+        return {name: balance.kind for balance in self.balances.values() if (name := balance.defines)}
+
+    def with_input(self, name: str, unit: str) -> PhysicalModel:
+        """The model with one more recorded input, for an effect that is tied to it."""
+        if name in self.inputs:
+            return self
+        if name in {*self.states, *self.parameters, *self._defined()}:
+            raise BadModel(f"model {self.name!r}: {name!r} is no free name for an input")
+        return replace(self, inputs=MappingProxyType({**self.inputs, name: Input(name, unit)}))
+
+    def with_inputs_of(self, names: Iterable[str]) -> PhysicalModel:
+        """The model with these of its inputs alone; the others must be in no term."""
+        return replace(self, inputs=MappingProxyType({name: self.inputs[name] for name in names}))
 
     def supply_input(self, balance: Balance) -> str | None:
         """The first input that a term of the balance contains."""
@@ -189,6 +232,8 @@ class PhysicalModel:
             Unknown effect or target, effect that does not fit there, unknown parameter name, value outside its bounds.
         """
         effect = find_effect(id)
+        if not (effect.signals or effect.between) and tied_to(target):
+            raise BadModel(f"effect {id!r} at {target!r}: is tied to no signal; say where as {place_of(target)!r}")
         site = self.site(target, effect)
         if not effect.fits(site):
             needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
@@ -202,7 +247,8 @@ class PhysicalModel:
         for name in fixed:
             declared[name] = replace(declared[name], fixed=True)
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
-        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}))
+        own = effect if EFFECTS.is_here(id) else None
+        use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)
         return replace(self, effects=(*self.effects, use))
 
     def with_unnamed(self, id: str, target: str) -> PhysicalModel:
@@ -242,6 +288,27 @@ class PhysicalModel:
         return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
 
 
+def place_of(target: str) -> str:
+    """The balance, input or output of a target that may name signals: `tank` of `tank(next)`."""
+    return target.partition("(")[0]
+
+
+def tied_to(target: str) -> tuple[str, ...]:
+    """The names in a target's brackets.
+
+    >>> tied_to("tank(next)"), tied_to("tank")
+    (('next',), ())
+    """
+    inside = target.partition("(")[2].removesuffix(")")
+    return tuple(name.strip() for name in inside.split(",") if name.strip())
+
+
+def term_name(use: EffectUse) -> str:
+    """Name of an effect's term among those of its balance."""
+    tied = use.target.removeprefix(use.place)
+    return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
+
+
 def missing_name(balance: str) -> str:
     """Name of the additive unknown term of a balance among the kernel's parameters."""
     return f"missing@{balance}"
@@ -251,20 +318,51 @@ def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[t
     """All (effect id, target) pairs that fit the model and are not in it yet; `ids` restricts the effects.
 
     Targets are balances, outputs, and inputs that drive: without a default, and no condition of a balance (its surroundings).
+    Couplings are proposed between balances that know nothing of each other, forgotten inputs where the model has an idle one.
     """
     conditions = {name for balance in model.balances.values() for name in balance.variables.values()}
-    inputs = (name for name, signal in model.inputs.items() if signal.default is None and name not in conditions)
+    idle = idle_inputs(model)
+    inputs = (n for n, signal in model.inputs.items() if signal.default is None and n not in conditions and n not in idle)
     targets = {"balance": list(model.balances), "input": list(inputs), "output": list(model.outputs)}
     present = {(use.id, use.target) for use in model.effects}
-    chosen = [find_effect(id) for id in ids] if ids is not None else list(EFFECTS.values())
-    pairs = [(e.id, target) for e in chosen for target in targets[e.place] if e.fits(model.site(target, e))]
+    chosen = [find_effect(id) for id in ids] if ids is not None else [*EFFECTS.values(), *STRUCTURAL.values()]
+    free = [e for e in chosen if not (e.signals or e.between)]
+    pairs = [(e.id, target) for e in free for target in targets[e.place] if e.fits(model.site(target, e))]
+    pairs += [(e.id, target) for e in chosen if e.between for target in _pairs_of_balances(model, e)]
+    if STRUCTURAL["forgotten-input"] in chosen:
+        pairs += [("forgotten-input", f"{balance}({name})") for balance in model.balances for name in idle]
     return [pair for pair in pairs if pair not in present]
+
+
+def idle_inputs(model: PhysicalModel) -> list[str]:
+    """Inputs that no term, output, balance or effect of the model names."""
+    expressions = [*(t for b in model.balances.values() for t in (b.storage, *b.terms.values()))]
+    expressions += [output.value for output in model.outputs.values()]
+    used = {name for e in expressions for name in e.names}
+    used |= {name for balance in model.balances.values() for name in balance.variables.values()} | set(CHANNELS)
+    used |= {name for use in model.effects for name in (use.target, *tied_to(use.target))}
+    return [name for name in model.inputs if name not in used]
+
+
+def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
+    """Targets `one(other)` of balances of one kind that know nothing of each other's variables."""
+    known = {
+        b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values()) for b in model.balances.values()
+    }
+    found = []
+    for one, other in combinations([b for b in model.balances.values() if b.defines is None], 2):
+        apart = not (known[one.name] & known[other.name] & set(model.states))
+        if one.kind == other.kind and apart and effect.fits(model.site(f"{one.name}({other.name})", effect)):
+            found.append(f"{one.name}({other.name})")
+    return found
 
 
 def find_effect(id: str) -> Effect:
     """The effect of this id; BadModel names those there are."""
+    if id in STRUCTURAL:
+        return STRUCTURAL[id]
     if id not in EFFECTS:
-        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join(EFFECTS)}")
+        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join([*EFFECTS, *STRUCTURAL])}")
     return EFFECTS[id]
 
 

@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estimate": ("estimate", "Estimate the parameters of a model, structure as it is."),
     "effects": ("effects", "List the catalogue of physical effects, or what fits a model."),
     "identify": ("identify", "Identify a linear model with its uncertainty from a record."),
+    "uncertainty": ("uncertainty", "Bound the error of an identified model at every frequency."),
     "residual": ("residual", "Design a residual generator, or run one on a record."),
     "train": ("train", "Train a diagnoser on records."),
     "score": ("score", "Score records with a diagnoser."),

@@ -5,8 +5,8 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.library.identification_methods import METHODS, Request
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
-from residuum.service.commands.identify import METHODS, Request
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet_source import fleet_source
 from residuum.service.work.fleet_work import Reidentify

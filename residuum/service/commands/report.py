@@ -1,14 +1,16 @@
 """What a command prints: a short human report, or with --json exactly one JSON object."""
 
-import math
 import re
 import sys
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-import numpy as np
 import orjson
 import typer
+
+from residuum.library.answers.plain import to_plain
+
+__all__ = ["PROGRESS", "AsJson", "progress", "report", "to_plain"]
 
 PROGRESS = re.compile(r"(\d{1,3}) % (.+)")
 """A line of progress that tells the share done."""
@@ -32,16 +34,6 @@ def progress(message: str, share: float | None = None) -> None:
         typer.echo(message if share is None else f"{100 * share:.0f} % {message}", err=True)
 
 
-def to_plain(value: Any) -> Any:
-    """JSON values only: arrays become lists, NumPy numbers Python ones, non-finite numbers null."""
-    if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return to_plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return to_plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def told(share: float, message: str) -> None:
+    """`progress`, in the order in which the library tells it."""
+    progress(message, share)

@@ -8,14 +8,16 @@ import typer
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
+from residuum.library.answers.finding import finding_text
 from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
     FalseAlarms,
     Hertz,
+    Method,
     Orders,
     SpeedRpm,
-    bearing_settings,
     diagnoser_class,
+    diagnoser_settings,
     model_settings,
     new_diagnoser,
 )
@@ -38,17 +40,18 @@ def score(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
     false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
-    settings = bearing_settings(speed_rpm, orders, hertz) | model_settings(None, False, false_alarms_per_day)
+    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
     result = findings[0] if len(findings) == 1 else worst | {"findings": findings}
-    report(result, "\n".join(_sentence(finding) for finding in findings), as_json=as_json)
+    report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
 
 
 def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagnoser:
@@ -58,19 +61,3 @@ def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagno
         raise BadInput(f"{baseline}: no such baseline file")
     judge = diagnoser_class(name).load(baseline)
     return judge.with_settings(**settings) if settings else judge
-
-
-def _sentence(finding: dict[str, Any]) -> str:
-    kind = f" ({finding['class']})" if finding["class"] else ""
-    said = f"{finding['record']}: {finding['verdict']}{kind}" + (f": {finding['reason']}" if finding["reason"] else "")
-    numbers = [_indicator(finding, name, value) for name, value in finding["indicators"].items() if value is not None]
-    return "\n  ".join([said, *numbers])
-
-
-def _indicator(finding: dict[str, Any], name: str, value: Any) -> str:
-    unit = finding["units"].get(name, "")
-    limit = finding["thresholds"].get(name)
-    shown = f"{value:.4g}" if isinstance(value, int | float) else str(value)
-    return f"{name} = {shown}{'' if unit in ('', '1') else ' ' + unit}" + (
-        f" (threshold {limit:.4g})" if isinstance(limit, int | float) else ""
-    )

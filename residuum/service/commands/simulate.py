@@ -1,23 +1,19 @@
 """`residuum simulate`: a record of a virtual machine, with hidden effects and faults, as a file."""
 
-import inspect
 from pathlib import Path
 from typing import Annotated, Any
 
-import orjson
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.identification.record import Record
 from residuum.identification.record_formats import WRITERS, write_record
+from residuum.library.virtual_machine import simulated
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.report import AsJson, report, to_plain
-from residuum.simulation import MACHINES, BadSetting, Machine, Signals
+from residuum.service.commands.report import AsJson, report
+from residuum.simulation import MACHINES
 from residuum.simulation.machine import SIZES
 
 app = typer.Typer(add_completion=False)
-_MOST_SAMPLES = 50_000_000
-_COMMON = ("self", "seed", "effects", "faults", "exemplar")
 
 
 @app.command()
@@ -42,44 +38,12 @@ def simulate(
         raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
     check_output_file(out)
     given = {"profile": profile, "rate": rate, "noise_color": noise_color, **dict(map(_setting, setting or []))}
-    settings = _settings(MACHINES[machine], {name: value for name, value in given.items() if value is not None})
-    try:
-        built = MACHINES[machine](seed, dict(map(_effect, effect or [])), dict(map(_fault, fault or [])), exemplar, **settings)
-        for id, size in map(_fault, event or []):
-            built.trigger(id, size)
-        duration = _length(built, duration)
-        signals = built.simulate(duration)
-    except BadSetting as refused:
-        raise BadInput(str(refused)) from None
-    truth = to_plain(built.truth)
-    write_record(_record(machine, signals, seed, truth if reveal else None), out)
-    result = {"file": str(out), "samples": signals.n, "sample_time": signals.sample_time, "channels": dict(signals.units)}
+    settings = {name: value for name, value in given.items() if value is not None}
+    hidden, damage, happenings = dict(map(_effect, effect or [])), dict(map(_fault, fault or [])), dict(map(_fault, event or []))
+    record, truth = simulated(machine, hidden, damage, happenings, duration, seed, exemplar, reveal, settings)
+    write_record(record, out)
+    result = {"file": str(out), "samples": record.n, "sample_time": record.sample_time, "channels": dict(record.units)}
     report({**result, "truth": truth}, _human(result, truth), as_json=as_json)
-
-
-def _length(machine: Machine, duration: float | None) -> float:
-    duration = machine.record_duration if duration is None else duration
-    if duration / machine.sample_time > _MOST_SAMPLES:
-        raise BadInput(f"duration {duration:g} s: is {duration / machine.sample_time:.3g} samples; at most {_MOST_SAMPLES:.0e}")
-    return duration
-
-
-def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
-    """The machine's own settings, text turned into the type of their default value."""
-    known = {name: p.default for name, p in inspect.signature(machine.__init__).parameters.items() if name not in _COMMON}
-    for name, value in given.items():
-        if name not in known:
-            raise BadInput(f"{machine.name}: has no setting {name!r}; known are {', '.join(known) or 'none'}")
-        given[name] = _typed(value, known[name], f"{machine.name}: setting {name!r}")
-    return given
-
-
-def _typed(value: Any, like: Any, what: str) -> Any:
-    if isinstance(like, bool):
-        if str(value).lower() not in ("true", "false"):
-            raise BadInput(f"{what} is {value!r}; must be true or false")
-        return str(value).lower() == "true"
-    return value if isinstance(like, str) else _number(value, what)
 
 
 def _setting(text: str) -> tuple[str, str]:
@@ -111,13 +75,6 @@ def _number(text: Any, what: str) -> float:
         return float(text)
     except ValueError:
         raise BadInput(f"{what}: {text!r} is not a number") from None
-
-
-def _record(machine: str, signals: Signals, seed: int, truth: Any) -> Record:
-    notes = [f"simulated {machine}, seed {seed}", *signals.notes]
-    if truth is not None:
-        notes.append(f"truth: {orjson.dumps(truth).decode()}")
-    return Record(signals.channels, signals.units, signals.sample_time, signals.t0, tuple(notes), source=f"simulated {machine}")
 
 
 def _human(result: dict[str, Any], truth: dict[str, Any]) -> str:

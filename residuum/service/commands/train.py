@@ -14,10 +14,11 @@ from residuum.service.commands.diagnoser_options import (
     FalseAlarms,
     FixUndetermined,
     Hertz,
+    Method,
     ModelName,
     Orders,
     SpeedRpm,
-    bearing_settings,
+    diagnoser_settings,
     model_settings,
     new_diagnoser,
 )
@@ -45,6 +46,7 @@ def train(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
     model: ModelName = None,
     fix_undetermined: FixUndetermined = False,
     false_alarms_per_day: FalseAlarms = None,
@@ -52,7 +54,7 @@ def train(
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
     of_model = model_settings(model, fix_undetermined, false_alarms_per_day)
-    untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz) | of_model)
+    untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)

@@ -72,6 +72,9 @@ class MachineSettings(_Strict):
         default=None,
         description="model-based: the machine's model, a file or a built-in name; its baseline has it too.",
     )
+    method: Literal["source", "default"] | None = Field(
+        default=None, description="gate-actuator, robust-residual: what decides; None: what the baseline was trained with."
+    )
     alarms: AlarmRule | None = Field(
         default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
     )

@@ -25,7 +25,7 @@ from residuum.identification.physics import (
     read_model,
 )
 from residuum.identification.record import Record
-from residuum.service.commands.compare import comparison_json
+from residuum.library.answers.comparison import comparison_json
 from residuum.service.machines.movement_phases import phase_cells
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.command_job import RecordParts

@@ -15,16 +15,19 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
+from residuum.service.web.documentation import documentation_routes
+
 _HERE = Path(__file__).parent
 _HOUR = "public, max-age=3600"
 
 
 def web_routes() -> list[BaseRoute]:
-    """The page at /, its assets under /web, Plotly under /vendor."""
+    """The page at /, its assets under /web, Plotly under /vendor, the documentation under /docs."""
     return [
         Route("/", _page),
         Route("/vendor/plotly.min.js", _plotly),
         Mount("/web", _Assets(directory=_HERE / "assets")),
+        *documentation_routes(),
     ]
 
 

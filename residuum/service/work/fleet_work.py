@@ -14,8 +14,8 @@ from typing import Any
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
-from residuum.service.commands.identify import METHODS, Request
-from residuum.service.commands.report import to_plain
+from residuum.library.answers.plain import to_plain
+from residuum.library.identification_methods import METHODS, Request
 from residuum.service.work.fleet_source import FleetSource, Folder
 
 

@@ -4,10 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numba import njit
 
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
+from residuum.identification.errors import BadModel
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 
@@ -54,9 +56,18 @@ def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both()
     model = held_at(0.135)
     found = explain(model, [record(drag=4e-6)])
     assert ([held.name for held in found.held], found.search.accepted) == (["K"], [("quadratic-drag", "rotor")])
-    improved = improve(model, [record(drag=4e-6)])
+    improved = improve(model, [record(drag=4e-6)], free=["K"])
     assert [step.added for step in improved.history] == [None, "K freed", "quadratic-drag"]
     assert abs(improved.model.values["K"] / K - 1.0) < 0.002
+
+
+def test_fixed_means_fixed():
+    improved = improve(held_at(0.135), [record(drag=4e-6)])
+    assert improved.model.values["K"] == 0.135
+    assert improved.model.parameters["K"].fixed
+    assert improved.verdict != "adequate"
+    with pytest.raises(BadModel, match=r"'J': is no parameter that .* holds fixed; there are K"):
+        improve(held_at(0.135), [record()], free=["J"])
 
 
 def test_a_right_value_stays_where_it_is_held():

@@ -26,10 +26,11 @@ from dataclasses import dataclass, field
 import sympy as sp
 
 from residuum.identification.errors import BadModel
+from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
-from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name
+from residuum.identification.physics.files.expression import Call, Name, Node, Number
+from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, term_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
 
@@ -126,7 +127,7 @@ class _Composer:
         sides = {name: self._sides(balance) for name, balance in self.model.balances.items()}
         for use in self.model.effects:
             if use.effect.place == "balance":
-                self._add_to_balance(use, sides[use.target])
+                self._add_to_balance(use, sides)
         defined = self._solve_defined(sides)
         for side in sides.values():
             if side.state is not None:
@@ -196,12 +197,21 @@ class _Composer:
         roles["storage"] = side.coefficient
         return roles
 
-    def _add_to_balance(self, use: EffectUse, side: _Sides) -> None:
-        added = self._contribution(use, side.roles, side.direction, sp.S.Zero)
-        side.terms[use.id if use.instance == 1 else f"{use.id}#{use.instance}"] = sp.sympify(added.term)
+    def _add_to_balance(self, use: EffectUse, sides: Mapping[str, _Sides]) -> None:
+        side, name = sides[use.place], term_name(use)
+        added = self._contribution(use, side.roles | self._tied(use, sides), side.direction, sp.S.Zero)
+        side.terms[name] = sp.sympify(added.term)
+        for balance, term in added.elsewhere.items():
+            sides[balance].terms[name] = sp.sympify(term)
         side.coefficient = side.coefficient * added.storage_factor
         if added.inductance is not None:
             self._give_storage(side, added.inductance, use)
+
+    def _tied(self, use: EffectUse, sides: Mapping[str, _Sides]) -> dict[str, sp.Expr]:
+        """What an effect is tied to: signals by name, the other balance's variables as `other:role`."""
+        if use.effect.between:
+            return {f"other:{role}": value for role, value in sides[tied_to(use.target)[0]].roles.items()}
+        return {name: self._name(name) for name in tied_to(use.target)}
 
     def _give_storage(self, side: _Sides, inductance: sp.Expr, use: EffectUse) -> None:
         name = side.balance.defines
@@ -282,7 +292,7 @@ class _Composer:
 
     def _symbolic(self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None) -> sp.Expr:
         if isinstance(tree, Number):
-            return sp.Integer(int(tree.value)) if tree.value == int(tree.value) else sp.Float(tree.value, 17)
+            return number(tree)
         if isinstance(tree, Name):
             return self._name(tree.name)
         if isinstance(tree, Call) and tree.function == "der":
@@ -290,7 +300,7 @@ class _Composer:
         if surface is not None and isinstance(tree, Call) and tree.function == "sign" and _is_name(tree.operands[0], surface):
             return self.directions[surface]
         operands = [self._symbolic(operand, surface, derivative) for operand in tree.operands]
-        return _MEANING[tree.operator if isinstance(tree, Operation) else tree.function](*operands)
+        return meaning(tree)(*operands)
 
     def _name(self, name: str) -> sp.Expr:
         for family in (self.x, self.paths, self.p, self.variables):
@@ -301,23 +311,3 @@ class _Composer:
 
 def _is_name(tree: Node, name: str) -> bool:
     return isinstance(tree, Name) and tree.name == name
-
-
-_MEANING = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    "**": lambda a, b: a**b,
-    "neg": lambda a: -a,
-    "sin": sp.sin,
-    "cos": sp.cos,
-    "tanh": sp.tanh,
-    "exp": sp.exp,
-    "log": sp.log,
-    "sqrt": sp.sqrt,
-    "abs": sp.Abs,
-    "sign": sp.sign,
-    "min": sp.Min,
-    "max": sp.Max,
-}

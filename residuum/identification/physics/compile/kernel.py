@@ -22,6 +22,7 @@ import numpy as np
 
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
+from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.integration import System
 
@@ -100,7 +101,7 @@ def _structure(model: PhysicalModel) -> str:
         (b.name, b.kind, b.storage.text, [(n, t.text) for n, t in b.terms.items()], sorted(b.variables.items()))
         for b in model.balances.values()
     ]
-    effects = [(use.id, use.target, use.instance) for use in model.effects]
+    effects = [(use.id, use.target, use.instance, EFFECTS.fingerprint(use.id)) for use in model.effects]
     inputs = [(i.name, i.absent and i.default, i.unit) for i in model.inputs.values()]
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]

@@ -46,12 +46,15 @@ class Site:
     units : mapping of role to unit
         The variables there are: `velocity`, `position`, `current`, `temperature`, `ambient`, `level`, `supply` (the
         input that drives the balance); the effect's `needs` must be among them.
+    signals : tuple of str
+        What the effect is tied to besides, by name: signals of the model, or another balance; signals are in `units` too.
     """
 
     kind: str
     name: str
     unit: str
     units: Mapping[str, str] = field(default_factory=dict)
+    signals: tuple[str, ...] = ()
 
     def per(self, role: str, power: float = 1.0) -> str:
         """The balance's unit divided by a power of a variable's unit.
@@ -93,6 +96,8 @@ class Contribution:
     ----------
     term : expression
         Added to the balance's sum of terms.
+    elsewhere : mapping of balance to expression
+        Added to the terms of other balances.
     rates, initial : mapping of own state to expression
         Time derivative and initial value of the effect's own states.
     deviating : tuple of own state
@@ -108,6 +113,7 @@ class Contribution:
     """
 
     term: sp.Expr = field(default_factory=lambda: sp.S.Zero)
+    elsewhere: Mapping[str, sp.Expr] = field(default_factory=dict)
     rates: Mapping[str, sp.Expr] = field(default_factory=dict)
     initial: Mapping[str, sp.Expr] = field(default_factory=dict)
     deviating: tuple[str, ...] = ()
@@ -198,6 +204,12 @@ class Effect(ABC):
         (`grown`).
     every_sample : bool
         Whether it does to each sample what means over several do not show: a shift in time by a sample, or steps of a reading.
+    exact : bool
+        Whether the search for a structure that leaves nothing but noise tries it; others are tried on blocks kept aside alone.
+    signals : int
+        How many signals it is tied to; its target is then `balance(signal, …)`.
+    between : bool
+        Whether it stands between two balances; its target is then `balance(other)`.
     """
 
     id: ClassVar[str]
@@ -212,6 +224,9 @@ class Effect(ABC):
     natural_bounds: ClassVar[tuple[str, ...]] = ()
     generalises: ClassVar[str] = ""
     every_sample: ClassVar[bool] = False
+    exact: ClassVar[bool] = True
+    signals: ClassVar[int] = 0
+    between: ClassVar[bool] = False
 
     @property
     def vanishes(self) -> bool:

@@ -253,4 +253,7 @@ def _with_unit(balance: Balance, names: Mapping[str, Dimension], units: Iterable
 def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
     dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
-        raise output.value.place.refuse(f"unit clash: output {output.name!r} is in {dimension}, declared in {declared}")
+        raise output.value.place.refuse(
+            f"unit clash: output {output.name!r} is in {dimension}, declared in {declared}; declare the unit of the value, "
+            "records in other units are converted"
+        )

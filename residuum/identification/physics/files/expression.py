@@ -36,6 +36,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
 LONGEST = 4000
 DEEPEST, LARGEST_EXPONENT = 60, 20
 
+_INSTEAD = {"|": "; write abs(x)", "^": "; write x**2", "·": "; write *", "×": "; write *", "²": "; write **2"}
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[-+*/(),])|(?P<bad>\S))"
 )
@@ -208,7 +209,8 @@ def _tokens(text: str, start: Place) -> Iterator[_Token]:
         kind = str(match.lastgroup)
         place = start.right(match.start(kind))
         if kind == "bad":
-            raise place.refuse(f"character {match[kind]!r} is not allowed in an expression")
+            hint = _INSTEAD.get(match[kind], "")
+            raise place.refuse(f"character {match[kind]!r} is not allowed in an expression{hint}")
         yield _Token(kind, match[kind], place)
         position = match.end()
     yield _Token("end", "", start.right(len(text)))

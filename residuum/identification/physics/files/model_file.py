@@ -14,8 +14,10 @@ from typing import Any
 import yaml
 
 from residuum.identification.errors import BadInput, BadModel, BadUnit
+from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.consistency import check
+from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
@@ -29,7 +31,11 @@ from residuum.identification.physics.model import (
 from residuum.identification.units import parse_unit
 
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
-_KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "effects", "initial")
+KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "own_effects", "effects", "initial")
+INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
+PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
+EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
+"""What each entry of a section may hold; balances also name the variables of their kind."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 _RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max"}
 
@@ -62,9 +68,9 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
 
 
 def read_model(text: str, source: str = "model") -> PhysicalModel:
-    """The model that a YAML text describes (the format is in the README's "Model files"); `source` names it in refusals."""
+    """The model that a YAML text describes (docs/reference/model-files.md says the format); `source` names it in refusals."""
     tree = read_tree(text, source)
-    tree.only(_KEYS, "model file")
+    tree.only(KEYS, "model file")
     for section in ("balances", "outputs"):
         if not list(tree.table(section, "model file", required=True)):
             raise tree.keys[section].refuse(f"{section}: is empty; a model has at least one")
@@ -105,6 +111,8 @@ def write_model(model: PhysicalModel) -> str:
     }
     if model.initial:
         document["initial"] = dict(model.initial)
+    if own := {use.id: use.effect.definition for use in model.effects if isinstance(use.effect, WrittenEffect)}:
+        document["own_effects"] = list(own.values())
     if model.effects:
         document["effects"] = [
             {"id": use.id, use.effect.place: use.target}
@@ -143,14 +151,14 @@ def _input(name: str, section: Table) -> Input:
     if isinstance(tree, Scalar):
         return Input(name, _unit(tree))
     table = section.table(name, "inputs")
-    table.only(("unit", "default"), f"input {name!r}")
+    table.only(INPUT_KEYS, f"input {name!r}")
     default = table.optional("default", f"input {name!r}")
     return Input(name, _unit(table.scalar("unit", f"input {name!r}")), default.text if default else None)
 
 
 def _state(name: str, section: Table) -> State:
     table = section.table(name, "states")
-    table.only(("unit", "rate"), f"state {name!r}")
+    table.only(STATE_KEYS, f"state {name!r}")
     rate = table.optional("rate", f"state {name!r}")
     return State(name, _unit(table.scalar("unit", f"state {name!r}")), rate.text if rate else None)
 
@@ -158,7 +166,7 @@ def _state(name: str, section: Table) -> State:
 def _parameter(name: str, section: Table) -> Parameter:
     what = f"parameter {name!r}"
     table = section.table(name, "parameters")
-    table.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), what)
+    table.only(PARAMETER_KEYS, what)
     unit = table.optional("unit", what)
     fixed, meaning = table.optional("fixed", what), table.optional("meaning", what)
     lower = _bound(table.optional("lower", what), f"{what}: lower", -1)
@@ -209,7 +217,7 @@ def _balance(name: str, section: Table) -> Balance:
 
 def _output(name: str, section: Table) -> Output:
     table = section.table(name, "outputs")
-    table.only(("value", "unit"), f"output {name!r}")
+    table.only(OUTPUT_KEYS, f"output {name!r}")
     value, unit = table.scalar("value", f"output {name!r}"), table.optional("unit", f"output {name!r}")
     return Output(name, _expression(value), _unit(unit) if unit else "")
 
@@ -223,6 +231,9 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
 
 
 def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
+    if "own_effects" in tree.entries:
+        for effect in effects_of(tree.entries["own_effects"], tree):
+            EFFECTS.use_here(effect)
     listing = tree.entries.get("effects")
     if listing is None:
         return model
@@ -237,7 +248,7 @@ def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
 
 def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
     what = "effect"
-    item.only(("id", "balance", "input", "output", "parameters", "provenance"), what)
+    item.only(EFFECT_KEYS, what)
     targets = [key for key in ("balance", "input", "output") if key in item.entries]
     if len(targets) != 1:
         raise item.place.refuse("effect: exactly one of 'balance', 'input', 'output' says where it is")
@@ -250,7 +261,7 @@ def _with_effect(model: PhysicalModel, item: Table) -> PhysicalModel:
         value = entry if isinstance(entry, Scalar) else table.table(name, what).scalar("value", what)
         values[name] = value.number(f"effect parameter {name!r}")
         if isinstance(entry, Table):
-            entry.only(("value", "unit", "lower", "upper", "fixed", "meaning", "std"), f"effect parameter {name!r}")
+            entry.only(PARAMETER_KEYS, f"effect parameter {name!r}")
             flag = entry.optional("fixed", what)
             fixed += [name] if flag and flag.truth(what) else []
     provenance = {key: _plain(tree) for key, tree in item.table("provenance", what).entries.items()}

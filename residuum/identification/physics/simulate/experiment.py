@@ -18,6 +18,14 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class Spare:
+    """A column of a record that the model does not use: `values` (n,) complete, and their `unit`."""
+
+    values: Array
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """One record in the model's terms.
 
@@ -35,6 +43,8 @@ class Experiment:
         Statistics of residuals are taken over means of so many samples (`means`); the simulation is not affected.
     known : mapping of state to value
         Initial values that are known from what went before, and not estimated.
+    spare : mapping of column to Spare
+        What else was recorded, sample by sample as U is.
     """
 
     U: Array
@@ -45,6 +55,7 @@ class Experiment:
     source: str = ""
     block: int = 1
     known: Mapping[str, float] = field(default_factory=dict)
+    spare: Mapping[str, Spare] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -68,7 +79,9 @@ class Experiment:
     def window(self, start: int, stop: int) -> Experiment:
         """Samples start … stop − 1."""
         known = self.known if start == 0 else {}
-        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=self.t0 + start * self.sample_time, known=known)
+        spare = {name: replace(s, values=s.values[start:stop]) for name, s in self.spare.items()}
+        t0 = self.t0 + start * self.sample_time
+        return replace(self, U=self.U[start:stop], Y=self.Y[start:stop], t0=t0, known=known, spare=spare)
 
 
 def match(
@@ -126,7 +139,18 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
         raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})")
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = [_is_linear(how, U[:, k]) for k, how in enumerate(wanted)]
-    return Experiment(U, Y, np.array(linear, dtype=float), record.sample_time, record.t0, record.source)
+    spare = _spare(record, set(columns.values()))
+    return Experiment(U, Y, np.array(linear, dtype=float), record.sample_time, record.t0, record.source, spare=spare)
+
+
+def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
+    """Complete columns that change and that the model does not use."""
+    found = {}
+    for name in record.names:
+        values = np.asarray(record.channels[name], dtype=float)
+        if name not in used and name.isidentifier() and np.all(np.isfinite(values)) and np.ptp(values) > 0:
+            found[name] = Spare(values, record.units.get(name, ""))
+    return found
 
 
 def _input(record: Record, column: str, name: str, unit: str) -> Array:
@@ -134,7 +158,8 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
         raise BadRecord(f"record {record.source!r}: input {name!r} is missing; the columns are {', '.join(record.names)}")
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
-        raise BadRecord(f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}; inputs must be complete")
+        where = f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}"
+        raise BadRecord(f"{where}; inputs must be complete: cut the record there and give its parts as records of their own")
     return record.in_unit(column, unit)
 
 

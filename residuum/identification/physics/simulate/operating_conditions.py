@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics.effects.base import Conditions, Effect
-from residuum.identification.physics.model import Balance, PhysicalModel
+from residuum.identification.physics.model import Balance, PhysicalModel, place_of, tied_to
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Simulator
 
@@ -23,12 +23,13 @@ def conditions_at(
     simulator = Simulator(model)
     duration = experiment.n * experiment.sample_time
     if effect.place == "balance":
-        balance = model.balances[target]
+        balance = model.balances[place_of(target)]
         variables = balance_variables(simulator, balance, experiment, X)
         terms = [variables[name] for name in variables if name.startswith("term:")]
         driving = variables.get("supply_terms", np.zeros(1))
         rms = _rms(driving) or max(map(_rms, terms), default=0.0) or 1.0
-        storage = float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{target}"]))) or 1.0
+        storage = float(np.median(np.abs(simulator.look(experiment, X)[f"storage:{balance.name}"]))) or 1.0
+        variables |= _tied(simulator, effect, target, experiment, X)
         return Conditions(experiment.sample_time, duration, rms, storage, variables, missing)
     if effect.place == "input":
         signal = experiment.U[:, list(model.inputs).index(target)]
@@ -39,6 +40,17 @@ def conditions_at(
     return Conditions(experiment.sample_time, duration, _rms(run) or 1.0, variables={"signal": run, "measured": measured})
 
 
+def _tied(simulator: Simulator, effect: Effect, target: str, experiment: Experiment, X: Array) -> dict[str, Array]:
+    """What an effect is tied to: signals by name (last), the other balance's variables as `other:role`."""
+    if effect.between:
+        others = balance_variables(simulator, simulator.model.balances[tied_to(target)[0]], experiment, X)
+        return {f"other:{role}": values for role, values in others.items()}
+    known = {name: X[:, k] for k, name in enumerate(simulator.states)}
+    known |= {name: experiment.U[:, k] for k, name in enumerate(simulator.model.inputs)}
+    look = simulator.look(experiment, X) if any(name not in known for name in tied_to(target)) else {}
+    return {name: known[name] if name in known else look[name] for name in tied_to(target)}
+
+
 def balance_variables(simulator: Simulator, balance: Balance, experiment: Experiment, X: Array) -> dict[str, Array]:
     """A balance's variables by role along the states X: with `supply`, `supply_terms`, `term:name`, and effects' own states."""
     model, look = simulator.model, simulator.look(experiment, X)
@@ -47,7 +59,7 @@ def balance_variables(simulator: Simulator, balance: Balance, experiment: Experi
     known = states | {n: look[n] for n in look if "." not in n} | inputs
     found = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
     for use in model.effects:
-        if use.effect.place == "balance" and use.target == balance.name:
+        if use.effect.place == "balance" and use.place == balance.name:
             found |= {name.removeprefix(f"{use.label}."): x for name, x in states.items() if name.startswith(f"{use.label}.")}
     supply = model.supply_input(balance)
     if supply is not None:

@@ -1,6 +1,7 @@
 """What all frictions share: they act on a velocity, and take energy out of it, never in."""
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,7 +13,7 @@ class Friction(Effect):
     """Base of the frictions."""
 
     acts_on = ("torque", "force")
-    needs = ("velocity",)
+    needs: ClassVar[tuple[str, ...]] = ("velocity",)
 
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
         """Power term·v ≤ 0 at every sample."""

@@ -1,6 +1,7 @@
 """A load that repeats with every tooth, ball or pole."""
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class ToothRipple(Effect):
     reference = "R. G. Munro, Transmission error, in: Dudley's Gear Handbook"
     acts_on = ("torque", "force")
     needs = ("position",)
-    sizes = ("a", "b")
+    sizes: ClassVar[tuple[str, ...]] = ("a", "b")
     follows = ("innovations", "lack")
     generalises = "position-load"
 

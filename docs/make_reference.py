@@ -1,0 +1,209 @@
+"""Writes the reference pages that follow from the code: effects, Python names, commands, and the schema of model files.
+
+python docs/make_reference.py            # writes docs/reference/
+python docs/make_reference.py --check    # exit status 1 when a page is stale
+"""
+
+import inspect
+import json
+import re
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from typer.main import get_command
+
+import residuum as rs
+from residuum.identification.physics import candidates, read_model
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
+from residuum.identification.physics.files.model_schema import model_schema
+from residuum.service.commands import COMMANDS
+
+HERE = Path(__file__).parent / "reference"
+WRITTEN = "<!-- Written by docs/make_reference.py from the code; change it there. -->\n\n"
+
+
+def pages():
+    """Text of every generated file, by its name."""
+    return {
+        "effects.md": effects_page(),
+        "python.md": python_page(),
+        "commands.md": commands_page(),
+        "model-file.schema.json": json.dumps(model_schema(), indent=1, ensure_ascii=False) + "\n",
+    }
+
+
+def effects_page():
+    """Every effect with equation, place, parameters, units and source."""
+    parts = [
+        WRITTEN + "# Effects\n",
+        "An effect is one more term in a balance, or one more stage on the path of an input or output. "
+        "Units are shown for one example; an effect takes the units of the balance or signal where it stands.\n",
+        "| effect | equation | acts on |\n|---|---|---|",
+        *(f"| [`{e.id}`](#{e.id}) | {cell(e.equation)} | {', '.join(e.acts_on)} |" for e in EFFECTS.values()),
+        "",
+        *map(effect_section, EFFECTS.values()),
+        "## Effects that are tied to a signal\n",
+        "These stand at `balance(signal)` or `balance(other balance)`: to what they are tied is found in the records.\n",
+        "| effect | equation |\n|---|---|",
+        *(f"| `{e.id}` | {cell(e.equation)} |" for e in STRUCTURAL.values()),
+    ]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def effect_section(effect):
+    """One effect."""
+    model = read_model(effect.examples()[0].model)
+    target = candidates(model, [effect.id])[0][1]
+    parameters = effect.parameters(model.site(target, effect))
+    rows = [f"| `{p.name}` | {p.unit or '–'} | {bounds(p)} | {p.meaning} |" for p in parameters]
+    given = ", ".join(f"{p.name}: {{value: {p.value:g}}}" for p in parameters)
+    return "\n".join(
+        [
+            f"## {effect.id}\n",
+            f"**{effect.title}**: {cell(effect.equation)}\n",
+            f"{inspect.getdoc(type(effect)).splitlines()[0]}\n",
+            f"Acts on: {', '.join(effect.acts_on)}. Needs: {', '.join(effect.needs) or 'nothing more'}. "
+            f"Source: {effect.reference}.\n",
+            "| parameter | unit (example) | bounds | meaning |\n|---|---|---|---|",
+            *rows,
+            "",
+            "```yaml\neffects:",
+            f"  - {{id: {effect.id}, {effect.place}: {target}, parameters: {{{given}}}}}\n```\n",
+        ]
+    )
+
+
+def bounds(parameter):
+    """The bounds in words."""
+    low, high = parameter.lower, parameter.upper
+    if low == -float("inf"):
+        return "any" if high == float("inf") else f"≤ {high:g}"
+    return f"≥ {low:g}" if high == float("inf") else f"{low:g} … {high:g}"
+
+
+def cell(text):
+    """A text inside a table: bars do not end its cell."""
+    return "`" + text.replace("|", "∣") + "`"
+
+
+def python_page():
+    """Every public name with its signature and docstring."""
+    parts = [
+        WRITTEN + "# Python\n",
+        "`import residuum as rs` gives these names. Each is loaded when it is first used.\n",
+        "| name | what it is |\n|---|---|",
+        *(f"| [`rs.{name}`](#{anchor(name)}) | {first_line(item)} |" for name, item in documented().items()),
+        "",
+        *(name_section(name, item) for name, item in documented().items()),
+    ]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def documented():
+    """Public names, functions before classes before errors."""
+    items = {name: getattr(rs, name) for name in rs.__all__ if name not in ("effects", "control")}
+    items["control.design"] = rs.control.design
+    items["effects"] = rs.effects
+
+    def order(entry):
+        name, item = entry
+        return (inspect.isclass(item) + (inspect.isclass(item) and issubclass(item, Exception)), name)
+
+    return dict(sorted(items.items(), key=order))
+
+
+def anchor(name):
+    """The anchor of a name's heading; `model` and `Model` have different ones."""
+    kind = "class" if inspect.isclass(documented()[name]) else "function"
+    return f"{kind}-{name.replace('.', '-').lower()}"
+
+
+def first_line(item):
+    """The first sentence of its documentation."""
+    return inspect.getdoc(item).split("\n\n")[0].replace("\n", " ").replace("|", "∣")
+
+
+def name_section(name, item):
+    """Signature, docstring, and the members of a class."""
+    parts = [f"## rs.{name} {{ #{anchor(name)} }}\n"]
+    if inspect.isfunction(item):
+        parts.append(f"```python\nrs.{name}{signature(item)}\n```\n")
+    parts.append(f"```text\n{inspect.getdoc(item)}\n```\n")
+    kind = item if inspect.isclass(item) else type(item)
+    if not inspect.isfunction(item) and not issubclass(kind, Exception):
+        parts += [member(name, member_name, value) for member_name, value in members(kind)]
+    return "\n".join(parts)
+
+
+def members(kind):
+    """Public methods and properties that the library's own classes define, by name."""
+    found = {}
+    for base in reversed(kind.__mro__):
+        if base.__module__.startswith(("residuum.library", "residuum.identification.record")):
+            found |= {name: value for name, value in vars(base).items() if not name.startswith("_")}
+    return sorted((n, v) for n, v in found.items() if inspect.isfunction(v) or isinstance(v, property))
+
+
+def member(owner, name, value):
+    """One method or property."""
+    function = value.fget if isinstance(value, property) else value
+    head = f".{name}" + ("" if isinstance(value, property) else signature(value))
+    return f"### {owner}.{name}\n\n```python\n{head}\n```\n\n```text\n{inspect.getdoc(function)}\n```\n"
+
+
+def signature(function):
+    """The signature without module names."""
+    text = str(inspect.signature(function)).replace("(self, ", "(").replace("(self)", "()")
+    text = re.sub(r"(: |-> )'([^']*)'", r"\1\2", text)
+    return text.replace("pandas.DataFrame", "DataFrame").replace("plotly.graph_objects.Figure", "Figure")
+
+
+def commands_page():
+    """Every command with its arguments and options."""
+    parts = [WRITTEN + "# Commands\n", "Every command prints a short report; most print one JSON object with `--json`.\n"]
+    parts += ["| command | what it does |\n|---|---|"]
+    parts += [f"| [`residuum {name}`](#{name}) | {says} |" for name, (_, says) in COMMANDS.items()]
+    for name, (module, says) in COMMANDS.items():
+        command = get_command(import_module(f"residuum.service.commands.{module}").app)
+        parts.append(f"\n## {name}\n\n{says}\n")
+        for sub_name, sub in (getattr(command, "commands", None) or {"": command}).items():
+            parts.append(usage(f"residuum {name} {sub_name}".strip(), sub))
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def usage(name, command):
+    """A command's arguments and options as tables."""
+    lines = [f"```text\n{name} {' '.join(p.make_metavar_text for p in map(Shown, command.params) if p.argument)}\n```\n"]
+    if (help_ := (command.help or "").strip().splitlines()) and help_[0]:
+        lines.append(help_[0] + "\n")
+    rows = [f"| `{p.name}` | {p.help} |" for p in map(Shown, command.params) if p.name != "--help"]
+    return "\n".join([*lines, "| argument or option | meaning |\n|---|---|", *rows, ""])
+
+
+class Shown:
+    """A parameter of a command as the page shows it."""
+
+    def __init__(self, parameter):
+        self.argument = parameter.param_type_name == "argument"
+        metavar = parameter.metavar or parameter.name.upper()
+        self.make_metavar_text = metavar
+        options = " / ".join([*parameter.opts, *parameter.secondary_opts])
+        self.name = metavar if self.argument else options
+        self.help = (parameter.help or "").replace("\\[", "[").replace("|", "∣").replace("\n", " ")
+
+
+def main(arguments):
+    """Write the pages, or tell which are stale."""
+    stale = [name for name, text in pages().items() if not (HERE / name).is_file() or (HERE / name).read_text() != text]
+    if "--check" in arguments:
+        sys.stderr.write("".join(f"docs/reference/{name} is stale: python docs/make_reference.py\n" for name in stale))
+        return bool(stale)
+    HERE.mkdir(exist_ok=True)
+    for name, text in pages().items():
+        (HERE / name).write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

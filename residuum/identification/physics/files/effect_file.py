@@ -1,0 +1,266 @@
+"""Effects of a user's own, written in YAML: the equation, its parameters and states, and where it acts.
+
+    effects:
+      - id: dent
+        title: Dent in the rail
+        acts_on: [force, torque]                    # kinds of balance, or input, or output
+        term: -tau * exp(-((position - q_0) / w)**2) * sign(velocity)
+        parameters:
+          tau: {value: 0, unit: N, lower: 0, size: true, meaning: friction in the dent}
+          q_0: {value: 0.1, unit: m, meaning: its place}
+          w:   {value: 0.02, unit: m, lower: 1e-6, meaning: its half width}
+        reference: our own measurement of May
+
+`term` is added to the balance and may name its variables by role (position, velocity, current, temperature, ambient, level,
+supply), the effect's parameters and states; `signal` is, for an input or output, what becomes of it, and names it `signal`.
+Parameters with `size: true` vanish with the effect. `states` is a mapping of name to `{unit, rate, start}`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics.compile import symbolic as sp
+from residuum.identification.physics.compile.expression_meaning import symbolic
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
+from residuum.identification.physics.files.expression import Expression, parse
+from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
+from residuum.identification.physics.model import BALANCE_KINDS
+
+FloatArray = npt.NDArray[np.float64]
+
+_ID = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
+_PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
+_ROLES = {
+    "position": {"torque": "rad", "force": "m"},
+    "velocity": {"torque": "rad/s", "force": "m/s"},
+    "current": {"voltage": "A"},
+    "temperature": {"heat": "K"},
+    "ambient": {"heat": "K"},
+    "level": {"volume": "m"},
+}
+"""Role → its unit in each kind of balance, which units are checked with."""
+_FIRST = 0.1
+"""Part of the balance's driving terms that an effect begins with."""
+
+
+@dataclass(frozen=True)
+class OwnState:
+    """A state of an effect: its unit, its derivative, and where it begins."""
+
+    unit: str
+    rate: Expression
+    start: Expression
+
+
+class WrittenEffect(Effect):
+    """An effect that a file defines; `definition` is what the file says."""
+
+    def __init__(self, definition: Mapping[str, Any], equation: Expression, states: Mapping[str, OwnState]) -> None:
+        self.definition = dict(definition)
+        self.id = definition["id"]  # type: ignore[misc]
+        self.title = definition.get("title", self.id)  # type: ignore[misc]
+        self.equation = equation.text  # type: ignore[misc]
+        self.reference = definition.get("reference", "")  # type: ignore[misc]
+        self.acts_on = tuple(definition["acts_on"])  # type: ignore[misc]
+        self._own = tuple(_parameter(name, entry) for name, entry in definition["parameters"].items())
+        self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
+        self.needs = tuple(role for role in _ROLES if role in _names(equation, states))  # type: ignore[misc]
+        self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
+        self.exact = False  # type: ignore[misc]
+        self._equation, self._states = equation, dict(states)
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        """As the file has them, wherever it stands."""
+        return self._own
+
+    def states(self, site: Site) -> Mapping[str, str]:
+        """Name → unit."""
+        return {name: state.unit for name, state in self._states.items()}
+
+    def contribution(self, scene: Scene) -> Contribution:
+        """The equation in the scene's symbols; `sign(velocity)` is exact at standstill."""
+        names = {**scene.variables, **scene.p, **scene.x, "signal": scene.signal}
+        signs = {role: scene.direction for role in ("velocity", "current") if role in scene.variables}
+        value = symbolic(self._equation.tree, names, signs)
+        rates = {n: symbolic(s.rate.tree, names, signs) for n, s in self._states.items()}
+        initial = {n: symbolic(s.start.tree, names, signs) for n, s in self._states.items()}
+        if self.place == "balance":
+            return Contribution(term=value, rates=rates, initial=initial)
+        return Contribution(signal=value, rates=rates, initial=initial)
+
+    def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
+        """The file's values; sizes that are zero there, so large that the term is a tenth of what drives the balance."""
+        values = {p.name: p.value for p in self._own}
+        open_ = [name for name in self.sizes if values[name] == 0.0]
+        if not open_:
+            return [values]
+        ones = values | dict.fromkeys(open_, 1.0)
+        largest = self._largest(ones, conditions)
+        known = {p.name: p for p in self._own}
+        size = _FIRST * conditions.magnitude / largest
+        signs = (1.0, -1.0) if any(known[n].lower < 0.0 for n in open_) else (1.0,)
+        return [values | {n: float(np.clip(sign * size, known[n].lower, known[n].upper)) for n in open_} for sign in signs]
+
+    def _largest(self, values: Mapping[str, float], conditions: Conditions) -> float:
+        """Largest magnitude of the term at these values along the operation; 1 where states of its own decide."""
+        if self._states or self.place != "balance":
+            return 1.0
+        names = {name: sp.Symbol(name, real=True) for name in _names(self._equation, self._states)}
+        expression = symbolic(self._equation.tree, names, {})
+        known = [conditions.variables[n] if n in conditions.variables else values[n] for n in names]
+        with np.errstate(all="ignore"):
+            along = np.atleast_1d(np.asarray(sp.lambdify(list(names.values()), expression, "numpy")(*known), dtype=float))
+        finite = np.abs(along[np.isfinite(along)])
+        return float(finite.max(initial=0.0)) or 1.0
+
+    def examples(self) -> Sequence[Example]:
+        """None: what stands for it is the user's record."""
+        return []
+
+
+def read_effects(path: str | Path) -> list[WrittenEffect]:
+    """The effects that a file defines.
+
+    Raises
+    ------
+    BadModel
+        No such file, or anything wrong in it, with line and column.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise BadModel(f"catalogue {str(path)!r}: no such file")
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadModel(f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
+    tree = read_tree(text, file.name)
+    tree.only(("effects",), "catalogue")
+    return effects_of(tree.entries.get("effects"), tree)
+
+
+def effects_of(listing: Scalar | Listing | Table | None, tree: Table) -> list[WrittenEffect]:
+    """The effects of a list of definitions."""
+    if not isinstance(listing, Listing):
+        raise tree.place.refuse("effects must be a list of definitions")
+    found = []
+    for item in listing.items:
+        if not isinstance(item, Table):
+            raise item.place.refuse("effects: each entry is a mapping with 'id'")
+        found.append(_effect(item))
+    return found
+
+
+def _effect(item: Table) -> WrittenEffect:
+    item.only(_KEYS, "effect")
+    id = item.scalar("id", "effect")
+    what = f"effect {id.text!r}"
+    if not _ID.fullmatch(id.text):
+        raise id.place.refuse(f"{what}: an id is of small letters, digits and '-'")
+    acts_on = _acts_on(item, what)
+    on_path = acts_on[0] in ("input", "output")
+    if ("signal" in item.entries) != on_path or ("term" in item.entries) == on_path:
+        raise item.place.refuse(f"{what}: a balance gets a 'term', an input or output a 'signal'")
+    text = item.scalar("signal" if on_path else "term", what)
+    definition: dict[str, Any] = {"id": id.text, "acts_on": acts_on, "signal" if on_path else "term": text.text}
+    definition |= {key: item.scalar(key, what).text for key in ("title", "reference") if key in item.entries}
+    definition["parameters"] = _parameters(item.table("parameters", what), what)
+    states = _states(item.table("states", what), what)
+    if states:
+        definition["states"] = {n: {"unit": s.unit, "rate": s.rate.text, "start": s.start.text} for n, s in states.items()}
+    equation = parse(text.text, text.place)
+    _check(what, equation, states, definition, on_path)
+    return WrittenEffect(definition, equation, states)
+
+
+def _acts_on(item: Table, what: str) -> list[str]:
+    listing = item.entries.get("acts_on")
+    if not isinstance(listing, Listing) or not listing.items:
+        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+    kinds = []
+    for kind in listing.items:
+        if not isinstance(kind, Scalar) or kind.text not in _PLACES:
+            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+        kinds.append(kind.text)
+    if len(kinds) > 1 and {"input", "output"} & set(kinds):
+        raise listing.place.refuse(f"{what}: acts on balances, on an input or on an output, not on several of these")
+    return kinds
+
+
+def _parameters(table: Table, what: str) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name in table:
+        each, entry = f"{what}, parameter {name!r}", table.table(name, what)
+        entry.only(("value", "unit", "lower", "upper", "fixed", "size", "meaning"), each)
+        given = {key: entry.scalar(key, each) for key in entry}
+        numbers = {key: text.number(f"{each}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
+        flags = {key: text.truth(f"{each}: {key}") for key, text in given.items() if key in ("fixed", "size")}
+        texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
+        found[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
+        if not numbers.get("lower", -np.inf) <= numbers.get("value", 0.0) <= numbers.get("upper", np.inf):
+            raise entry.place.refuse(f"{each}: value is outside its bounds")
+    return found
+
+
+def _states(table: Table, what: str) -> dict[str, OwnState]:
+    found = {}
+    for name in table:
+        each, entry = f"{what}, state {name!r}", table.table(name, what)
+        entry.only(("unit", "rate", "start"), each)
+        unit, start = entry.optional("unit", each), entry.optional("start", each)
+        rate = entry.scalar("rate", each)
+        begin = parse("0") if start is None else parse(start.text, start.place)
+        found[name] = OwnState(unit.text if unit else "", parse(rate.text, rate.place), begin)
+    return found
+
+
+def _check(what: str, equation: Expression, states: Mapping[str, OwnState], definition: Mapping[str, Any], on_path: bool) -> None:
+    """Names are known, units agree in the first kind of balance, and nothing is left of the effect without its sizes."""
+    own = {*definition["parameters"], *states}
+    allowed = own | ({"signal"} if on_path else {*_ROLES, "supply"})
+    for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
+        if unknown := sorted(expression.names - allowed):
+            raise expression.place.refuse(f"{what}: {unknown[0]!r} is not known here; there are {', '.join(sorted(allowed))}")
+    if not any(entry.get("size") for entry in definition["parameters"].values()):
+        return
+    zero = {name: sp.S.Zero for name, entry in definition["parameters"].items() if entry.get("size")}
+    names = {n: sp.Symbol(n, real=True) for n in allowed} | zero
+    nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
+    if not states and sp.simplify(nothing) != 0:
+        raise equation.place.refuse(f"{what}: does not vanish where its sizes ({', '.join(zero)}) are zero")
+    if not on_path and not states and "supply" not in equation.names:
+        _check_units(what, equation, definition)
+
+
+def _check_units(what: str, equation: Expression, definition: Mapping[str, Any]) -> None:
+    kind = definition["acts_on"][0]
+    units = {role: by_kind[kind] for role, by_kind in _ROLES.items() if kind in by_kind}
+    units |= {name: entry["unit"] for name, entry in definition["parameters"].items()}
+    try:
+        dimension = dimension_of(equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()})
+    except KeyError:
+        return
+    expected = dimension_of_unit(BALANCE_KINDS[kind][0])
+    if kind != "signal" and not dimension.agrees(expected):
+        raise equation.place.refuse(f"{what}: the term is in {dimension}; a {kind} balance is in {expected}")
+
+
+def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:
+    bounds = {key: float(entry[key]) for key in ("lower", "upper") if key in entry}
+    return Parameter(
+        name, float(entry["value"]), entry["unit"], fixed=bool(entry.get("fixed")), meaning=entry["meaning"], **bounds
+    )
+
+
+def _names(equation: Expression, states: Mapping[str, OwnState]) -> frozenset[str]:
+    return equation.names.union(*(s.rate.names | s.start.names for s in states.values()))

@@ -1,0 +1,88 @@
+"""The JSON schema of model files, for editors that complete and check YAML."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
+from residuum.identification.physics.files.model_file import (
+    EFFECT_KEYS,
+    INPUT_KEYS,
+    KEYS,
+    OUTPUT_KEYS,
+    PARAMETER_KEYS,
+    STATE_KEYS,
+)
+from residuum.identification.physics.model import BALANCE_KINDS
+
+_NAME = "^[A-Za-z_][A-Za-z_0-9]*$"
+_TEXT: dict[str, Any] = {"type": "string"}
+_NUMBER: dict[str, Any] = {"type": ["number", "string"], "pattern": r"^[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$"}
+"""A text as well, since YAML 1.1 reads `1e-4` as one."""
+_EXPRESSION = {"type": ["string", "number"]}
+_TYPES: dict[str, dict[str, Any]] = {
+    "unit": _TEXT, "rate": _TEXT, "default": {"type": ["string", "number"]}, "value": _NUMBER, "lower": _NUMBER,
+    "upper": _NUMBER, "fixed": {"type": "boolean"}, "meaning": _TEXT, "std": _NUMBER,
+}  # fmt: skip
+
+
+def model_schema() -> dict[str, Any]:
+    """The schema (JSON Schema 2020-12). It says what a file may hold; names, units and equations are checked when it is read.
+
+    >>> sorted(model_schema()["required"])
+    ['balances', 'name', 'outputs']
+    """
+    parameter = _object(PARAMETER_KEYS, ["value"])
+    sections = {
+        "name": _TEXT,
+        "notes": {},
+        "inputs": _named({"anyOf": [_TEXT, _object(INPUT_KEYS, ["unit"])]}),
+        "states": _named(_object(STATE_KEYS, ["unit"])),
+        "parameters": _named(parameter),
+        "balances": {"type": "object", "minProperties": 1, "additionalProperties": {"oneOf": _balances()}},
+        "outputs": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": _object(OUTPUT_KEYS, ["value"], value=_EXPRESSION),
+        },
+        "effects": {"type": "array", "items": _effect(parameter)},
+        "initial": _named(_NUMBER),
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Residuum model file",
+        "type": "object",
+        "required": ["name", "balances", "outputs"],
+        "additionalProperties": False,
+        "properties": {key: sections[key] for key in KEYS},
+    }
+
+
+def _balances() -> list[dict[str, Any]]:
+    terms = {"type": "object", "additionalProperties": _EXPRESSION}
+    found = []
+    for kind, (_, roles) in BALANCE_KINDS.items():
+        properties = {"kind": {"const": kind}, "storage": _EXPRESSION, "terms": terms, **dict.fromkeys(roles, _TEXT)}
+        required = ["kind", "storage", "terms"]
+        found.append({"type": "object", "required": required, "additionalProperties": False, "properties": properties})
+    return found
+
+
+def _effect(parameter: dict[str, Any]) -> dict[str, Any]:
+    properties = {
+        "id": {"enum": [*EFFECTS, *STRUCTURAL]},
+        **dict.fromkeys(("balance", "input", "output"), _TEXT),
+        "parameters": _named({"anyOf": [_NUMBER, parameter]}),
+        "provenance": {"type": "object"},
+    }
+    given = {key: properties[key] for key in EFFECT_KEYS}
+    return {"type": "object", "required": ["id"], "additionalProperties": False, "properties": given}
+
+
+def _object(keys: tuple[str, ...], required: list[str], **other: dict[str, Any]) -> dict[str, Any]:
+    properties = {key: other.get(key, _TYPES[key]) for key in keys}
+    return {"type": "object", "required": required, "additionalProperties": False, "properties": properties}
+
+
+def _named(item: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "propertyNames": {"pattern": _NAME}, "additionalProperties": item}

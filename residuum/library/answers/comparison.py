@@ -1,0 +1,79 @@
+"""The `compare` object and its short report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from residuum.identification.discrepancy.compare import Comparison
+from residuum.identification.discrepancy.locate import Region
+
+
+def comparison_json(model: str, records: list[str], comparison: Comparison) -> dict[str, Any]:
+    """The `compare` object of the command line and the HTTP interface."""
+    return {
+        "model": model,
+        "records": records,
+        "outputs": {
+            name: {
+                "unit": output.unit,
+                "rmse": output.rmse,
+                "fit_percent": output.fit_percent,
+                "bias": output.bias,
+                "noise_floor": output.noise_floor,
+                "k_step": [{"samples": steps, "rmse": rmse} for steps, rmse in output.k_step.items()],
+            }
+            for name, output in comparison.outputs.items()
+        },
+        "balances": {
+            name: {"unit": balance.unit, "missing_rms": balance.missing_rms, "relative_percent": balance.relative_percent}
+            for name, balance in comparison.balances.items()
+        },
+        "structured_error": {
+            "present": comparison.present,
+            "p_value": comparison.p_value,
+            "share": comparison.share,
+            "outputs": {
+                name: {"present": test.present, "p_value": test.p_value, "share": test.share}
+                for name, test in comparison.structured.items()
+            },
+        },
+        "where": [region_json(region) for region in comparison.where],
+    }
+
+
+def region_json(region: Region) -> dict[str, Any]:
+    """One entry of `where`."""
+    return {
+        "axis": region.axis,
+        "from": region.start,
+        "to": region.stop,
+        "unit": region.unit,
+        "times_noise": region.times_noise,
+        "share": region.share,
+        "time_share": region.time_share,
+        "direction": region.direction,
+        "of": region.of,
+        "says": region.says,
+    }
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """The short human report."""
+    lines = []
+    for name, output in comparison.outputs.items():
+        lines.append(
+            f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
+            f"bias {output.bias:.3g} {output.unit}, noise floor {output.noise_floor:.3g} {output.unit}"
+        )
+    for name, balance in comparison.balances.items():
+        lines.append(
+            f"balance {name}: lacks {balance.missing_rms:.3g} {balance.unit} RMS, "
+            f"{balance.relative_percent:.1f} % of what drives it"
+        )
+    present = comparison.present
+    lines.append(
+        f"structured error: {'yes' if present else 'no'} (p = {comparison.p_value:.2g}"
+        + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise of some colour explains the error)")
+    )
+    lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
+    return "\n".join(lines)

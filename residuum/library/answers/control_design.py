@@ -1,0 +1,80 @@
+"""The `control design` object and its short report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from residuum.library.answers.control_promise import says
+from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
+from residuum.robust_control.certificates.time_domain import StepResponse
+from residuum.robust_control.control_problem import ControlProblem, Solution
+from residuum.robust_control.state_space import weighted_loop
+
+
+def design_json(
+    found: Solution, names: tuple[str, str], figures: Sequence[StepResponse], problem: ControlProblem
+) -> dict[str, Any]:
+    """The `control design` object of a feasible design, without its question."""
+    chosen, W_T = found.chosen, problem.W_T
+    made = chosen.design
+    return {
+        "feasible": True,
+        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
+        "equation": made.structure.equation,
+        "controller": {
+            "numerator": made.controller.num,
+            "denominator": made.controller.den,
+            "sample_time": made.controller.sample_time,
+        },
+        "cost": made.cost,
+        "certified_cost": made.certified,
+        "worst_frequency_rad_s": made.worst_frequency,
+        "stable": made.stable,
+        "robust_stability_norm": h_infinity_norm(weighted_loop(problem.plant, made.controller, W_T=W_T))[0]
+        if made.stable
+        else None,
+        "chosen": {names[0]: chosen.first, names[1]: chosen.second},
+        "pareto_front": [{names[0]: point.first, names[1]: point.second} for point in found.front],
+        "uncertainty_weight": {"numerator": W_T.num, "denominator": W_T.den, "critical_frequency_rad_s": problem.crossing},
+        "largest_uncertainty": float(problem.largest.max()),
+        "random_plants": {
+            "count": len(figures),
+            "unstable": sum(not math.isfinite(figure.integral_absolute_error) for figure in figures),
+            "overshoot_median": float(np.median([figure.overshoot for figure in figures])),
+            "settling_time_median_s": float(np.median([figure.settling_time for figure in figures])),
+            "integral_absolute_error_median_s": float(np.median([figure.integral_absolute_error for figure in figures])),
+        },
+    }
+
+
+def _about(result: dict[str, Any]) -> list[str]:
+    about = result["largest_uncertainty_about"]
+    if about["joined"] is None:
+        return []
+    return [f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}"]
+
+
+def design_text(result: dict[str, Any]) -> str:
+    """The short human report; `file` says where the controller was written."""
+    plants, control_law = result["random_plants"], result["parameters"]
+    wishes = ", ".join(f"{name} = {value:.4g}" for name, value in result["chosen"].items())
+    written = [f"  written to {result['file']}" + (f" and {result['exported']}" if "exported" in result else "")]
+    return "\n".join(
+        [
+            f"{result['structure']}: K = {result['equation']}",
+            "  " + ", ".join(f"{name} = {value:.5g}" for name, value in control_law.items()),
+            *_about(result),
+            f"  aim {result['aim']}: {wishes}",
+            f"  cost {result['certified_cost']:.4g}, largest at {result['worst_frequency_rad_s']:.4g} rad/s; "
+            f"robust stability ‖W_T T‖∞ = {result['robust_stability_norm'] or math.inf:.6g}",
+            f"  nominal loop {'stable' if result['stable'] else 'UNSTABLE'}; {plants['count']} random plants: "
+            f"{plants['unstable']} unstable, median overshoot {100 * plants['overshoot_median']:.2g} %, "
+            f"settling {plants['settling_time_median_s']:.3g} s",
+            *says(result),
+            *(written if result["file"] else []),
+        ]
+    )

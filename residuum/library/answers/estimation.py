@@ -1,0 +1,61 @@
+"""The `estimate` object and its short report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.physics import Estimate
+
+
+def estimate_json(model: str, records: Sequence[str], result: Estimate) -> dict[str, Any]:
+    """The `estimate` object of the command line and the HTTP interface."""
+    declared = result.model.all_parameters
+    values = zip(result.parameters, result.theta, result.std, strict=True)
+    fit = _fit_percent(result)
+    return {
+        "model": model,
+        "records": list(records),
+        "parameters": {
+            name: {"value": value, "std": std, "unit": declared[name].unit, "at_bound": name in result.at_bound}
+            for name, value, std in values
+        },
+        "outputs": {
+            name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": fit[k]}
+            for k, (name, output) in enumerate(result.model.outputs.items())
+            if np.isfinite(result.rmse[k])
+        },
+        "flat_directions": [
+            {"parameters": list(flat.parameters), "relative_weights": list(flat.weights)} for flat in result.flat
+        ],
+        "converged": result.converged,
+        "iterations": result.iterations,
+    }
+
+
+def _fit_percent(result: Estimate) -> list[float]:
+    residuals, predicted = np.concatenate(result.residuals), np.concatenate(result.predicted)
+    fits = []
+    for r, y_hat in zip(residuals.T, predicted.T, strict=True):
+        there = np.isfinite(r)
+        y = (r + y_hat)[there]
+        spread = float(np.linalg.norm(y - y.mean())) if there.any() else 0.0
+        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[there])) / spread) if spread > 0 else float("nan"))
+    return fits
+
+
+def estimate_text(found: dict[str, Any]) -> str:
+    """The short human report of the `estimate` object."""
+    lines = [
+        f"{name} = {p['value']:.6g} ± {p['std']:.2g} {p['unit']}" + ("  (at its bound)" if p["at_bound"] else "")
+        for name, p in found["parameters"].items()
+    ]
+    lines += [
+        f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {o['fit_percent']:.2f} %" for name, o in found["outputs"].items()
+    ]
+    lines += [f"the data cannot tell apart: {', '.join(flat['parameters'])}" for flat in found["flat_directions"]]
+    if not found["converged"]:
+        lines.append("the estimation has not converged")
+    return "\n".join([*lines, f"written to {found['model_file']}"] if found["model_file"] else lines)

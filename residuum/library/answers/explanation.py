@@ -1,0 +1,158 @@
+"""What `explain` adds to the `compare` object, and its short report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isfinite
+from typing import Any
+
+from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.held_out_blocks import Remaining
+from residuum.identification.discrepancy.held_values import HeldValue
+from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.share_judgement import because
+from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.discrepancy.trials import SLOW
+from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
+from residuum.library.answers.tied_effects import tied_json, tied_text
+
+_RULED_OUT = 0.005
+"""Candidates that are less probable are only named."""
+
+
+_OF_THE_REST = {
+    "adequate": ("noise that is slow, or something slow that no candidate explains", 3.0),
+    "missing-effect": ("what is named is not all, or was not followed to its end", SLOW),
+    "unknown-effect": ("something slow that no candidate explains, or that drifts", SLOW),
+}
+"""What is said of an error that stands so many times above its innovations."""
+
+
+def explanation_json(explanation: Explanation) -> dict[str, Any]:
+    """What `explain` adds to the `compare` object."""
+    return {
+        "verdict": explanation.verdict,
+        "candidates": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step == 0],
+        "also_missing": [_candidate_json(candidate) for candidate in explanation.candidates if candidate.step > 0],
+        "probability_nothing_missing": explanation.probability_none,
+        "probability_unknown_effect": explanation.probability_unknown,
+        "undetectable": [
+            {"effect": u.effect, "balance": u.balance, "smallest_visible": u.smallest_visible, "unit": u.unit}
+            for u in explanation.undetectable
+        ],
+        "unexplained_share": explanation.unexplained_share,
+        "left": {
+            output: {"rmse": rms, "unit": unit, "times_its_innovations": times}
+            for output, (rms, unit, times) in explanation.left.items()
+        },
+        "missing_term": None if explanation.free is None else free_term_json(explanation.free),
+        "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
+        "held_values": [asdict(held) for held in explanation.held],
+        "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
+        "drifting": explanation.search.drifting,
+        "by_share": explanation.by_share,
+        "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
+        "seconds": explanation.seconds,
+    }
+
+
+def free_term_json(free: FreeTerm) -> dict[str, Any]:
+    """The shape of what the catalogue leaves unexplained."""
+    formula = suggestion(free)
+    return {
+        "suggestion": None if formula is None else asdict(formula),
+        "balance": free.balance,
+        "axis": free.axis,
+        "unit": free.unit,
+        "at": free.at,
+        "value": free.value,
+        "evidence": free.evidence,
+    }
+
+
+def _candidate_json(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "effect": candidate.effect,
+        "balance": candidate.balance,
+        "probability": candidate.probability,
+        "indistinguishable_from": list(candidate.indistinguishable_from),
+        "parameters": quantities_json(candidate.parameters),
+        "error_before": candidate.error_before,
+        "error_after": candidate.error_after,
+        "error_unit": candidate.error_unit,
+        "output": candidate.output,
+        "held_out": candidate.held_out,
+        "within_bounds": candidate.within_bounds,
+        "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
+        "because": because(candidate),
+    } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
+
+
+def remaining_json(remaining: Remaining) -> dict[str, Any]:
+    """What is left on blocks kept aside."""
+    begin, end = remaining.where
+    return {
+        "share": remaining.share,
+        "times_noise": remaining.times_noise if isfinite(remaining.times_noise) else None,
+        "where": {"axis": "time", "from": begin, "to": end, "unit": "s"},
+    }
+
+
+def _candidate_text(candidate: Candidate) -> str:
+    sizes = tied_text(candidate.effect, candidate.balance, candidate.parameters) or sizes_text(candidate.parameters)
+    text = (
+        f"  {'then ' if candidate.step else ''}{candidate.effect} in {candidate.balance}: "
+        f"probability {candidate.probability:.2f}, {sizes}; "
+        f"{candidate.output} error {'on data kept aside ' if candidate.held_out else ''}"
+        f"{candidate.error_before:.4g} → {candidate.error_after:.4g} {candidate.error_unit}"
+    )
+    bounds = "" if candidate.within_bounds else "; at a physical bound"
+    others = f"; not to be told from {', '.join(candidate.indistinguishable_from)}" if candidate.indistinguishable_from else ""
+    return text + bounds + others
+
+
+def held_text(held: HeldValue) -> str:
+    """One line for a fixed value that the records contradict."""
+    alike = f" ({', '.join(held.indistinguishable_from)} would do as well)" if held.indistinguishable_from else ""
+    asked = value_text(held.value, held.std, held.unit)
+    return (
+        f"  {held.name} is fixed at {held.held:.4g} {held.unit}; the records ask for {asked}, which explains more than an effect "
+        f"would{alike}: `improve --free {held.name}` takes it up"
+    )
+
+
+def explanation_text(explanation: Explanation) -> str:
+    """The short human report."""
+    lines = [f"verdict: {explanation.verdict}"]
+    lines += map(held_text, explanation.held)
+    likely = [c for c in explanation.candidates if c.step > 0 or c.probability >= _RULED_OUT]
+    ruled_out = [c for c in explanation.candidates if c not in likely]
+    lines += map(_candidate_text, likely[:6])
+    if ruled_out:
+        lines.append(f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}")
+    if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
+        free = explanation.free
+        lines.append(
+            f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
+            f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
+        )
+        if (formula := suggestion(free)) is not None:
+            lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
+    says, from_ = _OF_THE_REST[explanation.verdict]
+    lines += [
+        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {says}"
+        for output, (rms, unit, times) in explanation.left.items()
+        if times > from_
+    ]
+    if explanation.search.drifting:
+        lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
+    lines += [
+        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
+    ]
+    lines += [
+        f"  next: {p.do} (separates {' from '.join(p.separates)} with power {p.power:.2f})"
+        for p in explanation.next_experiment[:2]
+    ]
+    lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")
+    return "\n".join(lines)

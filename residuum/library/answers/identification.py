@@ -1,0 +1,99 @@
+"""The `identify` object and its short report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.errors import BadInput
+from residuum.identification.kernel_based.marginal_bands import band_says
+from residuum.identification.linear_models.fit import simulation_fit
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.record import Record
+
+
+def identification_json(
+    model: IdentifiedModel, method: str, estimation: Sequence[Record], held_out: Sequence[Record]
+) -> dict[str, Any]:
+    """The contract's `identify` object, and what else a program may want."""
+    return {
+        "method": method,
+        "order": model.order,
+        "sample_time": model.sample_time,
+        "impulse_response": model.impulse_response,
+        "std": model.std,
+        "std_says": band_says(model),
+        "hyper_parameters": dict(model.hyper_parameters),
+        "noise_variance": model.noise_variance,
+        "negative_log_likelihood": model.negative_log_likelihood,
+        "seconds": model.provenance.get("seconds"),
+        "numerator": model.numerator,
+        "denominator": model.denominator,
+        "covariance": model.parameter_covariance,
+        "aic": model.aic,
+        "bic": model.bic,
+        "model": model.method,
+        "input": {"name": model.input_name, "unit": model.input_unit},
+        "output": {"name": model.output_name, "unit": model.output_unit},
+        "delay": model.delay,
+        "offset": model.offset,
+        "samples": model.provenance.get("n"),
+        "fit_percent": [_fit(model, record) for record in estimation],
+        "held_out_fit_percent": [_fit(model, record) for record in held_out],
+        "warnings": list(model.warnings),
+        "file": None,
+    }
+
+
+def _fit(model: IdentifiedModel, record: Record) -> float | None:
+    try:
+        return simulation_fit(model, record)
+    except BadInput:
+        return None  # a part too short to have a fit is no reason to withhold the model
+
+
+def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
+    """The short human report."""
+    gain_unit = _gain_unit(model)
+    gain = float(model.frequency_response(0.0).real)
+    gain_std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
+    peak = int(np.argmax(np.abs(model.impulse_response)))
+    lines = [
+        f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
+        f"{result['samples']} samples of {model.sample_time:g} s",
+        f"  impulse response  {model.order} coefficients from lag {model.delay}; largest {model.impulse_response[peak]:.4g} "
+        f"± {model.std[peak]:.2g}{gain_unit} at {(model.delay + peak) * model.sample_time:g} s",
+        f"  static gain       {gain:.4g} ± {gain_std:.2g}{gain_unit} (one standard deviation)",
+        f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
+        f"  fit               {_fits(result['fit_percent'])} of the estimation data",
+    ]
+    if result["held_out_fit_percent"]:
+        lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
+    if (said := band_says(model)) is not None:
+        lines.append(f"  bands             {said}")
+    if model.hyper_parameters:
+        lines.append("  hyper-parameters  " + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()))
+    lines += [f"  warning           {text}" for text in model.warnings]
+    if result["file"]:
+        lines.append(f"  written to        {result['file']}")
+    return "\n".join(lines)
+
+
+def _named(channel: str, unit: str) -> str:
+    return f"{channel} [{unit}]" if unit else channel
+
+
+def _spaced(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _gain_unit(model: IdentifiedModel) -> str:
+    """Output unit over input unit, behind a blank; nothing where neither channel has one."""
+    return f" {model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
+
+
+def _fits(values: Sequence[float | None]) -> str:
+    return ", ".join("unknown" if value is None else f"{value:.2f} %" for value in values)

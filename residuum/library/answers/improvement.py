@@ -1,0 +1,67 @@
+"""The `improve` object and its short report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from residuum.identification.discrepancy.improve import Improvement, quantities_of
+from residuum.identification.physics import EffectUse
+from residuum.library.answers.explanation import held_text, remaining_json
+from residuum.library.answers.quantities import quantities_json, sizes_text
+from residuum.library.answers.tied_effects import tied_json, tied_text
+
+
+def improvement_json(improvement: Improvement, file: str | None) -> dict[str, Any]:
+    """The `improve` object of the command line and the HTTP interface; `file` is where the model was written."""
+    remaining = None if improvement.explanation is None else improvement.explanation.remaining
+    return {
+        "history": [
+            {"added": step.added, "error": step.error} | ({"together": True} if step.together else {})
+            for step in improvement.history
+        ],
+        "verdict": improvement.verdict,
+        "effects": [_effect_json(use, improvement) for use in improvement.added],
+        "output": improvement.output,
+        "error_unit": improvement.error_unit,
+        "held_out": True,
+        "kept_aside": improvement.aside,
+        "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
+        "remaining": None if remaining is None else remaining_json(remaining),
+        "model_file": file,
+    }
+
+
+def _effect_json(use: EffectUse, improvement: Improvement) -> dict[str, Any]:
+    judged = improvement.candidate(use)
+    return {
+        "effect": use.id,
+        "at": use.target,
+        "probability": None if judged is None else judged.probability,
+        "indistinguishable_from": [] if judged is None else list(judged.indistinguishable_from),
+        "parameters": quantities_json(quantities_of(use)),
+    } | tied_json(use.id, use.target, quantities_of(use))
+
+
+def improvement_text(improvement: Improvement, file: str | None) -> str:
+    """The short human report."""
+    lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
+    lines += [
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
+        + (" (together, each alone raises it)" if step.together else "")
+        for step in improvement.history
+    ]
+    lines += [_effect_text(use, improvement) for use in improvement.added]
+    lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
+    lines.append(f"verdict: {improvement.verdict}")
+    return "\n".join([*lines, f"model file (estimated on everything): {file}"] if file else lines)
+
+
+def _effect_text(use: EffectUse, improvement: Improvement) -> str:
+    judged = improvement.candidate(use)
+    sizes = tied_text(use.id, use.target, quantities_of(use)) or sizes_text(quantities_of(use))
+    text = f"{use.id} in {use.target}: {sizes}"
+    if judged is None:
+        return text
+    others = f", not to be told from {', '.join(judged.indistinguishable_from)}" if judged.indistinguishable_from else ""
+    return f"{text} (probability {judged.probability:.2f}{others})"

@@ -1,0 +1,99 @@
+"""`rs.effects`: the catalogue of physical effects, and how to add one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.files.effect_file import read_effects
+from residuum.identification.physics.model import find_effect
+from residuum.library.answers.effect import effect_json, effect_line
+from residuum.library.result import data_frame, html_table
+
+if TYPE_CHECKING:
+    import pandas
+
+
+class Catalogue(Mapping[str, Effect]):
+    """Physical effects by id. Iterating gives ids; `rs.effects["radiation"]` is an effect with its equation and parameters.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> rs.effects["quadratic-drag"].equation, "backlash" in rs.effects
+    ('−c·v·|v|', True)
+    """
+
+    def __getitem__(self, id: str) -> Effect:
+        return find_effect(id)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(EFFECTS)
+
+    def __len__(self) -> int:
+        return len(EFFECTS)
+
+    def __contains__(self, id: object) -> bool:
+        return id in EFFECTS
+
+    def add(self, effect: Effect | type[Effect]) -> None:
+        """Add an effect of your own; from then on it is everywhere where the catalogue is, in this process.
+
+        Parameters
+        ----------
+        effect : Effect, or its class
+            With `id`, `title`, `equation`, `reference`, `acts_on`, `parameters`, `contribution`, `starts` and `examples`, as
+            those in `residuum/identification/physics/effects` have them.
+
+        Raises
+        ------
+        BadModel
+            An id that is taken or is not of small letters, digits and `-`; a class attribute that is missing.
+
+        Examples
+        --------
+        See "Add an effect" in the documentation.
+        """
+        EFFECTS.add(effect() if isinstance(effect, type) else effect)
+
+    def read(self, path: str | PathLike[str]) -> list[str]:
+        """Add the effects that a YAML file defines; returns their ids.
+
+        Raises
+        ------
+        BadModel
+            No such file, or anything wrong in it, with line and column; an id of the catalogue.
+
+        Examples
+        --------
+        See "Add an effect" in the documentation.
+        """
+        found = read_effects(Path(path))
+        for effect in found:
+            EFFECTS.add(effect)
+        return [effect.id for effect in found]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON object of `residuum effects --json`."""
+        return {"effects": [effect_json(effect) for effect in EFFECTS.values()]}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row an effect; MissingPackage when pandas is not installed."""
+        return data_frame(self.to_dict()["effects"])
+
+    def __str__(self) -> str:
+        return "\n".join(map(effect_line, self.to_dict()["effects"]))
+
+    def __repr__(self) -> str:
+        return f"<residuum effects: {len(self)}, from {next(iter(self))} on>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.to_dict()["effects"])
+
+
+effects = Catalogue()
+"""The one catalogue."""

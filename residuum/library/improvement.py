@@ -1,0 +1,135 @@
+"""What `model.improve(record)` and `model.estimate(record)` give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from residuum.identification.discrepancy.improve import Improvement as Improved
+from residuum.identification.physics import Estimate, Experiment
+from residuum.library.answers.estimation import estimate_json, estimate_text
+from residuum.library.answers.improvement import improvement_json, improvement_text
+from residuum.library.picture import Bars, Curve, Panel, Picture, axis
+from residuum.library.result import Result, Row
+
+M = TypeVar("M")
+"""The library's `Model`, which returns these results."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Improvement(Result, Generic[M]):
+    """A model with the effects that were missing, and how its error on data kept aside fell.
+
+    Attributes
+    ----------
+    model : Model
+        The improved model, estimated on everything; `model.save("better.yaml")` writes it.
+    found : Improvement
+        The full numbers: `found.explanation`, `found.aside`, …
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=20.0, seed=1)
+    >>> better = rs.model("gate-drive").improve(record, add=["coulomb-friction"])
+    >>> [step["added"] for step in better.history], better.history[1]["error"] < 0.5 * better.history[0]["error"]
+    ([None, 'coulomb-friction'], True)
+    """
+
+    model: M
+    found: Improved
+
+    @property
+    def verdict(self) -> str:
+        """What `compare` says of the improved model: `adequate`, `missing-effect` or `unknown-effect`."""
+        return self.found.verdict
+
+    @property
+    def history(self) -> list[dict[str, Any]]:
+        """One entry a step: what was `added` (None: the model as it was) and the `error` after it, on data kept aside."""
+        history: list[dict[str, Any]] = self.to_dict()["history"]
+        return history
+
+    def _answer(self) -> dict[str, Any]:
+        return improvement_json(self.found, None)
+
+    def __str__(self) -> str:
+        return improvement_text(self.found, None)
+
+    def __repr__(self) -> str:
+        return (
+            f"<residuum Improvement: {self.verdict}; {', '.join(str(s['added']) for s in self.history[1:]) or 'nothing added'}>"
+        )
+
+    def _rows(self) -> Sequence[Row]:
+        unit = self.found.error_unit
+        return [{"added": s["added"] or "the model as it was", "error": s["error"], "unit": unit} for s in self.history]
+
+    def _picture(self) -> Picture:
+        rows, unit = self._rows(), self.found.error_unit
+        bars = Bars([r["added"] for r in rows], [r["error"] for r in rows], [f"{r['error']:.3g} {unit}" for r in rows])
+        return Picture([Panel(f"error of {self.found.output} on data kept aside", "", axis("RMS error", unit), bars)])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimation(Result, Generic[M]):
+    """A model's parameters from records, its structure as it was.
+
+    Attributes
+    ----------
+    model : Model
+        With the estimated values; `model.save("fitted.yaml")` writes it.
+    records : tuple of str
+    method : str
+        `simulation`, `prediction` or `kalman`.
+    held_out_rmse : mapping of output to float, or None
+        RMS error on the parts after the records' split notes.
+    found : Estimate
+        The full numbers: values, covariance, flat directions, residuals.
+    experiments : list of Experiment
+        What the values were estimated from.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> record = rs.simulate("linear-axis", duration=4.0, seed=1)
+    >>> rs.model("linear-axis").estimate(record).to_dict()["parameters"]["M"]["unit"]
+    'kg'
+    """
+
+    model: M
+    given: str
+    records: tuple[str, ...]
+    method: str
+    held_out_rmse: Mapping[str, float] | None
+    found: Estimate
+    experiments: Sequence[Experiment]
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Value, standard deviation and unit of each estimated parameter."""
+        parameters: dict[str, dict[str, Any]] = self.to_dict()["parameters"]
+        return parameters
+
+    def _answer(self) -> dict[str, Any]:
+        found = estimate_json(self.given, self.records, self.found)
+        return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
+
+    def __str__(self) -> str:
+        return estimate_text(self._answer())
+
+    def _rows(self) -> Sequence[Row]:
+        return [{"parameter": name} | values for name, values in self._answer()["parameters"].items()]
+
+    def _picture(self) -> Picture:
+        experiment, predicted = self.experiments[0], self.found.predicted[0]
+        time = experiment.t0 + experiment.sample_time * np.arange(experiment.n)
+        panels = []
+        for k, output in enumerate(self.found.model.outputs.values()):
+            if experiment.measured[k]:
+                measured, model = Curve("measured", time, experiment.Y[:, k]), Curve("model", time, predicted[:, k])
+                panels.append(Panel(output.name, "time [s]", axis(output.name, output.unit), [measured, model]))
+        return Picture(panels)

@@ -1,0 +1,304 @@
+"""Model: a machine's balances, held against records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from residuum.identification.discrepancy.compare import compare
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import (
+    Simulator,
+    estimate,
+    load_model,
+    match,
+    read_model,
+)
+from residuum.identification.record import Record as MeasuredRecord
+from residuum.library.comparison import Comparison
+from residuum.library.described_model import DescribedModel
+from residuum.library.progress import Progress, told
+from residuum.library.reading import as_records
+from residuum.library.record import Record
+
+if TYPE_CHECKING:
+    from residuum.library.explanation import Explanation
+    from residuum.library.improvement import Estimation, Improvement
+
+# What comparing does not need (the search, the estimation) is imported by the methods that need it: it costs most of a second.
+
+Records = MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]]
+"""One record, a record file, or several: each is an experiment with initial states of its own."""
+Mapped = Mapping[str, str] | None
+"""Model name → column, for columns that are not named as the model's inputs and outputs are."""
+
+
+def model(source: str | PathLike[str]) -> Model:
+    """A model: a built-in one, a YAML file, or its text.
+
+    Parameters
+    ----------
+    source : str or path
+        `gate-drive`, `oven`, `linear-axis`, `oscillator`, `two-tanks`, `process`; a file; or a text of several lines.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    BadModel
+        Neither of these, or anything wrong in the text (with line and column).
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> rs.model("gate-drive").outputs
+    {'speed': 'rad/s', 'current': 'A'}
+    """
+    if isinstance(source, str) and "\n" in source:
+        return Model(read_model(source))
+    return Model(load_model(Path(source) if isinstance(source, PathLike) else source), str(source))
+
+
+class Model(DescribedModel):
+    """A machine as a set of balances, each `storage = sum of terms`. Immutable: what changes it returns another one.
+
+    Made by `rs.model`. `physical` is the model as the identification room knows it.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> axis = rs.model("linear-axis")
+    >>> axis.name, axis.inputs, list(axis.parameters)
+    ('linear-axis', {'force': 'N'}, ['M'])
+    >>> axis.with_effect("coulomb-friction", "axis", tau_c=20.0).effects
+    ('coulomb-friction@axis',)
+    """
+
+    def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
+        """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+            Channels in any unit that can be converted to the model's.
+        map : mapping of model name to column
+        options
+            Of `identification.discrepancy.compare`: `level` of the test, `seed`.
+
+        Raises
+        ------
+        BadRecord, BadUnit
+            Channels that do not fit the model.
+        NotIdentifiable
+            The model diverges on a record.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=10.0, seed=1)
+        >>> rs.model("gate-drive").compare(record).structured
+        True
+        """
+        given = as_records(records)
+        return Comparison(self._given, _names(given), compare(self.physical, given, map, **options))
+
+    def explain(
+        self,
+        records: Records,
+        *,
+        map: Mapped = None,
+        effects: Iterable[str] | None = None,
+        seconds: float | None = 10.0,
+        progress: Progress = None,
+        **options: Any,
+    ) -> Explanation:
+        """Which physical effect is missing?
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+        map : mapping of model name to column
+        effects : iterable of effect id
+            Consider only these (default: all that fit the model).
+        seconds : float
+            Time for the search [s]; then the best answer so far.
+        progress : callable or bool
+            Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
+        options
+            Of `identification.discrepancy.explain`.
+
+        Raises
+        ------
+        BadRecord, BadUnit, BadModel
+            Channels that do not fit the model; an effect that is not in the catalogue.
+        NotIdentifiable
+            The model diverges on a record.
+
+        Examples
+        --------
+        See `Explanation`.
+        """
+        from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
+        from residuum.library.explanation import Explanation  # noqa: PLC0415
+
+        given = as_records(records)
+        with told(progress) as tell:
+            found = explain(
+                self.physical,
+                given,
+                map,
+                effects=effects,
+                seconds=seconds,
+                tell=lambda share, doing: tell(0.9 * share, doing),
+                **options,
+            )
+            tell(0.9, "comparing")
+            compared = Comparison(self._given, _names(given), compare(self.physical, given, map))
+        return Explanation(compared, found)
+
+    def improve(
+        self,
+        records: Records,
+        *,
+        add: Sequence[str] | str | None = None,
+        map: Mapped = None,
+        effects: Sequence[str] | None = None,
+        seconds: float | None = 24.0,
+        progress: Progress = None,
+        **options: Any,
+    ) -> Improvement[Model]:
+        """Add effects, estimate again, and count the error on data that were not used for it.
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+        add : list of effect, or of `effect@place`
+            None: what `explain` finds, until the model is adequate.
+        map : mapping of model name to column
+        effects : list of effect id
+            Without `add`: consider only these.
+        seconds : float
+            Time for each search [s].
+        progress : callable or bool
+            As in `explain`.
+        options
+            Of `identification.discrepancy.improve`.
+
+        Raises
+        ------
+        BadModel
+            An effect that is not in the catalogue, does not fit the model, or fits several places and names none.
+        BadRecord, BadUnit, NotIdentifiable
+            As in `explain`.
+
+        Examples
+        --------
+        See `Improvement`.
+        """
+        from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
+        from residuum.library.improvement import Improvement  # noqa: PLC0415
+
+        wanted = [add] if isinstance(add, str) else add
+        with told(progress) as tell:
+            found = improve(
+                self.physical, as_records(records), map, add=wanted, effects=effects, seconds=seconds, tell=tell, **options
+            )
+        return Improvement(Model(found.model), found)
+
+    def estimate(
+        self, records: Records, *, map: Mapped = None, method: str = "simulation", steps: int = 50, hold: str = "auto"
+    ) -> Estimation[Model]:
+        """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
+
+        Parameters
+        ----------
+        records : Record, file, or a list of these
+        map : mapping of model name to column
+        method : str
+            The error that is minimised: `simulation`, `prediction` (of `steps` samples) or `kalman`.
+        hold : str
+            Inputs between samples: `auto`, `linear` or `zero-order`.
+
+        Raises
+        ------
+        BadInput
+            An unknown method; channels that do not fit the model.
+        NotIdentifiable
+            The model diverges on a record.
+
+        Examples
+        --------
+        See `Estimation`.
+        """
+        from residuum.library.estimation import estimated  # noqa: PLC0415
+        from residuum.library.improvement import Estimation  # noqa: PLC0415
+
+        given = as_records(records)
+        found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
+        result = found.estimate
+        return Estimation(Model(result.model), self._given, _names(given), method, found.held_out_rmse, result, found.experiments)
+
+    def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
+        """The outputs as the model computes them from the record's inputs.
+
+        Parameters
+        ----------
+        record : Record
+            Its inputs drive the model.
+        map : mapping of model name to column
+        initial : mapping of state to value
+            In the states' units; what is not named begins at zero. None: estimated from the record's outputs where it has
+            them.
+
+        Returns
+        -------
+        Record
+            The outputs, in the model's units.
+
+        Raises
+        ------
+        BadRecord, BadUnit
+            Inputs that do not fit the model.
+        NotIdentifiable
+            The model diverges.
+
+        Examples
+        --------
+        >>> import numpy as np, residuum as rs
+        >>> push = rs.from_arrays({"force": np.full(11, 95.0)}, units={"force": "N"}, sample_time=0.1)
+        >>> axis = rs.model("linear-axis").with_values(M=95.0)
+        >>> float(axis.simulate(push)["velocity"][-1].round(9))   # 1 m/s² for 1 s
+        1.0
+        """
+        columns = map or {}
+        lacking = {
+            columns.get(name, name): unit for name, unit in self.outputs.items() if columns.get(name, name) not in record.names
+        }
+        blank = np.zeros(record.n)
+        filled = MeasuredRecord(
+            {**record.channels, **dict.fromkeys(lacking, blank)},
+            {**record.units, **lacking},
+            record.sample_time,
+            record.t0,
+            source=record.source,
+        )
+        matched, (experiment,) = match(self.physical, [filled], map)
+        if initial is None and len(lacking) < len(self.outputs):
+            matched, experiments = match(self.physical, [record], map)
+            Y = estimate(matched, experiments, free=()).predicted[0]
+        else:
+            Y = Simulator(matched).run(experiment, initial).Y
+        if not np.isfinite(Y).all():
+            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}")
+        channels = {name: Y[:, k] for k, name in enumerate(self.outputs)}
+        return Record(channels, self.outputs, record.sample_time, record.t0, source=f"{self.name} on {record.source or 'record'}")
+
+
+def _names(records: Sequence[MeasuredRecord]) -> tuple[str, ...]:
+    return tuple(record.source or "record" for record in records)

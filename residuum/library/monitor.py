@@ -1,0 +1,250 @@
+"""Monitor: a diagnoser of one machine with scikit-learn's conventions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from sklearn.base import BaseEstimator, OutlierMixin
+from sklearn.exceptions import NotFittedError
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.finding import Finding as Judged
+from residuum.diagnosis.finding import Verdict
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record as MeasuredRecord
+from residuum.library.finding import Finding
+from residuum.library.model import Mapped, Model, Records
+from residuum.library.physical_residual import PhysicalResidual
+from residuum.library.reading import as_records
+from residuum.library.result import data_frame
+
+if TYPE_CHECKING:
+    import pandas
+
+MODEL_BASED = "model-based"
+"""The diagnoser that a model asks for, where there is one."""
+
+
+class NotFitted(BadInput, NotFittedError):
+    """A monitor was asked to judge before it was given healthy records."""
+
+
+class Monitor(OutlierMixin, BaseEstimator):
+    """A watch over one machine: fitted on healthy records, it judges windows. Follows scikit-learn's conventions for outliers.
+
+    A sample is a `Record` (a window); X is a list of them. `get_params`, `set_params` and `sklearn.base.clone` work; what
+    is fitted ends with an underscore.
+
+    Parameters
+    ----------
+    source : Model or str
+        What watches: a model of the machine, or the id of a diagnoser (`robust-residual`, `bearing`, …).
+    diagnoser : str or None
+        With a model, the diagnoser that judges it; None: `model-based` where there is one, else the robust residual of what
+        the model's prediction leaves over.
+    map : mapping of name to column
+        For columns that are not named as the model or the diagnoser names them.
+    settings : mapping or None
+        Of the diagnoser: `{"speed_rpm": 1500.0}`, …
+
+    Attributes
+    ----------
+    diagnoser_ : Diagnoser
+        The trained diagnoser.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> healthy = [rs.simulate("process-plant", seed=seed) for seed in (1, 2)]
+    >>> monitor = rs.monitor("robust-residual").fit(healthy)
+    >>> faulty = rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)
+    >>> monitor.predict([rs.simulate("process-plant", seed=3), faulty]).tolist()
+    [1, -1]
+    """
+
+    def __init__(
+        self,
+        source: Model | str = "robust-residual",
+        diagnoser: str | None = None,
+        map: Mapped = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.source, self.diagnoser, self.map, self.settings = source, diagnoser, map, settings
+
+    def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
+        """Learn from healthy records, or from records with one label each in `y` (`healthy`, or a fault class).
+
+        Raises
+        ------
+        BadInput
+            Records that do not fit, an unknown diagnoser or setting, labels of another number than records.
+        """
+        trained = self._untrained().fit(self._records(X), None if y is None else [str(label) for label in y])
+        self.diagnoser_: Diagnoser | PhysicalResidual = trained
+        return self
+
+    def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:  # another meaning than scikit-learn's, as issued
+        """The finding of one window."""
+        (record,) = self._records(window)
+        return Finding(self._trained().score(record))
+
+    def findings(self, X: Records) -> list[Finding]:
+        """The finding of every window."""
+        trained = self._trained()
+        return [Finding(trained.score(record)) for record in self._records(X)]
+
+    def predict(self, X: Records) -> npt.NDArray[np.int64]:
+        """1 for a healthy window, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
+        says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
+        return np.array([says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64)
+
+    def score_samples(self, X: Records) -> npt.NDArray[np.float64]:
+        """How normal each window is, the higher the more: minus its largest indicator over that one's threshold.
+
+        Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot be judged.
+        """
+        return np.array([-_largest(finding.found) for finding in self.findings(X)])
+
+    def decision_function(self, X: Records) -> npt.NDArray[np.float64]:
+        """`score_samples` + 1: negative where an indicator is above its threshold; shape (windows,)."""
+        return self.score_samples(X) + 1.0
+
+    def indicators(self, X: Records) -> pandas.DataFrame:
+        """The indicators of every window, a row a window: features of the residual for a method of your own.
+
+        Raises MissingPackage when pandas is not installed.
+        """
+        return data_frame([dict(finding.found.indicators) for finding in self.findings(X)])
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Store the trained diagnoser as `residuum train --out` does.
+
+        Raises
+        ------
+        NotFitted
+            Before `fit`.
+        BadInput
+            A diagnoser that has no file.
+        """
+        trained = self._trained()
+        if isinstance(trained, PhysicalResidual):
+            raise BadInput(f"monitor: the diagnoser {trained.name!r} has no file; choose one that `residuum train` knows")
+        trained.save(Path(path))
+
+    def __sklearn_is_fitted__(self) -> bool:
+        """Whether `fit` was called."""
+        return hasattr(self, "diagnoser_")
+
+    def _untrained(self) -> Diagnoser | PhysicalResidual:
+        settings = dict(self.settings or {})
+        if isinstance(self.source, Model):
+            name = self.diagnoser or (MODEL_BASED if MODEL_BASED in DIAGNOSERS else "")
+            if name:
+                return _made(name, {"model": self.source.physical, **settings})
+            return PhysicalResidual(self.source.physical, **settings)
+        return _made(self.diagnoser or self.source, settings)
+
+    def _records(self, X: Records) -> list[MeasuredRecord]:
+        """The windows, their columns named as the model names them."""
+        names = {column: name for name, column in (self.map or {}).items()}
+        return [record.rename(names) for record in as_records(X)]
+
+    def _trained(self) -> Diagnoser | PhysicalResidual:
+        if not hasattr(self, "diagnoser_"):
+            raise NotFitted("monitor: is not fitted; give it healthy records with fit() first")
+        return self.diagnoser_
+
+
+def monitor(
+    source: Model | str,
+    *,
+    diagnoser: str | None = None,
+    map: Mapped = None,
+    **settings: Any,
+) -> Monitor:
+    """A watch over one machine, to be fitted on healthy records.
+
+    Parameters
+    ----------
+    source : Model or str
+        A model of the machine, or the id of a diagnoser: `robust-residual`, `bearing`, `gate-actuator`, `gripping-pliers`.
+    diagnoser : str
+        With a model: the diagnoser that judges it (default: `model-based` where there is one).
+    map : mapping of name to column
+    settings
+        Of the diagnoser, as `speed_rpm=1500.0`.
+
+    Returns
+    -------
+    Monitor
+
+    Raises
+    ------
+    BadInput
+        At `fit`: an unknown diagnoser or setting.
+
+    Examples
+    --------
+    See `Monitor`.
+    """
+    return Monitor(source, diagnoser, map, settings or None)
+
+
+def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
+    """The monitor whose trained diagnoser `Monitor.save` or `residuum train --out` stored.
+
+    Parameters
+    ----------
+    diagnoser : str
+        Its id.
+    path : str or path
+
+    Returns
+    -------
+    Monitor
+
+    Raises
+    ------
+    BadInput
+        An unknown diagnoser; not the file of one of this kind.
+
+    Examples
+    --------
+    >>> import residuum as rs, tempfile, pathlib
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "baseline.zip"
+    >>> rs.monitor("robust-residual").fit(rs.simulate("process-plant", seed=1)).save(file)
+    >>> rs.load_monitor("robust-residual", file).score(rs.simulate("process-plant", seed=2)).verdict
+    'healthy'
+    """
+    loaded = Monitor(diagnoser)
+    loaded.diagnoser_ = _class(diagnoser).load(Path(path))
+    return loaded
+
+
+def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
+    kind: Any = _class(name)
+    try:
+        made: Diagnoser = kind(**settings)
+    except TypeError as error:
+        raise BadInput(f"diagnoser {name!r}: {str(error).split('()')[-1].strip()}") from None
+    return made
+
+
+def _class(name: str) -> type[Diagnoser]:
+    if name not in DIAGNOSERS:
+        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+    return DIAGNOSERS[name]
+
+
+def _largest(finding: Judged) -> float:
+    if finding.verdict is Verdict.NOT_ASSESSABLE:
+        return math.nan
+    over = [v / finding.thresholds[n] for n, v in finding.indicators.items() if finding.thresholds.get(n, 0.0) > 0.0]
+    return max(over, default=math.nan)

@@ -1,0 +1,31 @@
+"""Packages that the library uses where they are there: Plotly, pandas, xarray, python-control."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from residuum.identification.errors import BadInput
+
+
+class MissingPackage(BadInput, ImportError):
+    """An optional package is not installed; the message says what needs it and how to get it."""
+
+
+def need(package: str, what: str, extra: str = "notebook") -> Any:
+    """The imported `package`, for `what`.
+
+    Raises
+    ------
+    MissingPackage
+        It is not installed.
+
+    >>> need("no_such", "a picture")
+    Traceback (most recent call last):
+    residuum.library.optional_package.MissingPackage: a picture needs the package 'no_such': pip install 'residuum[notebook]'
+    """
+    try:
+        return import_module(package)
+    except ImportError:
+        name = package.split(".", maxsplit=1)[0]
+        raise MissingPackage(f"{what} needs the package {name!r}: pip install 'residuum[{extra}]'") from None

@@ -1,0 +1,273 @@
+"""Linear models of a plant from records, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
+from residuum.identification.record import Record as MeasuredRecord
+from residuum.library.answers.identification import identification_json, identification_text
+from residuum.library.identification_methods import METHODS, Request, check_method
+from residuum.library.optional_package import need
+from residuum.library.picture import Curve, Panel, Picture, axis
+from residuum.library.plotly_figure import figure
+from residuum.library.progress import Progress, Tell, told
+from residuum.library.reading import as_records
+from residuum.library.result import Result, Row
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
+
+_BAND = 1.96
+"""Standard deviations of a 95 % band."""
+_FREQUENCIES = 300
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plant(Result):
+    """A linear model from one input to one output that knows how far to trust it.
+
+    Attributes
+    ----------
+    identified : IdentifiedModel
+        Impulse response with covariance, noise variance, numerator and denominator of a parametric method.
+    method : str
+        `kernel`, `arx`, `armax`, `oe` or `bj`.
+    estimation, held_out : tuple of Record
+        What it was identified from, and what the records' split notes kept.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+    >>> plant.sample(100).shape, plant.to_dict()["order"]
+    ((100, 40), 40)
+    """
+
+    identified: IdentifiedModel
+    method: str
+    estimation: tuple[MeasuredRecord, ...] = ()
+    held_out: tuple[MeasuredRecord, ...] = ()
+
+    @property
+    def impulse_response(self) -> npt.NDArray[np.float64]:
+        """g, shape (order,), in output unit over input unit; `g[0]` acts at lag `identified.delay`."""
+        return self.identified.impulse_response
+
+    @property
+    def std(self) -> npt.NDArray[np.float64]:
+        """Standard deviation of g, shape (order,)."""
+        return self.identified.std
+
+    def frequency_response(self, omega: npt.ArrayLike) -> npt.NDArray[np.complex128]:
+        """G at ω [rad/s], shape of `omega`."""
+        return self.identified.frequency_response(omega)
+
+    def sample(self, n: int, seed: int = 0) -> npt.NDArray[np.float64]:
+        """`n` impulse responses drawn from the distribution of the estimate, shape (n, order)."""
+        return self.identified.sample(n, seed)
+
+    def to_control(self) -> Any:
+        """The same system as a python-control `TransferFunction`; MissingPackage when `control` is not installed."""
+        return to_control(self.identified.transfer_function())
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the JSON file that `rs.load_plant`, `residuum residual` and `residuum control` read."""
+        save_identified(self.identified, Path(path))
+
+    def bode(self, frequencies: npt.ArrayLike | None = None) -> plotly.graph_objects.Figure:
+        """Magnitude and phase over frequency with their 95 % bands, as a Plotly figure.
+
+        Parameters
+        ----------
+        frequencies : array, shape (n,)
+            In Hz; None: three decades up to half the sampling rate.
+
+        Raises
+        ------
+        MissingPackage
+            Plotly is not installed.
+        """
+        nyquist = 0.5 / self.identified.sample_time
+        given = np.geomspace(nyquist / 1000.0, nyquist, _FREQUENCIES) if frequencies is None else frequencies
+        hertz = np.atleast_1d(np.asarray(given, dtype=float))
+        omega = 2.0 * np.pi * hertz
+        G, covariance = self.identified.frequency_response(omega), self.identified.frequency_covariance(omega)
+        size = np.maximum(np.abs(G), 1e-300)
+        along = np.stack([G.real, G.imag], axis=1) / size[:, None]
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        spread = [np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", d, covariance, d), 0.0)) for d in (along, across)]
+        low, high = (20.0 * np.log10(np.maximum(size + s * _BAND * spread[0], 1e-3 * size)) for s in (-1.0, 1.0))
+        phase, turn = np.degrees(np.unwrap(np.angle(G))), np.degrees(np.minimum(_BAND * spread[1] / size, np.pi))
+        magnitude = Curve("magnitude", hertz, 20.0 * np.log10(size), low, high)
+        panels = [
+            Panel("magnitude", "frequency [Hz]", axis("magnitude", "dB"), [magnitude], "log"),
+            Panel(
+                "phase", "frequency [Hz]", axis("phase", "°"), [Curve("phase", hertz, phase, phase - turn, phase + turn)], "log"
+            ),
+        ]
+        return figure(Picture(panels))
+
+    def step(self, duration: float | None = None) -> plotly.graph_objects.Figure:
+        """The response to a unit step at t = 0 with its 95 % band, as a Plotly figure.
+
+        Parameters
+        ----------
+        duration : float
+            [s]; None: as long as the impulse response.
+
+        Raises
+        ------
+        MissingPackage
+            Plotly is not installed.
+        """
+        model = self.identified
+        n = model.delay + model.order if duration is None else max(2, round(duration / model.sample_time))
+        u = np.ones(n)
+        y, spread = model.simulate(u) - model.offset, _BAND * model.simulation_std(u)
+        time = model.sample_time * np.arange(n)
+        title = f"step response, {model.input_name} → {model.output_name}"
+        curve = Curve("step response", time, y, y - spread, y + spread)
+        return figure(Picture([Panel(title, "time [s]", axis(model.output_name, self._unit()), [curve])]))
+
+    def _unit(self) -> str:
+        model = self.identified
+        return f"{model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
+
+    def _answer(self) -> dict[str, Any]:
+        return identification_json(self.identified, self.method, self.estimation, self.held_out)
+
+    def __str__(self) -> str:
+        return identification_text(self.identified, self._answer())
+
+    def _rows(self) -> Sequence[Row]:
+        model = self.identified
+        times = model.sample_time * (model.delay + np.arange(model.order))
+        each = zip(times, model.impulse_response, model.std, strict=True)
+        return [{"time": float(t), "impulse_response": float(g), "std": float(s)} for t, g, s in each]
+
+    def _picture(self) -> Picture:
+        model = self.identified
+        times = model.sample_time * (model.delay + np.arange(model.order))
+        g, spread = model.impulse_response, _BAND * model.std
+        title = f"impulse response, {model.input_name} → {model.output_name}"
+        curve = Curve("impulse response", times, g, g - spread, g + spread)
+        return Picture([Panel(title, "time [s]", axis("g", self._unit()), [curve])])
+
+
+def identify(
+    records: MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]],
+    *,
+    input: str,
+    output: str,
+    method: str = "kernel",
+    kernel: str = "tc",
+    order: int | None = None,
+    delay: int | None = 1,
+    noise_variance: str | float = "marginal",
+    offset: bool = True,
+    criterion: str = "bic",
+    progress: Progress = None,
+) -> Plant:
+    """A linear model from one channel to another, with the covariance of its estimate.
+
+    Parameters
+    ----------
+    records : Record, file, or a list of these
+        Each is an experiment of its own; a note `split: 0.7` keeps the rest of a record for validation.
+    input, output : str
+        Channels.
+    method : str
+        `kernel` (regularised impulse response), `arx`, `armax`, `oe` or `bj`.
+    kernel : str
+        Prior of the impulse response: `tc`, `dc`, `ss` or `di`.
+    order : int
+        Length of the impulse response (kernel; 100), or model order (others; chosen by `criterion`).
+    delay : int or None
+        Samples before the input acts; None: estimated.
+    noise_variance : str or float
+        `marginal`, `least-squares`, or a number [output unit²].
+    offset : bool
+        Fit a constant level as well.
+    criterion : str
+        What chooses the order: `bic`, `aic` or cross-validation (`residuum identify --help` lists them).
+    progress : callable or bool
+        As in `Model.explain`.
+
+    Returns
+    -------
+    Plant
+
+    Raises
+    ------
+    BadInput
+        An unknown method, kernel or channel.
+    NotIdentifiable
+        Too few samples, an input that does not move.
+
+    Examples
+    --------
+    >>> import residuum as rs
+    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+    >>> plant.identified.is_parametric
+    True
+    """
+    check_method(method, criterion)
+    request = Request(input, output, order, delay, kernel, noise_variance, offset, criterion)
+    with told(progress) as tell:
+        return identified(as_records(records), request, method, tell)
+
+
+def load_plant(path: str | PathLike[str]) -> Plant:
+    """The plant in a file that `Plant.save` or `residuum identify --out` wrote.
+
+    Parameters
+    ----------
+    path : str or path
+
+    Returns
+    -------
+    Plant
+
+    Raises
+    ------
+    BadModel
+        No such file, or not the file of an identified model.
+
+    Examples
+    --------
+    >>> import residuum as rs, tempfile, pathlib
+    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "plant.json"
+    >>> plant.save(file)
+    >>> rs.load_plant(file).impulse_response.shape
+    (40,)
+    """
+    model = load_identified(Path(path))
+    return Plant(model, model.method.split("-")[0])
+
+
+def identified(records: Sequence[MeasuredRecord], request: Request, method: str, tell: Tell) -> Plant:
+    """The plant that a method finds; each record's part after its split note is kept for validation."""
+    cuts = [record.n if record.split is None else max(1, round(record.split * record.n)) for record in records]
+    estimation = tuple(record.window(0, cut) for record, cut in zip(records, cuts, strict=True))
+    held_out = tuple(record.window(cut, record.n) for record, cut in zip(records, cuts, strict=True) if cut < record.n)
+    tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
+    model = METHODS[method](estimation, request)
+    tell(0.9, "simulating beside the records")
+    return Plant(model, method, estimation, held_out)
+
+
+def to_control(system: Any) -> Any:
+    """A `TransferFunction` of ours as python-control's."""
+    control = need("control", "to_control()")
+    given = (system.num, system.den)
+    return control.tf(*given) if system.sample_time is None else control.tf(*given, system.sample_time)

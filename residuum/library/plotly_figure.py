@@ -1,0 +1,68 @@
+"""A picture as a Plotly figure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from residuum.library.optional_package import need
+from residuum.library.picture import Bars, Curve, Panel, Picture
+
+POINTS = 4000
+_COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
+_HEIGHT = 260
+"""Of a panel [px]."""
+
+
+def figure(picture: Picture) -> Any:
+    """The picture as a `plotly.graph_objects.Figure`, to be changed at will.
+
+    Raises
+    ------
+    MissingPackage
+        Plotly is not installed.
+    """
+    graphs, subplots = need("plotly.graph_objects", "a figure"), need("plotly.subplots", "a figure")
+    panels = picture.panels
+    made = subplots.make_subplots(rows=len(panels), cols=1, subplot_titles=[panel.title for panel in panels])
+    for row, panel in enumerate(panels, start=1):
+        for trace in _traces(graphs, panel):
+            made.add_trace(trace, row=row, col=1)
+        made.update_xaxes(title_text=panel.x_label, type=panel.x_scale if _is_curves(panel) else None, row=row, col=1)
+        made.update_yaxes(title_text=panel.y_label, row=row, col=1)
+    made.update_layout(template="plotly_white", height=_HEIGHT * len(panels) + 80, margin={"t": 60, "b": 50})
+    return made
+
+
+def _is_curves(panel: Panel) -> bool:
+    return not isinstance(panel.content, Bars)
+
+
+def _traces(graphs: Any, panel: Panel) -> list[Any]:
+    if isinstance(panel.content, Bars):
+        bars = panel.content
+        return [graphs.Bar(x=list(bars.names), y=list(bars.values), text=list(bars.texts) or None, marker_color=_COLOURS[0])]
+    traces: list[Any] = []
+    for number, curve in enumerate(panel.content):
+        colour = _COLOURS[number % len(_COLOURS)]
+        traces += _curve(graphs, curve.reduced(POINTS), colour)
+    return traces
+
+
+def _curve(graphs: Any, curve: Curve, colour: str) -> list[Any]:
+    line = graphs.Scatter(x=curve.x, y=curve.y, name=curve.name, mode="lines", line={"color": colour})
+    if curve.low is None or curve.high is None:
+        return [line]
+    x, y = np.concatenate([curve.x, curve.x[::-1]]), np.concatenate([curve.high, curve.low[::-1]])
+    band = graphs.Scatter(
+        x=x,
+        y=y,
+        fill="toself",
+        fillcolor=colour,
+        opacity=0.2,
+        line={"width": 0},
+        name=f"{curve.name}, 95 % band",
+        hoverinfo="skip",
+    )
+    return [band, line]

@@ -1,0 +1,49 @@
+"""Progress of long work: told to a caller's function, or shown on one line of a terminal or notebook."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Tell = Callable[[float, str], None]
+"""Called with the share done (0 … 1) and what is being done."""
+Progress = Tell | bool | None
+"""A function to tell, True or False to show or hide the line, None to show it where somebody watches."""
+
+_WIDTH = 78
+
+
+@contextmanager
+def told(progress: Progress = None) -> Iterator[Tell]:
+    """The function that long work tells how far it is; the line it shows is wiped at the end, and when interrupted.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> with told(lambda share, doing: seen.append((share, doing))) as tell:
+    ...     tell(0.5, "half")
+    >>> seen
+    [(0.5, 'half')]
+    """
+    if callable(progress):
+        yield progress
+        return
+    if not (_watched() if progress is None else progress):
+        yield lambda share, doing: None
+        return
+    try:
+        yield _show
+    finally:
+        sys.stderr.write("\r" + " " * _WIDTH + "\r")
+        sys.stderr.flush()
+
+
+def _show(share: float, doing: str) -> None:
+    sys.stderr.write("\r" + f"{100 * share:3.0f} % {doing}"[:_WIDTH].ljust(_WIDTH))
+    sys.stderr.flush()
+
+
+def _watched() -> bool:
+    """Whether a person looks at standard error: a terminal, or a notebook's cell."""
+    return sys.stderr.isatty() or "ipykernel" in sys.modules

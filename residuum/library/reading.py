@@ -1,0 +1,260 @@
+"""Records from files, arrays, pandas and xarray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record as MeasuredRecord
+from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats.even_time import even_columns
+from residuum.library.record import Record, shown
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+
+def read(
+    path: str | PathLike[str],
+    *,
+    units: Mapping[str, str] | None = None,
+    sample_time: float | None = None,
+    resample: bool = False,
+    rename: Mapping[str, str] | None = None,
+) -> Record:
+    """Read a record file; its ending says the format (CSV, NPZ, MAT, WAV; Parquet, TDMS, MDF 4, UFF 58 with the extra `formats`).
+
+    Parameters
+    ----------
+    path : str or path
+    units : mapping of channel to unit
+        For files that do not say them.
+    sample_time : float
+        Seconds between samples, for files that do not say it.
+    resample : bool
+        Accept uneven time stamps: samples are interpolated onto even instants.
+    rename : mapping of column to name
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    BadRecord
+        No such file, not a record format, uneven time; the message names row and column.
+    BadUnit
+        A unit that is not known.
+
+    Examples
+    --------
+    >>> import residuum as rs, tempfile, pathlib
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "drive.csv"
+    >>> _ = file.write_text("time [s],voltage [V]\\n0,0\\n0.1,1\\n0.2,1\\n")
+    >>> rs.read(file)["voltage"].tolist()
+    [0.0, 1.0, 1.0]
+    """
+    options = ReadOptions(resample=resample, sample_time=sample_time, units=dict(units or {}))
+    return shown(read_record(Path(path), options).rename(rename or {}))
+
+
+def from_arrays(
+    channels: Mapping[str, npt.ArrayLike],
+    *,
+    units: Mapping[str, str] | None = None,
+    sample_time: float,
+    t0: float = 0.0,
+    source: str = "",
+) -> Record:
+    """A record of arrays that were sampled together.
+
+    Parameters
+    ----------
+    channels : mapping of name to array, shape (n,)
+        NaN = missing.
+    units : mapping of name to unit
+        A channel that is not named here is dimensionless.
+    sample_time, t0 : float
+        Seconds between samples; time of the first one [s].
+    source : str
+        A name for reports.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        As `Record` says; a unit for a channel that is not there.
+
+    Examples
+    --------
+    >>> import numpy as np, residuum as rs
+    >>> rs.from_arrays({"speed": np.zeros(100)}, units={"speed": "rad/s"}, sample_time=0.01).duration
+    1.0
+    """
+    given = dict(units or {})
+    _refuse_unknown(given, channels)
+    signals: Any = dict(channels)
+    return Record(signals, {name: given.get(name, "") for name in signals}, sample_time, t0=t0, source=source)
+
+
+def from_pandas(
+    frame: pandas.DataFrame,
+    *,
+    units: Mapping[str, str] | None = None,
+    time: str | None = None,
+    sample_time: float | None = None,
+    resample: bool = False,
+    source: str = "",
+) -> Record:
+    """A record of a pandas DataFrame, a channel a column of numbers.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Its index is the time: instants (`DatetimeIndex`), durations, or seconds.
+    units : mapping of column to unit
+        Over `frame.attrs["units"]`; a column without a unit is dimensionless. Heads `name [unit]` are understood.
+    time : str
+        A column to take the time from instead of the index.
+    sample_time : float
+        Seconds between rows, where neither index nor column is a time.
+    resample : bool
+        Accept uneven time: samples are interpolated onto even instants.
+    source : str
+        A name for reports.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    BadRecord
+        Uneven time, a column that holds no numbers.
+    BadUnit
+        A unit that is not known.
+
+    Examples
+    --------
+    >>> import pandas, residuum as rs
+    >>> frame = pandas.DataFrame({"u [V]": [0.0, 1.0, 1.0], "speed": [0.0, 2.0, 3.0]}, index=[0.0, 0.1, 0.2])
+    >>> print(rs.from_pandas(frame, units={"speed": "rad/s"}))
+    DataFrame: 3 samples of 0.1 s, 0.3 s; u [V], speed [rad/s]
+    """
+    where = source or "DataFrame"
+    heads = {column: _head(str(column)) for column in frame.columns if column != time}
+    told = {**dict(heads.values()), **frame.attrs.get("units", {}), **(units or {})}
+    _refuse_unknown(units or {}, [name for name, _ in heads.values()])
+    signals = {name: _numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in heads.items()}
+    if sample_time is not None:
+        return from_arrays(signals, units={name: told[name] for name in signals}, sample_time=sample_time, source=where)
+    instants = _seconds(frame.index if time is None else frame[time], where)
+    return _timed(instants, signals, {name: told[name] for name in signals}, resample, where)
+
+
+def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = False, source: str = "") -> Record:
+    """A record of an xarray Dataset (or DataArray), a channel a variable along `dim`.
+
+    Parameters
+    ----------
+    data : Dataset or DataArray
+        Units are taken from each variable's `attrs["units"]`; a DataArray needs a name.
+    dim : str
+        The dimension whose coordinate is the time: instants, durations, or seconds.
+    resample : bool
+        Accept uneven time: samples are interpolated onto even instants.
+    source : str
+        A name for reports.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    BadRecord
+        No such dimension, a variable along another one, uneven time.
+
+    Examples
+    --------
+    >>> import xarray, residuum as rs
+    >>> speed = xarray.DataArray([0.0, 2.0, 3.0], coords={"time": [0.0, 0.1, 0.2]}, name="speed", attrs={"units": "rad/s"})
+    >>> rs.from_xarray(speed).units["speed"]
+    'rad/s'
+    """
+    where = source or "Dataset"
+    dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
+    if dim not in dataset.coords:
+        raise BadRecord(f"{where}: has no coordinate {dim!r}; there are {', '.join(map(str, dataset.coords)) or 'none'}")
+    if other := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
+        raise BadRecord(f"{where}: variable {other[0]!r} lies along {dataset[other[0]].dims}; must be along ({dim!r},) alone")
+    signals = {str(name): _numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
+    units = {str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()}
+    return _timed(_seconds(dataset[dim], where), signals, units, resample, where)
+
+
+def as_records(records: Any) -> list[MeasuredRecord]:
+    """One record, several, or files, as a list; each is an experiment of its own.
+
+    Raises
+    ------
+    BadRecord
+        Something else, with the way to make a record of it.
+    """
+    if isinstance(records, MeasuredRecord):
+        return [records]
+    if isinstance(records, str | PathLike):
+        return [read(records)]
+    if hasattr(records, "iloc"):
+        raise BadRecord("record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})")
+    if hasattr(records, "dims"):
+        raise BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
+    if isinstance(records, Sequence) and records:
+        return [one for item in records for one in as_records(item)]
+    raise BadRecord(f"record: is {type(records).__name__}; must be a Record, a file, or a list of these")
+
+
+def _timed(
+    instants: npt.NDArray[np.float64], signals: dict[str, Any], units: dict[str, str], resample: bool, where: str
+) -> Record:
+    if not signals:
+        raise BadRecord(f"{where}: has no channel; at least one is needed")
+    sample_time, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample)
+    channels = dict(zip(signals, columns[1:], strict=True))
+    return Record(channels, units, sample_time, t0=float(columns[0][0]), source=where)
+
+
+def _seconds(values: Any, where: str) -> npt.NDArray[np.float64]:
+    """Instants or durations as seconds; instants count from the first one."""
+    array = np.asarray(values)
+    if array.dtype.kind in "mM":
+        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
+    return _numbers(array, f"{where}, time")
+
+
+def _numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise BadRecord(f"{where}: does not hold numbers") from None
+
+
+def _head(text: str) -> tuple[str, str]:
+    """Name and unit of a head `name [unit]`."""
+    name, bracket, rest = text.partition("[")
+    return (name.strip(), rest.rstrip("] ").strip()) if bracket and text.rstrip().endswith("]") else (text, "")
+
+
+def _refuse_unknown(units: Mapping[str, str], names: Any) -> None:
+    if unknown := [name for name in units if name not in names]:
+        raise BadRecord(f"units: there is no channel {unknown[0]!r}; there are {', '.join(map(str, names))}")

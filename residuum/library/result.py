@@ -1,0 +1,117 @@
+"""Result: what every answer of the library can do."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from residuum.library.answers.plain import to_plain
+from residuum.library.optional_package import need
+from residuum.library.picture import Picture
+from residuum.library.plotly_figure import figure
+from residuum.library.svg import svg
+
+if TYPE_CHECKING:
+    import pandas
+    import plotly.graph_objects
+
+Row = Mapping[str, Any]
+
+_ROWS = 12
+"""Of a table in a notebook; the rest is counted."""
+
+
+class Result(ABC):
+    """An answer as a value: text, table, picture and JSON of one and the same thing.
+
+    `str(result)` is what the command line prints, `result.to_dict()` what it prints with `--json`; in a notebook it is shown as
+    a compact table and a picture.
+    """
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON object of the contract, in plain Python values."""
+        plain: dict[str, Any] = to_plain(self._answer())
+        return plain
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The table of the answer.
+
+        Raises
+        ------
+        MissingPackage
+            pandas is not installed.
+        """
+        return data_frame(self._rows())
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        """The picture of the answer as a Plotly figure that can be changed.
+
+        Raises
+        ------
+        MissingPackage
+            Plotly is not installed.
+        """
+        return figure(self._picture())
+
+    @abstractmethod
+    def _answer(self) -> dict[str, Any]:
+        """The contract's object."""
+
+    @abstractmethod
+    def _rows(self) -> Sequence[Row]:
+        """The table, a mapping of column to value a row."""
+
+    @abstractmethod
+    def _picture(self) -> Picture:
+        """What is drawn."""
+
+    def __repr__(self) -> str:
+        first = str(self).splitlines()[0] if str(self) else ""
+        return f"<residuum {type(self).__name__}: {first}>"
+
+    def _repr_html_(self) -> str:
+        return html(type(self).__name__, self._shown_rows(), self._picture())
+
+    def _shown_rows(self) -> Sequence[Row]:
+        """The table as a notebook shows it, where that is another one."""
+        return self._rows()
+
+
+def html(title: str, rows: Sequence[Row], picture: Picture) -> str:
+    """A compact table and a picture."""
+    return f"<div><strong>{escape(title)}</strong>{html_table(rows)}{svg(picture)}</div>"
+
+
+def html_table(rows: Sequence[Row]) -> str:
+    """Rows of equal columns as a table; numbers to four digits.
+
+    >>> html_table([{"name": "a", "value": 1.23456}])
+    '<table><tr><th>name</th><th>value</th></tr><tr><td>a</td><td>1.235</td></tr></table>'
+    """
+    if not rows:
+        return "<p>nothing</p>"
+    heads = "".join(f"<th>{escape(str(name))}</th>" for name in rows[0])
+    body = "".join("<tr>" + "".join(f"<td>{escape(_cell(v))}</td>" for v in row.values()) + "</tr>" for row in rows[:_ROWS])
+    more = f"<p>and {len(rows) - _ROWS} more</p>" if len(rows) > _ROWS else ""
+    return f"<table><tr>{heads}</tr>{body}</table>{more}"
+
+
+def data_frame(rows: Sequence[Row]) -> pandas.DataFrame:
+    """Rows as a pandas DataFrame; MissingPackage when pandas is not installed."""
+    return need("pandas", "a DataFrame").DataFrame([dict(row) for row in rows])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(_cell(item) for item in value)
+    return str(value)
