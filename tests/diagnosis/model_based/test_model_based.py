@@ -56,12 +56,13 @@ def test_healthy_windows_are_healthy_and_the_friction_is_told_as_missing_physics
 
 
 def test_a_mass_a_fifth_heavier_is_found_named_and_sized():
-    windows, axis = axis_windows(4, mass=1.2)
-    for record in windows[20:]:
-        finding = watched().score(record)
-        assert finding.verdict is Verdict.FAULTY and "M" in group(finding)
+    windows, axis = axis_windows(10, mass=1.2)
+    findings = [watched().score(record) for record in windows[20:]]
+    faulty = [f for f in findings if f.verdict is Verdict.FAULTY]
+    assert len(faulty) >= 9 and sum("M" in group(f) for f in faulty) >= 0.85 * len(faulty)
+    for finding in findings:
         told = finding.to_json()["parameters"]["M"]
-        assert told["healthy"]["high"] < axis.M and told["value"] > told["healthy"]["high"]
+        assert told["value"] > told["healthy"]["high"] and told["healthy"]["high"] < axis.M
     size = next(c for c in finding.to_json()["causes"] if c["name"] == "M")["value"]
     assert size["value"] == pytest.approx(axis.M, rel=0.03) and size["unit"] == "kg"
 
