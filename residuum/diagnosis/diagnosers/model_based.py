@@ -83,6 +83,8 @@ class ModelBased(Diagnoser):
 
     def with_settings(self, **settings: object) -> Self:
         """The same baseline at another rate of false alarms."""
+        if "method" in settings:
+            super().with_settings(method=settings.pop("method"))
         known = {"false_alarms_per_day": self.false_alarms_per_day, "fix_undetermined": self.fix_undetermined, **settings}
         try:
             other = type(self)(model=self.model, **known)  # type: ignore[arg-type]
