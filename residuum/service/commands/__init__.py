@@ -19,6 +19,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "explain": ("explain", "Which physical effect is missing in a model?"),
     "improve": ("improve", "Add effects to a model and re-estimate it."),
     "estimate": ("estimate", "Estimate the parameters of a model, structure as it is."),
+    "export": ("export", "Write a model as C, Python, MATLAB or Modelica."),
     "effects": ("effects", "List the catalogue of physical effects, or what fits a model."),
     "identify": ("identify", "Identify a linear model with its uncertainty from a record."),
     "uncertainty": ("uncertainty", "Bound the error of an identified model at every frequency."),
