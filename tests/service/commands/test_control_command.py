@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from residuum.service.views.control_promise import says
 from scipy.signal import lfilter
 from typer.testing import CliRunner
 
@@ -13,6 +12,7 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
+from residuum.library.answers.control_promise import says
 from residuum.service.cli import run
 from residuum.service.commands.control import app
 
