@@ -226,7 +226,7 @@ def _is_inexact(found: Search, shares: ShareSearch | None) -> bool:
 
 
 def _is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> bool:
-    """Whether `compare` finds structure in what is left, where the search found nothing that is missing and nothing that drifts."""
+    """Whether `compare` finds structure in what is left, where nothing was found that is missing, and nothing that drifts."""
     return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
 
 
