@@ -15,6 +15,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simulate": ("simulate", "Write a record of a simulated machine, with effects and faults."),
     "fault": ("fault", "Switch a fault of a machine in a running demo."),
     "replay": ("replay", "Send a recording to a CAN bus or a Modbus server."),
+    "inspect": ("inspect", "Show what is understood of a logger's file, and write the mapping that reads it."),
     "compare": ("compare", "Compare a model with records: where and how much does it fail?"),
     "explain": ("explain", "Which physical effect is missing in a model?"),
     "improve": ("improve", "Add effects to a model and re-estimate it."),

@@ -11,7 +11,16 @@ from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
+from residuum.service.commands.records import (
+    ChannelMap,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+    pairs,
+)
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -27,6 +36,7 @@ def estimate_command(
     hold: Annotated[str, typer.Option(help="Inputs between samples: auto, linear or zero-order.")] = "auto",
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
@@ -36,7 +46,7 @@ def estimate_command(
     if method not in METHODS:
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     check_output_file(out)
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
     estimation = read(model).estimate(loaded, map=pairs("--map", channel_map), method=method, steps=steps, hold=hold)
     estimation.model.save(out)
     found = estimation.to_dict() | {"model_file": str(out)}

@@ -6,7 +6,16 @@ import typer
 
 from residuum.library.model import model as read
 from residuum.service.commands.own_catalogue import OwnCatalogue
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
+from residuum.service.commands.records import (
+    ChannelMap,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+    pairs,
+)
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
@@ -28,13 +37,14 @@ def explain_command(
     seconds: Seconds = 12.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
     mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = read(model)
     keep_large_arrays()

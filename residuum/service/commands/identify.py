@@ -10,7 +10,7 @@ from residuum.library.answers.identification import identification_text
 from residuum.library.identification_methods import CRITERIA, METHODS, Request, check_method
 from residuum.library.plant import identified
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report, told
 
 app = typer.Typer(add_completion=False)
@@ -33,6 +33,7 @@ def identify(
     no_offset: Annotated[bool, typer.Option("--no-offset", help="The signals are deviations: fit no constant level.")] = False,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     as_json: AsJson = False,
@@ -42,7 +43,9 @@ def identify(
     if out is not None:
         check_output_file(out)
     request = Request(input, output, order, _delay(delay), kernel, _noise_variance(noise_variance), not no_offset, criterion)
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+    )
     plant = identified(loaded, request, method, told)
     if out is not None:
         plant.save(out)

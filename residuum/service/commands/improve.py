@@ -12,7 +12,16 @@ from residuum.library.model import model as read
 from residuum.service.commands.explain import Learned, Seconds
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records, pairs
+from residuum.service.commands.records import (
+    ChannelMap,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+    pairs,
+)
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
@@ -37,6 +46,7 @@ def improve_command(
     seconds: Seconds = 24.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
@@ -48,7 +58,7 @@ def improve_command(
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
     wanted = None if auto else names_of(add)
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()

@@ -9,6 +9,8 @@ import typer
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is an experiment of its own.")]
 Resample = Annotated[bool, typer.Option("--resample", help="Accept uneven time stamps; samples are interpolated.")]
@@ -18,6 +20,10 @@ Units = Annotated[
 ]
 ChannelMap = Annotated[
     list[str] | None, typer.Option("--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column.")
+]
+
+MappingFile = Annotated[
+    Path | None, typer.Option("--mapping", help="Read loggers' files by this mapping (`residuum inspect` writes it).")
 ]
 
 
@@ -39,8 +45,21 @@ def load_records(
     sample_time: float | None = None,
     units: Sequence[str] | None = None,
     channel_map: Sequence[str] | None = None,
+    mapping: Path | None = None,
 ) -> list[Record]:
-    """Read the record files of a command; `channel_map` renames column → name."""
+    """Read the record files of a command; `channel_map` renames column → name, `mapping` reads loggers' files."""
     options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
     renames = {column: name for name, column in pairs("--map", channel_map).items()}
-    return [read_record(file, options).rename(renames) for file in files]
+    return [_read(file, options, mapping).rename(renames) for file in files]
+
+
+def _read(file: Path, options: ReadOptions, mapping: Path | None) -> Record:
+    """One record, by `mapping` or the mapping beside it where there is one; what was done to its samples is told."""
+    beside = file.with_name(file.name + ENDING)
+    chosen = mapping or (beside if beside.is_file() else None)
+    if chosen is None:
+        return read_record(file, options)
+    record = read_logger_file(file, read_mapping(chosen), options)
+    for note in record.notes:
+        progress(f"{file}: {note}")
+    return record

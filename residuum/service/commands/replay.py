@@ -11,7 +11,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.commands.records import ChannelMap, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.fieldbus.can import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
@@ -45,13 +45,16 @@ def replay(
     unit: Units = None,
     sample_time: SampleTime = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Send a recording to a CAN bus, or offer it as a Modbus device that begins when it is first asked."""
     kind, _, address = to.partition(":")
 
     def load() -> Record:
-        return load_records([file], resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)[0]
+        return load_records(
+            [file], mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+        )[0]
 
     if kind == "can" and address:
         sent = _send(_frames(file, bus_map, load), address, speed)

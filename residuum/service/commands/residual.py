@@ -15,7 +15,7 @@ from residuum.identification.linear_models.identified_model_file import load_ide
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.weight_options import (
     EPSILON,
@@ -149,13 +149,16 @@ def run(
     noise_bound: Annotated[float | None, typer.Option(help="Largest noise, for source and peak [output unit].")] = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a residual design on a record: is there a fault, since when, which and how large?"""
     made = ResidualDesign.load(design)
-    loaded = load_records([record], resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)[0]
+    loaded = load_records(
+        [record], mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+    )[0]
     found = detect(
         made,
         loaded,

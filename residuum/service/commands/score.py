@@ -21,7 +21,7 @@ from residuum.service.commands.diagnoser_options import (
     model_settings,
     new_diagnoser,
 )
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -35,6 +35,7 @@ def score(
     baseline: Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")] = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     speed_rpm: SpeedRpm = None,
@@ -47,7 +48,9 @@ def score(
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     judge = _judge(diagnoser, baseline, settings)
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+    )
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
     result = findings[0] if len(findings) == 1 else worst | {"findings": findings}

@@ -23,7 +23,7 @@ from residuum.service.commands.diagnoser_options import (
     new_diagnoser,
 )
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -41,6 +41,7 @@ def train(
     labels: Annotated[Path | None, typer.Option(help=_LABELS)] = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
+    mapping: MappingFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     speed_rpm: SpeedRpm = None,
@@ -57,7 +58,9 @@ def train(
     untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
-    loaded = load_records(records, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+    )
     if exemplars is None:
         untrained.fit(loaded, names).save(out)
     elif isinstance(untrained, GateActuator):

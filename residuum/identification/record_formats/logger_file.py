@@ -1,0 +1,254 @@
+"""What can be understood of a logger's file: its mapping, each guess with its reason, and what is odd in its samples."""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
+from residuum.identification.record_formats.logger_text import (
+    MISSING,
+    cells_of,
+    decoded,
+    find_decimal,
+    find_delimiter,
+    is_value,
+    number,
+)
+from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, UNITS, number_form, stamp_form
+
+_BRACKET = re.compile(r"(.*?)[\s_]*\[([^\[\]]*)\]\s*")
+_PARENTHESES = re.compile(r"(.*?)[\s_]*\(([^()]*)\)\s*")
+_SLASH = re.compile(r"(.*?)\s+(?:/|in)\s+(\S+)\s*")
+_ATOM = re.compile(
+    r"1|-|%|°|°[CF]|degC|degF|C|K|[munkMG]?(A|V|W|Hz|N|m|s|Pa|bar|g|rad|VA|Wh|F|H)|[µμ](A|V|m|s|F|H)|[kM]?(Ohm|ohm|Ω)|N[mM]|[kM]N|"
+    r"[kmM]?Nm|rpm|deg|min|h|l|L|J|kJ|kg|lb|psi|mbar|raw|counts?|ticks|digits?|pu|bool|dB|ppm|mm|cm|km|in|inch|sec|msec|usec"
+)
+_TIME_NAME = re.compile(
+    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure)(\b.*|_.*|)"
+)
+_SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
+
+
+@dataclass(frozen=True)
+class LoggerFile:
+    """A logger's file as understood: `mapping`, `guesses` (what → value and reason), `samples` (rate, gaps, holes …)."""
+
+    mapping: LoggerMapping
+    guesses: dict[str, tuple[str, str]]
+    samples: dict[str, Any]
+
+
+def understand(content: bytes, source: str, *, decimal: str | None = None, time_form: str | None = None) -> LoggerFile:
+    """Understand the bytes of a logger's file; `decimal` and `time_form` settle what the file leaves open.
+
+    Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
+    """
+    for option, value, known in (("--decimal", decimal, (".", ",")), ("--time", time_form, FORMS)):
+        if value is not None and value not in known:
+            raise BadRecord(f"option {option} {value!r}: must be one of {', '.join(known)}")
+    text, encoding, why = decoded(content, source)
+    guesses = {"encoding": (encoding, why)}
+    delimiter, why = find_delimiter(text, source)
+    guesses["delimiter"] = (delimiter, why)
+    rows = cells_of(text, delimiter)
+    first, width = _first_row(rows, source)
+    guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
+    body = [row for row in rows[first - 1 :] if any(row)]
+    sign, why = (decimal, "said with --decimal") if decimal else find_decimal(rows[first - 1 :], source, first)
+    guesses["decimal"] = (sign, why)
+    names, units = _heads(rows, first, width, guesses, source)
+    time, form = _time(body, names, units, sign, time_form, guesses, source)
+    channels = _channels(body, names, time, sign, guesses, source)
+    mapping = LoggerMapping(
+        encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
+    )
+    return _with_samples(text, mapping, guesses, source)
+
+
+def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
+    """(file row of the first sample, cells of a row)."""
+    width = Counter(len(row) for row in rows if any(row)).most_common(1)[0][0]
+    for position, row in enumerate(rows, start=1):
+        filled = [cell for cell in row if cell.lower() not in MISSING]
+        if len(row) == width and filled and is_value(filled[0]) and sum(map(is_value, filled)) >= max(1, len(filled) / 2):
+            return position, width
+    raise BadRecord(f"{source}: no row of numbers found among rows of {width} cells")
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is certainly a unit: products and powers of known symbols.
+
+    >>> is_unit("m/s^2"), is_unit("left")
+    (True, False)
+    """
+    parts = [re.sub(r"(\^|\*\*)?-?[0-9²³]$", "", part) or part for part in re.split(r"(?<!\*)[*](?!\*)|[/·]", text.strip())]
+    return bool(text.strip()) and all(_ATOM.fullmatch(part) for part in parts)
+
+
+def _heads(
+    rows: list[list[str]], first: int, width: int, guesses: dict[str, tuple[str, str]], source: str
+) -> tuple[list[str], list[str]]:
+    above = [
+        (k, row) for k, row in enumerate(rows[: first - 1], start=1) if len(row) == width and sum(map(bool, row)) > width / 2
+    ]
+    if not above:
+        raise BadRecord(f"{source}, row {first}: no line of {width} column names stands above it; write one")
+    at, line = above[-1]
+    bare = [cell.strip().strip("[]()").strip() for cell in line]
+    own_line = len(above) > 1 and all(is_unit(cell) or not cell or is_stampish(cell) for cell in bare)
+    units = bare if own_line else [""] * width
+    if own_line:
+        guesses["unit line"] = (f"row {at}", "every cell is a unit")
+        at, line = above[-2]
+    guesses["header"] = (
+        f"row {at}",
+        f"the last line of {width} names above the samples; {at - 1} lines before it are passed over",
+    )
+    heads = [_head(cell) for cell in line]
+    names = [name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)]
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise BadRecord(f"{source}, row {at}: column name {twice[0]!r} stands twice; rename one")
+    units = [own or unit for own, (_, unit) in zip(units, heads, strict=True)]
+    return names, ["" if unit == "-" else unit for unit in units]
+
+
+def is_stampish(cell: str) -> bool:
+    """Whether a cell of a unit line tells the form of stamps (`yyyy-mm-dd`, `hh:mm:ss`)."""
+    return bool(re.fullmatch(r"(?i)[ymdhst.:/ -]{6,}", cell))
+
+
+def _head(cell: str) -> tuple[str, str]:
+    if match := _BRACKET.fullmatch(cell):
+        return match[1].strip(), match[2].strip()
+    for pattern in (_PARENTHESES, _SLASH):
+        if (match := pattern.fullmatch(cell)) and is_unit(match[2]):
+            return match[1].strip(), match[2].strip()
+    return cell.strip(), ""
+
+
+def _time(
+    body: list[list[str]],
+    names: list[str],
+    units: list[str],
+    decimal: str,
+    said: str | None,
+    guesses: dict[str, tuple[str, str]],
+    source: str,
+) -> tuple[tuple[int, ...], str]:
+    """(time columns, form)."""
+    stamped = {column: form for column in range(len(names)) if (form := stamp_form(_column(body, column)))}
+    named = [
+        k
+        for k, name in enumerate(names)
+        if k not in stamped and _TIME_NAME.fullmatch(name) and (k == 0 or units[k].lower() in UNITS)
+    ]
+    chosen: tuple[int, ...]
+    if len(stamped) == 2 and [*stamped.values()][1][0] == "clock" and [*stamped.values()][0][0] != "clock":
+        chosen = tuple(stamped)
+    elif len(stamped) + len(named) > 1:
+        both = ", ".join(repr(names[k]) for k in (*stamped, *named))
+        raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
+    elif not stamped and not named:
+        raise BadRecord(f"{source}: no time column found among {', '.join(names)[:200]}; name it 'time [s]'")
+    else:
+        chosen = tuple(stamped) or tuple(named)
+    where = "+".join(repr(names[k]) for k in chosen)
+    found = (
+        stamped[chosen[0]]
+        if stamped
+        else number_form(names[chosen[0]], units[chosen[0]], _numbers(body, chosen[0], decimal, source))
+    )
+    if said:
+        found = (said, "said with --time")
+    if found is None:
+        raise BadRecord(f"{source}: nothing says in which unit time column {where} is; say --time seconds, milliseconds or excel")
+    if found[0] not in FORMS:
+        raise BadRecord(f"{source}, time column {where}: {found[1]}; say --time 'day first' or --time 'month first'")
+    guesses["time"] = (f"{where}: {found[0]}", found[1])
+    return tuple(k + 1 for k in chosen), found[0]
+
+
+def _column(body: list[list[str]], column: int) -> list[str]:
+    cells = [row[column] for row in body if len(row) > column]
+    return [cell for cell in cells if cell.lower() not in MISSING] or [""]
+
+
+def _numbers(body: list[list[str]], column: int, decimal: str, source: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    try:
+        return np.array([number(cell, decimal) for cell in _column(body, column)])
+    except ValueError as error:
+        raise BadRecord(f"{source}, time column {column + 1}: {str(error)[:40]!r} is no time") from None
+
+
+def _channels(
+    body: list[list[str]], names: list[str], time: tuple[int, ...], decimal: str, guesses: dict[str, tuple[str, str]], source: str
+) -> dict[int, str]:
+    channels = {}
+    for column, name in enumerate(names):
+        if column + 1 in time:
+            continue
+        cells = _column(body, column)
+        numbers = sum(map(is_value, cells))
+        if numbers == 0:
+            guesses[f"column {name!r}"] = ("not read", "empty" if cells == [""] else f"text, such as {cells[0][:30]!r}")
+            continue
+        channels[column + 1] = name
+        if sentinels := sorted({cell for cell in cells if is_value(cell) and _or_zero(cell, decimal) in _SENTINELS}):
+            guesses[f"column {name!r}"] = (
+                "kept as numbers",
+                f"{sentinels[0]} may mean no value; then add it to the mapping's `missing`",
+            )
+    if not channels:
+        raise BadRecord(f"{source}: no column of numbers beside the time")
+    return channels
+
+
+def _or_zero(cell: str, decimal: str) -> float:
+    try:
+        return number(cell, decimal)
+    except ValueError:
+        return 0.0
+
+
+def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str) -> LoggerFile:
+    stamps, values, rows = table(text, mapping, source)
+    steps = np.diff(stamps)
+    back, same = steps < 0, steps == 0
+    order = np.argsort(stamps, kind="stable")
+    if back.any():
+        far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
+        safe = mapping.time_form not in SINCE_START and not far
+        mapping = replace(mapping, reordered="sort" if safe else "refuse")
+        why = "each row has its own date" if safe else "a restart, midnight or a change of the clock looks the same"
+        guesses["reordered"] = (mapping.reordered, f"row {rows[int(np.argmax(back)) + 1]} goes back; {why}")
+    pairs = [(i, k) for i, k in pairwise(order) if stamps[i] == stamps[k]]
+    if pairs:
+        equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in pairs)
+        mapping = replace(mapping, duplicates="first" if equal else "refuse")
+        why = "the rows are equal" if equal else "the rows differ"
+        guesses["duplicates"] = (
+            mapping.duplicates,
+            f"{len(pairs)} rows repeat a stamp, the first is row {rows[pairs[0][1]]}; {why}",
+        )
+    forward = np.diff(np.unique(stamps)) / 1e9
+    if not len(forward):
+        raise BadRecord(f"{source}: all rows have one time stamp")
+    step = float(np.median(forward))
+    gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
+    samples = {
+        "rows": len(rows),
+        "sample_time": step,
+        "rate": 1 / step,
+        "even": bool((np.abs(forward - step) <= 0.01 * step).all()),
+        "gaps": [{"after_row": rows[k], "seconds": float(steps[k]) / 1e9} for k in gaps[:20]],
+        "gap_count": len(gaps),
+        "reordered": int(back.sum()),
+        "duplicates": len(pairs),
+        "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
+    }
+    return LoggerFile(mapping, guesses, samples)

@@ -1,0 +1,252 @@
+"""The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
+from residuum.identification.record_formats.logger_time import FORMS, nanoseconds
+from residuum.identification.record_formats.options import ReadOptions
+
+ENDING = ".mapping.yaml"
+_HOLE = 3.0  # of a channel's own median step: a longer stretch without a value stays missing
+_DUPLICATES = ("refuse", "first", "mean")
+_REORDERED = ("refuse", "sort")
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoggerMapping:
+    """How to read one habit of writing files; columns and rows count from 1.
+
+    Parameters
+    ----------
+    encoding, delimiter, decimal : str
+        Of the text.
+    width : int
+        Cells of a row; rows of another width are refused.
+    first_row : int
+        File row of the first sample.
+    time : tuple of int
+        The time column, or the columns of date and of time of day.
+    time_form : str
+        One of `logger_time.FORMS`.
+    names, units : mapping of column to name and to unit
+        Of the channels.
+    missing : tuple of str
+        Cells (in lower case) that stand for no value.
+    duplicates, reordered : str
+        What becomes of rows of one stamp (`refuse`, `first`, `mean`) and of rows out of order (`refuse`, `sort`).
+
+    Raises
+    ------
+    BadRecord
+        A field that is not of these kinds.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    width: int
+    first_row: int
+    time: tuple[int, ...]
+    time_form: str
+    names: Mapping[int, str]
+    units: Mapping[int, str]
+    missing: tuple[str, ...] = MISSING
+    duplicates: str = "refuse"
+    reordered: str = "refuse"
+
+    def __post_init__(self) -> None:
+        rules = {
+            "delimiter": isinstance(self.delimiter, str) and len(self.delimiter) == 1,
+            "decimal": self.decimal in (".", ","),
+            "width": _is_count(self.width),
+            "first_row": _is_count(self.first_row),
+            "time_form": self.time_form in FORMS,
+            "duplicates": self.duplicates in _DUPLICATES,
+            "reordered": self.reordered in _REORDERED,
+            "time": 1 <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
+            "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
+            "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
+        }
+        for name, holds in rules.items():
+            if not holds:
+                raise BadRecord(f"mapping, {name}: {getattr(self, name)!r} is not possible; see the one that inspect writes")
+        if beyond := [column for column in (*self.time, *self.names) if column > self.width]:
+            near = ", ".join(f"{column} {name!r}" for column, name in self.names.items() if column <= self.width)
+            raise BadRecord(f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})")
+
+    def to_yaml(self) -> str:
+        """The mapping as YAML."""
+        import yaml
+
+        plain = {**asdict(self), "time": list(self.time), "missing": list(self.missing)}
+        return yaml.safe_dump(plain, allow_unicode=True, sort_keys=False)
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
+def read_mapping(path: Path) -> LoggerMapping:
+    """The mapping of a YAML file; BadRecord names the file and the field."""
+    import yaml
+
+    try:
+        found: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise BadRecord(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
+    known = [field.name for field in fields(LoggerMapping)]
+    if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
+        what = repr(unknown[0]) if isinstance(found, dict) else "no table"
+        raise BadRecord(f"{path}: {what} is not part of a mapping; known are {', '.join(known)}")
+    if lacking := [name for name in known[:9] if name not in found]:
+        raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
+    try:
+        for name in ("time", "missing"):
+            if name in found:
+                found[name] = tuple(found[name])
+        found["names"], found["units"] = dict(found["names"]), dict(found["units"])
+        return LoggerMapping(**found)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise BadRecord(f"{path}: {error}") from None
+
+
+def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
+    """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as NaN."""
+    stamps, values, rows = [], [], []
+    for row, cells in enumerate(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row):
+        if not any(cells):
+            continue
+        if len(cells) != mapping.width:
+            raise BadRecord(f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut the row")
+        stamp = " ".join(cells[column - 1] for column in mapping.time)
+        try:
+            stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
+        except (ValueError, OverflowError):
+            raise BadRecord(f"{source}, row {row}: {stamp[:40]!r} is no time of the form {mapping.time_form!r}") from None
+        values.append(
+            [
+                _value(cells[column - 1], mapping, f"{source}, row {row}, column {name!r}")
+                for column, name in mapping.names.items()
+            ]
+        )
+        rows.append(row)
+    if len(rows) < 2:
+        raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
+    if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
+        raise BadRecord(f"{source}: time stamps beyond the years 1678 to 2262; check the time's form {mapping.time_form!r}")
+    return np.array(stamps, dtype=np.int64), np.array(values).T, rows
+
+
+def _value(cell: str, mapping: LoggerMapping, where: str) -> float:
+    if cell.lower() in mapping.missing:
+        return float("nan")
+    try:
+        return number(cell, mapping.decimal)
+    except ValueError:
+        raise BadRecord(
+            f"{where}: {cell[:40]!r} is not a number; where it means no value, add it to the mapping's `missing`"
+        ) from None
+
+
+def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+    """Read a logger's file by its mapping.
+
+    Rows of one stamp, rows out of order and uneven stamps are refused unless the mapping or `options.resample` says what to
+    do. What was done stands in the record's notes, with the error that resampling makes; no hole is filled without it.
+
+    Raises BadRecord with file and row.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    source = str(path)
+    stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
+    notes: list[str] = []
+    stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
+    time = (stamps - stamps[0]) / 1e9
+    try:
+        step, columns = even_columns(np.stack([time, *values]), source, resample=False, first_row=mapping.first_row)
+        signals = columns[1:]
+    except BadRecord:
+        if not options.resample:
+            raise
+        step, signals = _resampled(time, values, list(mapping.names.values()), notes)
+    options.settle_sample_time(step, source)
+    units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
+    channels = dict(zip(mapping.names.values(), signals, strict=True))
+    return Record(channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source)
+
+
+def _ordered(
+    stamps: npt.NDArray[np.int64], values: FloatArray, rows: list[int], mapping: LoggerMapping, notes: list[str], source: str
+) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    backward = np.diff(stamps) < 0
+    if backward.any():
+        if mapping.reordered == "refuse":
+            row = rows[int(np.argmax(backward)) + 1]
+            raise BadRecord(f"{source}, row {row}: time goes back; cut the file there, or set the mapping's `reordered: sort`")
+        order = np.argsort(stamps, kind="stable")
+        stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
+        notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
+    same = np.diff(stamps) == 0
+    if not same.any():
+        return stamps, values
+    if mapping.duplicates == "refuse":
+        row = rows[int(np.argmax(same)) + 1]
+        raise BadRecord(f"{source}, row {row}: time stamp stands twice; set the mapping's `duplicates: first` or `mean`")
+    notes.append(f"{int(same.sum())} rows of a time stamp that stands twice: {mapping.duplicates}")
+    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    if mapping.duplicates == "first":
+        return stamps[starts], values[:, starts]
+    present = np.add.reduceat((~np.isnan(values)).astype(float), starts, axis=1)
+    total = np.add.reduceat(np.nan_to_num(values), starts, axis=1)
+    return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
+
+
+def _resampled(time: FloatArray, values: FloatArray, names: list[str], notes: list[str]) -> tuple[float, FloatArray]:
+    """(step [s], channels on even instants): linear between a channel's own samples, missing in its longer holes."""
+    step = float(np.median(np.diff(time)))
+    if (time[-1] - time[0]) / step > 1e8:
+        raise BadRecord(f"{time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps")
+    even = step * np.arange(int(np.floor(time[-1] / step + 1e-6)) + 1)
+    signals = []
+    for name, column in zip(names, values, strict=True):
+        held = ~np.isnan(column)
+        at, taken = time[held], column[held]
+        if len(at) < 2:
+            signals.append(np.full_like(even, np.nan))
+            continue
+        signal = np.interp(even, at, taken, left=np.nan, right=np.nan)
+        after = np.clip(np.searchsorted(at, even - 1e-9 * step), 1, len(at) - 1)
+        hole = (at[after] - at[after - 1] > _HOLE * np.median(np.diff(at))) & (np.abs(even - at[after]) > 1e-6 * step)
+        hole &= np.abs(even - at[after - 1]) > 1e-6 * step
+        signals.append(np.where(hole, np.nan, signal))
+        notes.append(
+            f"{name} resampled to {step:.6g} s: error {_linear_error(at, taken):.3g} rms, {int(hole.sum())} left missing"
+        )
+    return step, np.array(signals)
+
+
+def _linear_error(at: FloatArray, taken: FloatArray) -> float:
+    """Estimate of the rms error of linear interpolation, from leaving out each sample.
+
+    Over the double distance the error of a smooth signal is four times as large; noise is counted in.
+    """
+    if len(at) < 3:
+        return float("nan")
+    weight = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+    left_out = taken[1:-1] - ((1 - weight) * taken[:-2] + weight * taken[2:])
+    return float(np.sqrt(np.mean(left_out**2)) / 4)

@@ -1,0 +1,124 @@
+"""The text of a logger's file: encoding, delimiter, decimal sign, cells. Every guess comes with its reason."""
+
+import csv
+import re
+from collections import Counter
+
+from residuum.identification.errors import BadRecord
+
+DELIMITERS = ("\t", ";", "|", ",", " ")
+MISSING = ("", "nan", "null", "none", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "*", "?", "no data", "bad", "invalid")
+"""Cells that loggers write for a value that is not there, in lower case."""
+_NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
+_STAMP = re.compile(r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d+:\d\d)([T :,.].*)?")
+_GROUPED = {",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"), ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")}
+_SURE = {
+    ",": re.compile(
+        r"[+-]?((0|\d{4,})?,\d+|\d*,(\d{1,2}|\d{4,})|[1-9]\d{0,2}(\.\d{3})+,\d*|[1-9]\d{0,2}(\.\d{3}){2,})([eE].*)?|.*,.*[eE].*"
+    ),
+    ".": re.compile(
+        r"[+-]?((0|\d{4,})?\.\d+|\d*\.(\d{1,2}|\d{4,})|[1-9]\d{0,2}(,\d{3})+\.\d*|[1-9]\d{0,2}(,\d{3}){2,})([eE].*)?|.*\..*[eE].*"
+    ),
+}
+_SCANNED = 2000
+
+
+def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[str, str, str]:
+    """(text, encoding, reason) of a file's bytes; BadRecord when it is no text."""
+    name, reason = (encoding, "said by the mapping") if encoding else _encoding(content)
+    try:
+        text = content.decode(name)
+    except (UnicodeDecodeError, LookupError) as error:
+        raise BadRecord(f"{source}: is not text in encoding {name!r} ({' '.join(str(error).split())[:80]})") from None
+    if "\x00" in text:
+        raise BadRecord(f"{source}: holds the character NUL; it is not a logger's text file")
+    if not text.strip():
+        raise BadRecord(f"{source}: is empty; column names and at least two rows are needed")
+    return text.removeprefix("\ufeff"), name, reason
+
+
+def _encoding(content: bytes) -> tuple[str, str]:
+    if content.startswith(b"\xef\xbb\xbf"):
+        return "utf-8-sig", "byte-order mark of UTF-8"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16", "byte-order mark of UTF-16"
+    head = content[:4000]
+    if len(head) > 3 and head[1::2].count(0) > 0.4 * len(head[1::2]):
+        return "utf-16-le", "every second byte is zero"
+    if len(head) > 3 and head[::2].count(0) > 0.4 * len(head[::2]):
+        return "utf-16-be", "every first byte of two is zero"
+    try:
+        content.decode("utf-8")
+        return "utf-8", "all bytes are valid UTF-8"
+    except UnicodeDecodeError as error:
+        return "latin-1", f"byte {error.start} is not valid UTF-8; one byte a character"
+
+
+def cells_of(text: str, delimiter: str) -> list[list[str]]:
+    """The cells of every line (quotes removed, blanks stripped); runs of blanks separate where the delimiter is a blank."""
+    lines = text.splitlines()
+    if delimiter == " ":
+        return [line.split() for line in lines]
+    rows = []
+    for line in lines:
+        row = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
+        rows.append([cell.strip() for cell in row])
+    return rows
+
+
+def is_value(cell: str) -> bool:
+    """Whether a cell could be a number or a time stamp."""
+    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
+
+
+def find_delimiter(text: str, source: str) -> tuple[str, str]:
+    """(delimiter, reason): the one that cuts the rows into equally many cells that are values."""
+    lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]
+    sample = "\n".join(lines[len(lines) // 2 :])
+    best = (0.0, "", "")
+    for delimiter in DELIMITERS:
+        rows = cells_of(sample, delimiter)
+        width, count = Counter(map(len, rows)).most_common(1)[0]
+        filled = [cell for row in rows for cell in row if cell.lower() not in MISSING]
+        share = sum(map(is_value, filled)) / max(1, len(filled))
+        score = share * count / len(rows)
+        if width >= 2 and score > best[0] + 1e-9:
+            best = (score, delimiter, f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of them values")
+    if best[0] < 0.3:
+        raise BadRecord(f"{source}: no delimiter (tab ; | , blank) cuts its rows into columns of numbers")
+    return best[1], best[2]
+
+
+def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[str, str]:
+    """(decimal sign, reason); BadRecord where `1,234` may be either, or where both signs are used."""
+    seen: dict[str, tuple[int, str]] = {}
+    unsure: tuple[int, str] | None = None
+    for row, cells in enumerate(rows, start=first_row):
+        for cell in cells:
+            if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
+                continue
+            signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
+            if len(signs) == 1:
+                seen.setdefault(signs[0], (row, cell))
+            elif "," in cell and unsure is None:
+                unsure = (row, cell)
+    if len(seen) == 2:
+        says = " and ".join(f"{cell!r} in row {row}" for row, cell in seen.values())
+        raise BadRecord(f"{source}: both decimal signs are used, {says}; say which with --decimal")
+    if seen:
+        sign, (row, cell) = next(iter(seen.items()))
+        return sign, f"{cell!r} in row {row} reads only so"
+    if unsure is not None:
+        raise BadRecord(
+            f"{source}, row {unsure[0]}: {unsure[1]!r} is a decimal comma or a thousands sign; say which with --decimal"
+        )
+    return ".", "no cell says otherwise"
+
+
+def number(cell: str, decimal: str) -> float:
+    """The number of a cell; ValueError when it is none."""
+    if not _NUMBER.fullmatch(cell):
+        raise ValueError(cell)
+    if _GROUPED[decimal].fullmatch(cell):
+        cell = cell.replace("." if decimal == "," else ",", "")
+    return float(cell.replace(",", ".") if decimal == "," and "." not in cell else cell)

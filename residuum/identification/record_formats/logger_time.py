@@ -1,0 +1,133 @@
+"""The times of a logger's file: seconds or milliseconds since start, epoch numbers, ISO and local stamps, Excel dates, clocks."""
+
+import re
+from datetime import UTC, datetime, timedelta
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.record_formats.logger_text import number
+
+PER_SECOND = {
+    "seconds": Fraction(1),
+    "milliseconds": Fraction(1, 1000),
+    "microseconds": Fraction(1, 10**6),
+    "nanoseconds": Fraction(1, 10**9),
+    "minutes": Fraction(60),
+    "hours": Fraction(3600),
+    "epoch s": Fraction(1),
+    "epoch ms": Fraction(1, 1000),
+    "epoch us": Fraction(1, 10**6),
+    "epoch ns": Fraction(1, 10**9),
+}
+"""Seconds of one unit of a time column that holds numbers."""
+STAMPS = ("iso", "day first", "month first", "clock")
+FORMS = (*PER_SECOND, "excel", *STAMPS)
+SINCE_START = ("seconds", "milliseconds", "microseconds", "nanoseconds", "minutes", "hours", "clock")
+UNITS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek"), "seconds"),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "milliseconds"),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), "microseconds"),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), "nanoseconds"),
+    **dict.fromkeys(("min", "minutes"), "minutes"),
+    **dict.fromkeys(("h", "hr", "hours"), "hours"),
+}
+_EXCEL_EPOCH = datetime(1899, 12, 30, tzinfo=UTC)
+_DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
+_CLOCK = re.compile(
+    r"(\d+):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
+)
+_EPOCHS = (("epoch s", 1e9, 2.2e9), ("epoch ms", 1e12, 2.2e12), ("epoch us", 1e15, 2.2e15), ("epoch ns", 1e18, 2.2e18))
+
+
+def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[str, str] | None:
+    """(form, reason) of a time column of numbers, or None where nothing says its unit."""
+    low, high = float(np.min(values)), float(np.max(values))
+    for form, least, most in _EPOCHS:
+        if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
+            return form, f"{low:.0f} is {_date(low, form)} as seconds since 1970"
+    if unit:
+        form = UNITS.get(unit.lower(), "")
+        return (form, f"unit {unit!r} of column {name!r}") if form else None
+    words = re.split(r"[\s_.:-]+", name.lower())
+    if words[-1] in UNITS and len(words) > 1:
+        return UNITS[words[-1]], f"the name {name!r} ends in {words[-1]!r}"
+    step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
+    if low >= 25000 and high <= 75000 and 0 < step < 0.05 and ("date" in words or "datetime" in words or "datum" in words):
+        return "excel", f"days since 1899-12-30: {low:.5f} is {(_EXCEL_EPOCH + timedelta(days=low)):%Y-%m-%d %H:%M}"
+    return None
+
+
+def _plain(form: str) -> str:
+    return UNITS[form.split()[1]]
+
+
+def _date(value: float, form: str) -> str:
+    return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]), UTC):%Y-%m-%d %H:%M}"
+
+
+def stamp_form(cells: list[str]) -> tuple[str, str] | None:
+    """(form, reason) of a column of stamps; `day or month first` where the dates do not tell."""
+    if all(_CLOCK.fullmatch(cell) for cell in cells):
+        return "clock", f"hours:minutes:seconds, {cells[0]!r}"
+    dates = [_DATE.fullmatch(cell) for cell in cells]
+    if not all(dates):
+        return None
+    parts = [match.groups() for match in dates if match]
+    if all(len(first) == 4 for first, *_ in parts):
+        return "iso", f"year first, {cells[0]!r}"
+    if any(int(first) > 12 for first, *_ in parts):
+        return "day first", "a first part is above 12"
+    if any(int(second) > 12 for _, second, *_ in parts):
+        return "month first", "a second part is above 12"
+    if all("." in cell[:3] for cell in cells):
+        return "day first", f"dates with points, {cells[0]!r}"
+    return "day or month first", f"{cells[0]!r} may be either"
+
+
+def nanoseconds(cell: str, form: str, decimal: str) -> int:
+    """Time of a cell [ns], since the start, midnight, or 1970 by its form; ValueError when it is not of that form.
+
+    A stamp without zone is taken as UTC. Digits are kept exactly, so a 19-digit epoch loses nothing.
+    """
+    if form in PER_SECOND:
+        number(cell, decimal)
+        return round(Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", "")) * PER_SECOND[form] * 10**9)
+    if form == "excel":
+        microseconds = round(number(cell, decimal) * 86_400_000_000)
+        return (microseconds + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6) * 1000
+    if form == "clock":
+        return _clock(cell)
+    match = _DATE.fullmatch(cell)
+    if not match:
+        raise ValueError(cell)
+    first, second, third, clock = match.groups()
+    if (form == "iso") != (len(first) == 4) or (form != "iso" and len(third) != 4):
+        raise ValueError(cell)
+    order = {"iso": (first, second, third), "day first": (third, second, first), "month first": (third, first, second)}[form]
+    day = datetime(*(int(part) for part in order), tzinfo=UTC)  # type: ignore[misc]
+    return int(day.timestamp()) * 10**9 + (_clock(clock) if clock else 0)
+
+
+def _clock(text: str) -> int:
+    match = _CLOCK.fullmatch(text.strip())
+    if not match:
+        raise ValueError(text)
+    hours, minutes, seconds, fraction, half, zone = match.groups()
+    hour = int(hours)
+    if half:
+        if not 1 <= hour <= 12:
+            raise ValueError(text)
+        hour = hour % 12 + (12 if half.lower() == "pm" else 0)
+    if int(minutes) > 59 or int(seconds or 0) > 60:
+        raise ValueError(text)
+    whole = hour * 3600 + int(minutes) * 60 + int(seconds or 0) - _offset(zone)
+    return whole * 10**9 + int((fraction or "0")[:9].ljust(9, "0"))
+
+
+def _offset(zone: str | None) -> int:
+    if not zone or zone.upper() in ("Z", "UTC"):
+        return 0
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 3600 + int(digits[2:]) * 60)

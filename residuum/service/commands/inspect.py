@@ -1,0 +1,62 @@
+"""`residuum inspect`: what is understood of a logger's file, each guess with its reason, and the mapping that reads it."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.logger_file import LoggerFile, understand
+from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.report import AsJson, report
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(name="inspect")
+def inspect_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A logger's text file.")],
+    out: Annotated[Path | None, typer.Option(metavar="MAPPING.yaml", help="Write the mapping here.")] = None,
+    decimal: Annotated[str | None, typer.Option(help="The decimal sign, where the file leaves it open.")] = None,
+    time: Annotated[str | None, typer.Option(help="Form of the time column: seconds, epoch ms, excel, 'day first' …")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is understood of a logger's file: columns, units, times, rate, gaps; write the mapping that reads it."""
+    if out is not None:
+        check_output_file(out)
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
+    found = understand(content, str(file), decimal=decimal, time_form=time)
+    if out is not None:
+        out.write_text(found.mapping.to_yaml(), encoding="utf-8")
+    report(_plain(file, found), _human(file, found), as_json=as_json)
+
+
+def _plain(file: Path, found: LoggerFile) -> dict[str, Any]:
+    mapping = found.mapping
+    return {
+        "file": str(file),
+        "guesses": [{"what": what, "value": value, "reason": reason} for what, (value, reason) in found.guesses.items()],
+        "columns": [
+            {"column": column, "name": name, "unit": mapping.units.get(column, ""), "missing": found.samples["missing"][name]}
+            for column, name in mapping.names.items()
+        ],
+        "samples": {key: value for key, value in found.samples.items() if key != "missing"},
+        "mapping": mapping.to_yaml(),
+    }
+
+
+def _human(file: Path, found: LoggerFile) -> str:
+    samples, mapping = found.samples, found.mapping
+    lines = [f"{file}: {samples['rows']} rows, {len(mapping.names)} channels, {samples['rate']:.6g} Hz"]
+    lines += [f"  {what}: {value!r} ({reason})" for what, (value, reason) in found.guesses.items()]
+    for column, name in mapping.names.items():
+        lines.append(f"  column {column}: {name} [{mapping.units.get(column, '')}], {samples['missing'][name]} missing")
+    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
+    if samples["gap_count"] > len(samples["gaps"]):
+        lines.append(f"  {samples['gap_count']} gaps in all")
+    if not samples["even"]:
+        lines.append("  steps are uneven: the commands take it with --resample")
+    return "\n".join(lines)
