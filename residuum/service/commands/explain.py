@@ -45,8 +45,8 @@ def explain_command(
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
     loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
-    mapping, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
+    channels, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given = read(model)
     keep_large_arrays()
-    explanation = given.explain(loaded, map=mapping, effects=wanted, learned=learned, seconds=seconds, progress=told)
+    explanation = given.explain(loaded, map=channels, effects=wanted, learned=learned, seconds=seconds, progress=told)
     report(explanation.to_dict(), str(explanation), as_json=as_json)
