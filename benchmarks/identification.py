@@ -191,7 +191,7 @@ def covered(model: IdentifiedModel, numerator: np.ndarray, denominator: np.ndarr
     parts = np.stack([error.real, error.imag], axis=-1)
     distance = np.einsum("ki,kij,kj->k", parts, np.linalg.pinv(model.frequency_covariance(omega), hermitian=True), parts)
     truth = signal.lfilter(numerator, denominator, np.eye(1, model.order + 1)[0])[1:]
-    return np.append(distance < 5.991, np.mean(np.abs(model.impulse_response - truth) < 1.96 * model.std))
+    return np.append(distance < 5.991, np.mean(np.abs(model.impulse_response - truth) < 1.96 * model.conditional_std))
 
 
 def coverage() -> None:

@@ -1,9 +1,13 @@
-"""`python -m reproduction [NAME…]`: reproduce the source, or the named parts of it."""
+"""`python -m reproduction [--record] [NAME…]`: reproduce the source, or the named parts of it.
+
+Exit status 1 when an item that agreed before, by `agreed.json`, does not agree now; `--record` writes what agrees into that file.
+"""
 
 import sys
 from importlib import import_module
 from pathlib import Path
 
+from reproduction.agreement import lost, recorded, with_parts, write_recorded
 from reproduction.report import write_report
 
 PARTS: dict[str, str] = {
@@ -20,19 +24,26 @@ PARTS: dict[str, str] = {
 
 def main() -> None:
     """Run the parts, say each item's line, write the report."""
-    names = sys.argv[1:] or list(PARTS)
+    record = "--record" in sys.argv[1:]
+    names = [name for name in sys.argv[1:] if name != "--record"] or list(PARTS)
     if unknown := [name for name in names if name not in PARTS]:
         sys.exit(f"part {unknown[0]!r}: there is none of this name; known are {', '.join(PARTS)}")
-    items = []
+    items, by_part = [], {}
     for name in names:
         print(f"{name}: {PARTS[name]}")
         found = import_module(f"reproduction.{name}").items()
         items += found
+        by_part[name] = found
         for item in found:
-            print(f"  {'agrees ' if item.agrees else 'differs'} {item.where}: {item.says}")
+            print(f"  {item.word} {item.where}: {item.says}")
     path = Path(__file__).parent / "report.html"
     write_report(items, path)
     print(f"written to {path}")
+    before = recorded()
+    if record:
+        write_recorded(with_parts(before, by_part))
+    elif gone := lost(before, by_part):
+        sys.exit("\n".join(f"agreed before, and not now: {part}, {where}" for part, where in gone))
 
 
 if __name__ == "__main__":

@@ -18,12 +18,14 @@ td,th{border:1px solid #cbd3dc;padding:.2rem .6rem;text-align:right}th{backgroun
 
 def write_report(items: Sequence[Item], path: Path) -> None:
     """Write the page with every item, Plotly included once, so that it opens offline."""
-    agree = sum(item.agrees for item in items)
+    counted = [item for item in items if not (item.by_construction and item.agrees)]
+    agree = sum(item.agrees for item in counted)
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Residuum: reproduction</title>",
         f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script>",
         "<h1>The source's numbers beside ours</h1>",
-        f"<p>{agree} of {len(items)} items agree; where one does not, its line says how.</p>",
+        f"<p>{agree} of {len(counted)} items agree; where one does not, its line says how. "
+        f"{len(items) - len(counted)} more hold by construction and are not counted.</p>",
         *(_section(item) for item in items),
     ]
     path.write_text("\n".join(parts), encoding="utf-8")
@@ -33,7 +35,7 @@ def _section(item: Item) -> str:
     figures = "".join(figure.to_html(full_html=False, include_plotlyjs=False) for figure in item.figures)
     return (
         f"<h2>{escape(item.where)}: {escape(item.title)}</h2><p class='source'>Source: {escape(item.source)}</p>"
-        f"<p class='{'yes' if item.agrees else 'no'}'>{'Agrees' if item.agrees else 'Differs'}: {escape(item.says)}</p>"
+        f"<p class='{'yes' if item.agrees else 'no'}'>{item.word.capitalize()}: {escape(item.says)}</p>"
         f"{_table(item.rows)}{figures}"
     )
 

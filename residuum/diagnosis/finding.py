@@ -19,6 +19,10 @@ class Verdict(StrEnum):
     NOT_ASSESSABLE = "not-assessable"
 
 
+TOLD_BESIDE = ("causes", "parameters", "false_alarms_per_day")
+"""Evidence that the `score` object also has at its top level, where a diagnoser tells causes."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """Verdict on one window with the numbers it rests on.
@@ -69,7 +73,8 @@ class Finding:
 
     def to_json(self) -> dict[str, Any]:
         """The finding as plain JSON values (the `score` object of the command line and the HTTP interface)."""
-        return {
+        told = {name: _plain(self.evidence[name]) for name in TOLD_BESIDE if name in self.evidence}
+        return told | {
             "diagnoser": self.diagnoser,
             "verdict": self.verdict.value,
             "class": self.fault_class,

@@ -15,12 +15,13 @@ import numpy as np
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_design import design_json, design_text
+from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.picture import Curve, Panel, Picture
 from residuum.library.plant import Plant, load_plant, to_control
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
-from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
-from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, Wishes
+from residuum.robust_control.certificates.time_domain import Measured, StepResponse, step_response
+from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.synthesis.constrained_structure import Constrained
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
@@ -72,9 +73,14 @@ class Controller(Result):
         return dict(zip(made.structure.names, made.rho.tolist(), strict=True))
 
     @cached_property
+    def measured(self) -> Measured:
+        """Step responses of the nominal loop, and of 200 plants drawn from the models' uncertainty that no design has seen."""
+        return self.problem.measured(self.found, self.wishes)
+
+    @property
     def figures(self) -> list[StepResponse]:
-        """Overshoot, settling time and integral absolute error of 200 plants drawn from the models' uncertainty."""
-        return over_plants(self.problem.random_plants(), self.transfer_function, self.problem.horizon)
+        """Overshoot, settling time and integral absolute error of the drawn plants."""
+        return list(self.measured.drawn)
 
     def to_control(self) -> Any:
         """K(z) as a python-control `TransferFunction`; MissingPackage when `control` is not installed."""
@@ -113,6 +119,8 @@ class Controller(Result):
     def _answer(self) -> dict[str, Any]:
         described = {"aim": self.aim, "structure": self.structure, "models": list(self.plants)}
         answer = described | design_json(self.found, self.wishes.names, self.figures, self.problem)
+        answer |= self.problem.nominal_plants() | {"samples": self.problem.choice.samples}
+        answer |= promise_and_measurement(self.found, self.wishes, self.measured)
         return answer | {"file": None, "difference_equation": self.difference_equation().text()}
 
     def __str__(self) -> str:
@@ -146,6 +154,12 @@ def design(
     settling_time: float | None = None,
     slack: float = 0.1,
     only: str | None = None,
+    in_time: bool = False,
+    low_gain: float = 120.0,
+    high_gain: float = -50.0,
+    critical_frequency: float | None = None,
+    joined: Plant | str | PathLike[str] | None = None,
+    weight: WeightChoice | None = None,
     fix: Mapping[str, float] | None = None,
     within: Mapping[str, tuple[float, float]] | None = None,
     seed: int = 0,
@@ -168,6 +182,16 @@ def design(
         Nominal aim: γ of the mixed-sensitivity bound 1 + γ.
     only : str
         One wish alone: `overshoot` or `settling-time`; with the robust aim `high-gain` or `critical-frequency`.
+    in_time : bool
+        Nominal aim: overshoot and settling time hold in time, on the nominal loop and 95 % of the drawn plants.
+    low_gain, high_gain : float
+        Robust aim: l_g, and the smallest h_g, of the performance weight [dB].
+    critical_frequency : float
+        Robust aim: the lowest ω_c [rad/s]; None: a thousandth of where |W_T| reaches 1.
+    joined : Plant or file
+        The nominal plant: one model of all operating points' records; None: the models' mean.
+    weight : WeightChoice
+        ε, ζ, the rule of the number of plants, the order and the grid of the uncertainty weight; None: the defaults.
     fix, within : mapping of name to value, or to (low, high)
         Parameters of the controller to hold, or to keep between limits.
     seed : int
@@ -190,11 +214,13 @@ def design(
     """
     if structure not in STRUCTURES:
         raise BadInput(f"structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
-    wishes = Wishes(aim, overshoot, settling_time, slack, only)
+    wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time, low_gain, high_gain, critical_frequency)
     given: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
     loaded = [plant if isinstance(plant, Plant) else load_plant(plant) for plant in given]
     names = [_described(plant) if isinstance(plant, Plant) else str(plant) for plant in given]
-    problem = ControlProblem([plant.identified for plant in loaded], seed)
+    middle = joined if joined is None or isinstance(joined, Plant) else load_plant(joined)
+    nominal = None if middle is None else middle.identified
+    problem = ControlProblem([plant.identified for plant in loaded], seed, joined=nominal, weight=weight)
     law: ControllerStructure = STRUCTURES[structure](problem.loop.sample_time)
     if fix or within:
         law = Constrained(law, fixed=dict(fix or {}), within=dict(within or {}))

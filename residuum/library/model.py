@@ -114,7 +114,7 @@ class Model(DescribedModel):
         *,
         map: Mapped = None,
         effects: Iterable[str] | None = None,
-        seconds: float | None = 10.0,
+        seconds: float | None = 12.0,
         progress: Progress = None,
         **options: Any,
     ) -> Explanation:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +13,15 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES, Rule
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
+from residuum.robust_control.certificates.time_domain import Measured, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.multi_model import average_plant, overall_uncertainty
 from residuum.robust_control.synthesis.controller_structure import PI, PID, PIDN, ControllerStructure, LeadLag, Rational
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
+from residuum.robust_control.synthesis.time_domain_design import TimeAim, design_in_time
 from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 from residuum.robust_control.weights.reference_model import ReferenceModel
@@ -26,6 +30,9 @@ FloatArray = npt.NDArray[np.float64]
 AIMS = ("nominal", "robust")
 STRUCTURES: dict[str, type[ControllerStructure]] = {"pidn": PIDN, "pid": PID, "pi": PI, "lead-lag": LeadLag, "rational": Rational}
 _VALIDATION_PLANTS = 200
+_PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
+_FOLLOWED = 1.5
+"""Steps are followed for so many of the settling times that are asked for or promised."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,10 @@ class Wishes:
         γ of the mixed-sensitivity bound 1 + γ.
     only : str or None
         One wish alone (Remark 2.7).
+    low_gain_db, smallest_high_gain_db, lowest_critical_frequency : float
+        robust: l_g, h_g,min [dB] and ω_c,min [rad/s] of (2.37); the last None: a thousandth of where |W_T| reaches 1.
+    in_time : bool
+        nominal: overshoot and settling time are limits on step responses, not parameters of a weight (`design_in_time`).
     """
 
     aim: str = "nominal"
@@ -51,10 +62,18 @@ class Wishes:
     settling_time: float | None = None
     slack: float = 0.1
     only: str | None = None
+    in_time: bool = False
+    low_gain_db: float = 120.0
+    smallest_high_gain_db: float = -50.0
+    lowest_critical_frequency: float | None = None
 
     def __post_init__(self) -> None:
         if self.aim not in AIMS:
             raise BadInput(f"aim {self.aim!r}: must be nominal or robust")
+        if self.in_time and (self.aim != "nominal" or self.only is not None):
+            raise BadInput("in time: needs the aim nominal, and holds both wishes; leave `only` out")
+        if self.in_time and not (0 < self.overshoot < 1 and (self.settling_time is None or self.settling_time > 0)):
+            raise BadInput("in time: the overshoot must lie between 0 and 1, and the settling time be positive")
 
     @property
     def names(self) -> tuple[str, str]:
@@ -65,6 +84,23 @@ class Wishes:
     def limit(self) -> float:
         """What the cost must stay below."""
         return 1.0 + self.slack if self.aim == "nominal" else 1.0
+
+
+@dataclass(frozen=True)
+class WeightChoice:
+    """How the uncertainty weight is made: ε, ζ and the rule of the number of plants, its order, and the grid's frequencies."""
+
+    epsilon: float = 0.05
+    zeta: float = 0.05
+    rule: Rule = "chernoff"
+    order: int = 2
+    points: int = 600
+    lowest: float | None = None
+
+    @property
+    def samples(self) -> int:
+        """Random plants in all."""
+        return SAMPLE_SIZE_RULES[self.rule](self.epsilon, 1 - self.zeta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +120,10 @@ class ControlProblem:
         One an operating point, of one sample time.
     seed : int
         Of the random plants.
+    joined : IdentifiedModel or None
+        One model of the data of all operating points, the nominal plant of Algorithm 4 as the source has it; None: the mean of
+        the models' impulse responses.
+    weight : WeightChoice
 
     Attributes
     ----------
@@ -101,14 +141,34 @@ class ControlProblem:
         No model, different sample times, an uncertainty of over 100 % at the lowest frequency.
     """
 
-    def __init__(self, models: Sequence[IdentifiedModel], seed: int = 0) -> None:
-        self.models, self.seed = tuple(models), seed
-        self.plant = average_plant(models)
-        omega = frequency_grid([self.plant])
-        self.W_T, self.largest = overall_uncertainty(models, self.plant, omega, seed=seed)
+    def __init__(
+        self,
+        models: Sequence[IdentifiedModel],
+        seed: int = 0,
+        *,
+        joined: IdentifiedModel | None = None,
+        weight: WeightChoice | None = None,
+    ) -> None:
+        self.models, self.seed, self.joined, self.choice = tuple(models), seed, joined, weight or WeightChoice()
+        mean = average_plant([*models] if joined is None else [*models, joined])  # refuses unequal sample times
+        self.plant = mean if joined is None else joined.transfer_function()
+        omega = frequency_grid([self.plant], points=self.choice.points, lowest=self.choice.lowest)
+        self.W_T, self.largest = self._uncertainty(self.plant, omega)
         self.loop = Loop([self.plant], omega)
         self.magnitude = np.abs(self.W_T.frequency_response(omega))
         self.crossing = _critical_frequency(omega, self.magnitude)
+
+    def _uncertainty(self, plant: TransferFunction, omega: FloatArray) -> tuple[TransferFunction, FloatArray]:
+        choice = self.choice
+        return overall_uncertainty(self.models, plant, omega, n_samples=choice.samples, order=choice.order, seed=self.seed)
+
+    def nominal_plants(self) -> dict[str, Any]:
+        """The largest uncertainty about the joined model and about the models' mean, and which of them is the nominal plant."""
+        mean = average_plant(self.models)
+        other = None if self.joined is None else float(self._uncertainty(mean, frequency_grid([mean]))[1].max())
+        largest = float(self.largest.max())
+        about = {"joined": None, "mean": largest} if self.joined is None else {"joined": largest, "mean": other}
+        return {"nominal": "mean" if self.joined is None else "joined", "largest_uncertainty_about": about}
 
     @property
     def response_time(self) -> float:
@@ -128,6 +188,8 @@ class ControlProblem:
         Infeasible
             No controller of the structure meets the aim; says which constraint, where and by how much.
         """
+        if wishes.in_time:
+            return self._in_time(law, wishes)
         if wishes.aim == "nominal":
             longest = self.response_time if wishes.settling_time is None else wishes.settling_time
             wanted = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
@@ -145,18 +207,34 @@ class ControlProblem:
         gain = self._robust_aim(wishes).low_gain_db
         return Weights(MonotoneWeight(gain, point.first, point.second).magnitude(self.loop.omega), self.magnitude, "1")
 
-    def random_plants(self, count: int = _VALIDATION_PLANTS) -> list[TransferFunction]:
-        """Plants of every model's posterior, other ones than the weight was made from."""
+    def _in_time(self, law: ControllerStructure, wishes: Wishes) -> Solution:
+        limit = self.horizon / _FOLLOWED if wishes.settling_time is None else wishes.settling_time
+        aim = TimeAim(wishes.overshoot, limit)
+        plants = self.random_plants(_PLANTS_IN_SEARCH, stream=2)
+        mixed = [plants[k] for k in np.random.default_rng(self.seed).permutation(len(plants))]
+        others = self.random_plants(_PLANTS_OF_PROMISE, stream=3)
+        found = design_in_time(self.loop, mixed, others, self.magnitude, law, aim, self.crossing)
+        chosen = Point(wishes.overshoot, found.settling_time, found.design)
+        return Solution(chosen, (chosen,))
+
+    def measured(self, found: Solution, wishes: Wishes) -> Measured:
+        """Step responses of the nominal loop and of plants that no design has seen."""
+        duration = max(self.horizon, _FOLLOWED * found.chosen.second) if wishes.aim == "nominal" else self.horizon
+        return measured(self.plant, self.random_plants(), found.chosen.design.controller, duration)
+
+    def random_plants(self, count: int = _VALIDATION_PLANTS, stream: int = 1) -> list[TransferFunction]:
+        """Plants of every model's posterior, other ones than the weight was made from; another `stream`, others."""
         plants = []
         each = math.ceil(count / len(self.models))
         for number, model in enumerate(self.models):
             den = np.r_[1.0, np.zeros(model.delay + model.order - 1)]
-            drawn = model.sample(each, np.random.default_rng([self.seed, 1, number]))
+            drawn = model.sample(each, np.random.default_rng([self.seed, stream, number]))
             plants += [TransferFunction(g, den, model.sample_time) for g in drawn]
         return plants
 
     def _robust_aim(self, wishes: Wishes) -> RobustAim:
-        return RobustAim(lowest_critical_frequency=self.crossing / 1000.0, only=wishes.only)
+        lowest = self.crossing / 1000.0 if wishes.lowest_critical_frequency is None else wishes.lowest_critical_frequency
+        return RobustAim(wishes.low_gain_db, wishes.smallest_high_gain_db, lowest_critical_frequency=lowest, only=wishes.only)
 
 
 def _critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:

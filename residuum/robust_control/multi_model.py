@@ -9,10 +9,11 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.drawn_errors import DrawnErrors
+from residuum.identification.linear_models.error_grid import refined_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import chernoff_samples
+from residuum.identification.linear_models.uncertainty import chernoff_samples, weight_above
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -50,6 +51,8 @@ def overall_uncertainty(
 ) -> tuple[TransferFunction, FloatArray]:
     """(Ŵ_T(z), Ω): a weight above the largest relative error of random plants of every model, (3.2).
 
+    Ω is returned on `omega`; the weight lies above it between these frequencies too (`weight_above`).
+
     Parameters
     ----------
     n_samples : int or None
@@ -59,8 +62,17 @@ def overall_uncertainty(
     nominal = average.frequency_response(omega)
     if np.any(np.abs(nominal) < 1e-12 * np.abs(nominal).max()):
         raise BadInput("overall uncertainty: the average plant has a zero on the grid, where a relative error means nothing")
-    largest = np.zeros(len(omega))
-    for number, model in enumerate(models):
-        drawn = model.sample_frequency_responses(each, omega, np.random.default_rng([seed, number]))
-        largest = np.maximum(largest, np.abs(drawn / nominal - 1.0).max(axis=0))
-    return fit_magnitude(omega, largest, order=order, bound="above", sample_time=float(average.sample_time or 0.0)), largest
+    sample_time = float(average.sample_time or 0.0)
+    lag = len(average.den) - len(average.num)
+    middle = np.r_[np.zeros(lag), average.num][None], np.trim_zeros(average.den, "b")[None]
+    errors = DrawnErrors.joined(
+        [
+            DrawnErrors.of(
+                model.sample_polynomials(each, np.random.default_rng([seed, number])), middle, sample_time, "multiplicative"
+            )
+            for number, model in enumerate(models)
+        ]
+    )
+    grid, largest = refined_grid(errors.envelope, average.frequency_response, errors.lags, sample_time, omega)
+    weight, _ = weight_above(errors, grid, largest, order)
+    return weight, largest[np.searchsorted(grid, omega)]

@@ -90,3 +90,15 @@ def test_the_site_is_built_and_fetches_nothing(tmp_path):
     page = (tmp_path / "site" / "tutorials" / "first-hour.html").read_text(encoding="utf-8")
     fetched = re.findall(r"<(?:script|link|img)[^>]*(?:src|href)=\"(https?://[^\"]+)\"", page)
     assert [address for address in fetched if "canonical" not in address] == []
+
+
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", DOCS / "index.md", *(DOCS / "tutorials").glob("*.md")], ids=lambda p: p.stem
+)
+def test_sentences_can_be_read_once(page):
+    prose = re.sub(r"```.*?```|!\[.*?\]\(.*?\)", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(r"^(\||    |#).*$", "", prose, flags=re.MULTILINE)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    paragraphs = re.split(r"\n\s*\n|\n\s*[*] ", text)
+    sentences = [s for p in paragraphs for s in re.split(r"(?<=[.!?:])\s", p.replace("\n", " ")) if len(s.split()) > 2]
+    assert sum(len(s.split()) for s in sentences) / len(sentences) <= 22

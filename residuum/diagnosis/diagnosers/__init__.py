@@ -4,6 +4,7 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
+from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.entry_points import from_entry_points
 
@@ -12,6 +13,7 @@ DIAGNOSERS: dict[str, type[Diagnoser]] = {
     GrippingPliers.name: GrippingPliers,
     Bearing.name: Bearing,
     RobustResidual.name: RobustResidual,
+    ModelBased.name: ModelBased,
 }
 for _found in from_entry_points("residuum.diagnosers"):
     DIAGNOSERS.setdefault(_found.name, _found)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
@@ -53,6 +53,9 @@ class Diagnoser(ABC):
     name: ClassVar[str]
     channels: ClassVar[Sequence[Channel]]
     classes: ClassVar[Sequence[str]]
+    methods: ClassVar[Sequence[str]] = ("default",)
+    method: str = "default"
+    """Which of `methods` decides the verdict; findings of a diagnoser with two hold what both say."""
 
     @abstractmethod
     def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
@@ -84,10 +87,21 @@ class Diagnoser(ABC):
         """Cases for the conformance test, made here by formula (this package never imports the simulators)."""
 
     def with_settings(self, **settings: object) -> Self:
-        """The same trained diagnoser with other settings; BadInput for a diagnoser that has none."""
-        if settings:
-            raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}")
-        return self
+        """The same trained diagnoser with other settings; BadInput for one that it has not. All have `method`."""
+        if unknown := [name for name in settings if name != "method"]:
+            raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}")
+        method = settings.get("method", self.method)
+        if method not in self.methods:
+            raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: must be {' or '.join(self.methods)}")
+        if method == self.method:
+            return self
+        other = copy.copy(self)
+        other.method = str(method)
+        return other
+
+    def learned(self) -> dict[str, Any]:
+        """What training found that its user should know, as JSON; under `says` the same in sentences."""
+        return {}
 
     def describe(self) -> Mapping[str, object]:
         """What the interface shows of this diagnoser: name, channels with units, classes."""
@@ -95,4 +109,5 @@ class Diagnoser(ABC):
             "name": self.name,
             "channels": [vars(channel) for channel in self.channels],
             "classes": list(self.classes),
+            "methods": list(self.methods),
         }

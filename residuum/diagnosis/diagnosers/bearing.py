@@ -131,6 +131,8 @@ class Bearing(Diagnoser):
 
     def with_settings(self, **settings: Any) -> Self:
         """This diagnoser and its baseline with other `orders`, `hertz` or `speed_rpm`; what is not given stays."""
+        if "method" in settings:
+            super().with_settings(method=settings.pop("method"))
         if unknown := [name for name in settings if name not in ("orders", "hertz", "speed_rpm")]:
             raise BadInput(f"bearing: has no setting {unknown[0]!r}; has orders, hertz, speed_rpm")
         lines = settings.keys() & {"orders", "hertz"}

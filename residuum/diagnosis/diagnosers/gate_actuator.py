@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants
-from residuum.diagnosis.gate.gate_baseline import GateBaseline, Judgement, TrainingMovement
+from residuum.diagnosis.gate.gate_baseline import GateBaseline, TrainingMovement
 from residuum.diagnosis.gate.gate_examples import example_records
 from residuum.diagnosis.gate.movement_assessability import unusable_movement, unusable_record
-from residuum.diagnosis.gate.movement_features import MovementFeatures, movement_features
+from residuum.diagnosis.gate.movement_features import movement_features
 from residuum.diagnosis.gate.movements import Movement, cut_movements
-from residuum.diagnosis.gate.operating_events import Happened, event_of_profile
-from residuum.diagnosis.gate.position_domain import average_profile
+from residuum.diagnosis.gate.operating_events import event_of_profile
+from residuum.diagnosis.gate.scored_movement import ScoredMovement, evidence_of, not_assessed, sentence, source_sentence
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
@@ -29,19 +28,10 @@ _SPELLINGS = {
     **dict.fromkeys((RACK, "rack-tooth"), RACK),
 }
 _UNITS = {"F1": "mm/s", "F2": "mm/s", "low_peak": "rad/s", "low_rms": "rad/s", "high_peak": "rad/s", "level": "rad/s"}
-_SHOWN_SPECTRUM = 10.0  # Hz
-_SHOWN_ORDERS = 50
-
-
-@dataclass(frozen=True)
-class _Scored:
-    """One movement with what was said of it: a reason why not, or features and a judgement."""
-
-    movement: Movement
-    reason: str | None = None
-    happened: Happened | None = None
-    features: MovementFeatures | None = None
-    judgement: Judgement | None = None
+_NO_CLASSIFIER = (
+    "gate-actuator, method source: its classifier needs movements with faults; train it with labels, or use the default method"
+)
+_NOTHING_TRAINED = "gate-actuator: has not been trained; train it on healthy movements first"
 
 
 class GateActuator(Diagnoser):
@@ -62,6 +52,9 @@ class GateActuator(Diagnoser):
     where the gate only ramps (its first and last decimetres); a notch hides in the tooth errors of a gear that was never
     seen healthy.
 
+    With `method` "source" the source's path decides: the support vector machine on F₁ and F₂ of the residual's envelope. Every
+    finding holds what both say; docs/gate_actuator.md has the measurement that makes the other one the default.
+
     Parameters
     ----------
     constants : ActuatorConstants
@@ -80,6 +73,7 @@ class GateActuator(Diagnoser):
         Channel("phase", "", "0 pause, 1 opening, 2 closing; without it the sign of the voltage tells", required=False),
     )
     classes: ClassVar[Sequence[str]] = (PINION_OR_GEAR, RACK, UNKNOWN)
+    methods: ClassVar[Sequence[str]] = ("default", "source")
 
     def __init__(self, *, constants: ActuatorConstants | None = None) -> None:
         self.constants = constants or ActuatorConstants()
@@ -135,7 +129,7 @@ class GateActuator(Diagnoser):
     def score(self, record: Record) -> Finding:
         """Judge every movement in the record; the finding is that of the first faulty one, else of the last."""
         if self._baseline is None:
-            raise NotTrained("gate-actuator: has not been trained; train it on healthy movements first")
+            raise NotTrained(_NOTHING_TRAINED)
         for name in ("speed", "voltage"):
             record.in_unit(name, "rad/s" if name == "speed" else "V")
         if reason := unusable_record(record, self._baseline.rate):
@@ -146,67 +140,69 @@ class GateActuator(Diagnoser):
         scored = [self._score_movement(self._baseline, movement) for movement in movements]
         judged = [one for one in scored if one.judgement is not None]
         if not judged:
-            return _not_assessed(scored)
-        worst = next((one for one in judged if _judgement(one).fault_class is not None), judged[-1])
+            return not_assessed(self.name, scored)
+        if self.method == "source" and self._baseline.source is None:
+            raise NotTrained(_NO_CLASSIFIER)
+        worst = next((one for one in judged if one.said_by(self.method) is not None), judged[-1])
         return self._finding(self._baseline, worst, scored)
 
-    def _unusable(self, movement: Movement, shortest_travel: float) -> _Scored | None:
+    def _unusable(self, movement: Movement, shortest_travel: float) -> ScoredMovement | None:
         driven = np.max(movement.speed) > 0 and np.max(movement.voltage) > 0
         if driven and (happened := event_of_profile(movement, shortest_travel)):
-            return _Scored(movement, happened.says, happened)
+            return ScoredMovement(movement, happened.says, happened)
         reason = unusable_movement(movement, self.constants)
-        return _Scored(movement, reason) if reason else None
+        return ScoredMovement(movement, reason) if reason else None
 
-    def _score_movement(self, baseline: GateBaseline, movement: Movement) -> _Scored:
+    def _score_movement(self, baseline: GateBaseline, movement: Movement) -> ScoredMovement:
         if unusable := self._unusable(movement, baseline.shortest_travel):
             return unusable
         try:
             features = movement_features(movement, self.constants)
         except NotIdentifiable as error:
-            return _Scored(movement, str(error))
+            return ScoredMovement(movement, str(error))
         if happened := baseline.pushed(features):
-            return _Scored(movement, happened.says, happened, features)
-        return _Scored(movement, None, None, features, baseline.judge(features))
+            return ScoredMovement(movement, happened.says, happened, features)
+        return ScoredMovement(movement, None, None, features, baseline.judge(features), baseline.judge_by_source(features))
 
-    def _finding(self, baseline: GateBaseline, one: _Scored, scored: Sequence[_Scored]) -> Finding:
-        features, judgement = one.features, _judgement(one)
-        if features is None:
-            raise NotTrained("gate-actuator: a judged movement has features")
+    def _finding(self, baseline: GateBaseline, one: ScoredMovement, scored: Sequence[ScoredMovement]) -> Finding:
+        features, judgement = one.features, one.judgement
+        if features is None or judgement is None:
+            raise NotTrained("gate-actuator: the movement was not judged")
         known = baseline.known(features)
         indicators = baseline.indicators(features, known) | {"fault_frequency": features.fault_frequency}
-        limits = baseline.feature_limits(known)
         if judgement.isolation is not None:
             indicators["fault_probability"] = judgement.isolation.fault_probability
-        verdict = Verdict.HEALTHY if judgement.fault_class is None else Verdict.FAULTY
+        said = one.said_by(self.method)
         return Finding(
             self.name,
-            verdict,
-            judgement.fault_class,
+            Verdict.HEALTHY if said is None else Verdict.FAULTY,
+            said,
             indicators,
-            limits,
+            baseline.feature_limits(known) if self.method == "default" else {},
             _UNITS | {"fault_frequency": "Hz"},
-            _evidence(baseline, one, features, scored) | {"known_gear": known is not None},
-            _sentence(one, features, judgement),
+            evidence_of(baseline, one, scored) | {"known_gear": known is not None, "method": self.method},
+            sentence(one) if self.method == "default" else source_sentence(one),
         )
 
     @property
     def baseline(self) -> GateBaseline:
         """What was learned; NotTrained before `fit`."""
         if self._baseline is None:
-            raise NotTrained("gate-actuator: has not been trained; train it on healthy movements first")
+            raise NotTrained(_NOTHING_TRAINED)
         return self._baseline
 
     def save(self, path: str | Path) -> None:
         """Store the trained diagnoser."""
         if self._baseline is None:
             raise NotTrained("gate-actuator: has not been trained; there is nothing to save")
-        self._baseline.save(path, self.name)
+        self._baseline.save(path, self.name, self.method)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """The diagnoser stored by `save`."""
-        baseline = GateBaseline.load(path, cls.name)
+        baseline, method = GateBaseline.load(path, cls.name)
         loaded = cls(constants=baseline.constants)
+        loaded.method = method
         loaded._baseline = baseline
         return loaded
 
@@ -230,84 +226,3 @@ def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str
     if unknown := [label for label in given if label not in _SPELLINGS]:
         raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; known are {', '.join(_SPELLINGS)}")
     return [_SPELLINGS[label] for label in given]
-
-
-def _judgement(one: _Scored) -> Judgement:
-    if one.judgement is None:
-        raise NotTrained("gate-actuator: the movement was not judged")
-    return one.judgement
-
-
-def _not_assessed(scored: Sequence[_Scored]) -> Finding:
-    first = next((one for one in scored if one.happened), scored[0])
-    evidence: dict[str, Any] = {"movements": [_summary(one) for one in scored]}
-    if first.happened is not None:
-        evidence["event"] = first.happened.event.value
-    return Finding.not_assessable(GateActuator.name, f"{first.movement.direction}: {first.reason}", **evidence)
-
-
-def _evidence(baseline: GateBaseline, one: _Scored, features: MovementFeatures, scored: Sequence[_Scored]) -> dict[str, Any]:
-    judgement = _judgement(one)
-    shown = features.spectrum.frequency <= _SHOWN_SPECTRUM
-    fine = max(1, round(features.spectrum.resolution / (4 * features.spectrum.frequency[1])))
-    model = features.model
-    evidence: dict[str, Any] = {
-        "direction": one.movement.direction.value,
-        "motor_speed": features.motor_speed,
-        "turns": features.turns,
-        "model": {"gain": model.gain, "time_constant": model.time_constant, "delay": model.delay, "load": list(model.load)},
-        "pulse_position": features.pulse_position,
-        "envelope_spectrum": {
-            "frequency": features.spectrum.frequency[shown][::fine],
-            "modulus": features.spectrum.modulus[shown][::fine],
-        },
-        "orders": features.pattern.orders()[: _SHOWN_ORDERS + 1],
-        "movements": [_summary(each) for each in scored],
-        "over_the_way": _over_the_way(scored),
-        "healthy_movements_trained": baseline.features.n,
-    }
-    if judgement.isolation is not None:
-        evidence |= {"probabilities": dict(judgement.isolation.probabilities), "distances": dict(judgement.isolation.distances)}
-    if judgement.likely_part is not None:
-        evidence["likely_part"] = judgement.likely_part
-    if baseline.source is not None:
-        reference = baseline.source
-        evidence["source_class"] = str(reference.predict(features.source_vector()[None])[0])
-        evidence["source_decision"] = np.ravel(reference.decision_function(features.source_vector()[None]))
-    return evidence
-
-
-def _over_the_way(scored: Sequence[_Scored]) -> dict[str, Any]:
-    """The pulse statistic by place of the gate, averaged over all movements that were assessed, both ways."""
-    average = average_profile([one.features.profile for one in scored if one.features is not None])
-    return {"place": average.place, "contrast": average.contrast, "statistic": average.statistic}
-
-
-def _summary(one: _Scored) -> dict[str, Any]:
-    said = one.judgement.fault_class or HEALTHY if one.judgement else "not-assessable"
-    event = one.happened.event.value if one.happened else None
-    return {
-        "direction": one.movement.direction.value,
-        "start": one.movement.start * one.movement.sample_time,
-        "class": said,
-        "event": event,
-    }
-
-
-def _sentence(one: _Scored, features: MovementFeatures, judgement: Judgement) -> str:
-    where = f"{one.movement.direction} at {features.motor_speed * 30 / np.pi:.0f} rpm, {features.turns} turns of the shaft"
-    values = features.values
-    if judgement.fault_class == PINION_OR_GEAR:
-        return (
-            f"{where}: the load changes once a turn ({features.fault_frequency:.2f} Hz) by up to {values['low_peak']:.1f} rad/s, "
-            f"F1 = {values['F1']:.2f} mm/s"
-        )
-    if judgement.fault_class == RACK:
-        return (
-            f"{where}: one pulse of {values['single_pulse']:.0f} standard deviations at {100 * features.pulse_position:.0f} % of "
-            "the way, not repeated once a turn"
-        )
-    if judgement.fault_class == UNKNOWN:
-        return f"{where}: unlike healthy movements and unlike every fault that was trained"
-    pulse = f"largest pulse {values['single_pulse']:.1f} standard deviations"
-    return f"{where}: F1 = {values['F1']:.2f} mm/s, {pulse}, as in healthy movements"

@@ -19,6 +19,8 @@ from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, R
 from residuum.diagnosis.systems.state_space import FloatArray
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
+from residuum.diagnosis.thresholds.threshold import bounds, source_threshold
+from residuum.diagnosis.thresholds.threshold_test import ThresholdTest
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
@@ -51,6 +53,9 @@ class RobustResidual(Diagnoser):
     gamma : float
         γ of (4.7).
     false_alarms_per_day : float
+    method : "default" or "source"
+        What decides: the likelihood-ratio test on the whitened residual, or |r(t)| after the post-filter of Algorithm 6 against
+        the automatic threshold γ max(‖u‖∞, ‖e‖∞) (4.9). Every finding holds what both say.
     """
 
     name: ClassVar[str] = "robust-residual"
@@ -59,6 +64,7 @@ class RobustResidual(Diagnoser):
         Channel("y", "", "measured output (any unit; kept from training)"),
     )
     classes: ClassVar[Sequence[str]] = ("healthy", *FAULT_KINDS, "stuck-sensor", "plant-change")
+    methods: ClassVar[Sequence[str]] = ("default", "source")
 
     def __init__(
         self,
@@ -68,7 +74,11 @@ class RobustResidual(Diagnoser):
         order: int | None = None,
         gamma: float = 0.1,
         false_alarms_per_day: float = FALSE_ALARMS_PER_DAY,
+        method: str = "default",
     ) -> None:
+        if method not in self.methods:
+            raise BadInput(f"robust-residual, method {method[:40]!r}: must be {' or '.join(self.methods)}")
+        self.method = method
         self.input, self.output, self.order, self.gamma = input, output, order, gamma
         self.false_alarms_per_day = false_alarms_per_day
         self._design: ResidualDesign | None = None
@@ -127,22 +137,26 @@ class RobustResidual(Diagnoser):
         if (reason := self._unusable(record, u, y)) is not None:
             return Finding.not_assessable(self.name, reason)
         signals, bank = self.stream().process(u, y)
-        alarms = np.flatnonzero(bank.alarm)
-        if len(alarms) and (reason := design.swapped(record.source, u, y)) is not None:
+        said = {
+            "default": ThresholdTest.of("glr", "σ", bank.statistic, bank.alarm, self._threshold),
+            "source": _algorithm_6(design, signals, u),
+        }
+        deciding = said[self.method]
+        if deciding.alarm is not None and (reason := design.swapped(record.source, u, y)) is not None:
             return Finding.not_assessable(self.name, reason)
-        estimate = self._estimate(u, y, int(alarms[0])) if len(alarms) else None
-        evidence = self._evidence(record, signals, bank, estimate)
+        estimate = None if deciding.alarm is None else self._estimate(u, y, deciding.alarm)
+        evidence = self._evidence(record, signals, deciding.alarm, estimate) | {"method": self.method}
+        evidence |= {f"{name}_method": test.to_json(record.time) for name, test in said.items()}
         rms = float(np.sqrt(np.mean(signals.primary[signals.valid] ** 2)))
-        indicators = {"glr": float(bank.statistic.max()), "residual_rms": rms}
         return Finding(
             self.name,
-            Verdict.FAULTY if len(alarms) else Verdict.HEALTHY,
+            Verdict.HEALTHY if deciding.alarm is None else Verdict.FAULTY,
             estimate.kind if estimate is not None else None,
-            indicators,
-            {"glr": self._threshold},
-            {"glr": "σ", "residual_rms": design.model.output_unit or "1"},
+            {test.indicator: test.largest for test in said.values()} | {"residual_rms": rms},
+            {deciding.indicator: deciding.threshold},
+            {test.indicator: test.unit for test in said.values()} | {"residual_rms": design.model.output_unit or "1"},
             evidence,
-            self._reason(indicators["glr"], evidence, estimate),
+            self._reason(deciding, evidence, estimate),
         )
 
     def _signals(self, record: Record) -> tuple[FloatArray, FloatArray]:
@@ -178,15 +192,15 @@ class RobustResidual(Diagnoser):
         return estimator.estimate(u, y, alarm)
 
     def _evidence(
-        self, record: Record, signals: ResidualSignals, bank: BankOutput, estimate: FaultEstimate | None
+        self, record: Record, signals: ResidualSignals, alarm: int | None, estimate: FaultEstimate | None
     ) -> dict[str, Any]:
         evidence: dict[str, Any] = {
             "judged_samples": int(signals.valid.sum()),
             "false_alarms_per_day": self.false_alarms_per_day,
             "model_explains_healthy_data": self.design.structured_p >= STRUCTURED_P,
         }
-        if bank.alarm.any():
-            evidence["first_alarm_time"] = float(record.time[int(np.argmax(bank.alarm))])
+        if alarm is not None:
+            evidence["first_alarm_time"] = float(record.time[alarm])
         if estimate is not None:
             low, high = estimate.band()
             evidence["fault"] = {
@@ -197,10 +211,14 @@ class RobustResidual(Diagnoser):
             }  # fmt: skip
         return evidence
 
-    def _reason(self, largest: float, evidence: dict[str, Any], estimate: FaultEstimate | None) -> str:
-        compared = f"the residual stands {largest:.1f} standard deviations out (limit {self._threshold:.1f})"
+    def _reason(self, test: ThresholdTest, evidence: dict[str, Any], estimate: FaultEstimate | None) -> str:
+        compared = (
+            f"the residual stands {test.largest:.1f} standard deviations out (limit {test.threshold:.1f})"
+            if self.method == "default"
+            else f"the post-filtered residual reaches {test.largest:.3g} {test.unit} (automatic threshold {test.threshold:.3g})"
+        )
         said = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
-        if not evidence["model_explains_healthy_data"]:
+        if not evidence["model_explains_healthy_data"] and self.method == "default":
             said += (
                 f"; the healthy records already carry structured error (p = {self.design.structured_p:.1g}), "
                 "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve` and "
@@ -211,6 +229,7 @@ class RobustResidual(Diagnoser):
     def save(self, path: str | Path) -> None:
         """Store the trained diagnoser."""
         settings = {"input": self.input, "output": self.output, "order": self.order, "gamma": self.gamma}
+        settings |= {"method": self.method}
         self.design.save(path, kind=self.name, settings={**settings, "false_alarms_per_day": self.false_alarms_per_day})
 
     @classmethod
@@ -267,6 +286,13 @@ class ResidualMonitor:
         self._bank.resume(state["bank"])
 
 
+def _algorithm_6(design: ResidualDesign, signals: ResidualSignals, u: FloatArray) -> ThresholdTest:
+    """|r(t)| of the post-filtered residual against τ = γ max(‖u‖∞, ‖e‖∞)."""
+    threshold = source_threshold(design, *bounds(design, u))
+    size = np.where(signals.valid, np.abs(signals.robust), 0.0)
+    return ThresholdTest.of("robust_peak", design.model.output_unit or "1", size, size > threshold.level, threshold.typical)
+
+
 def _widened(design: ResidualDesign, rate: float) -> float:
     """Threshold of healthy records that a right model would not give; with too few of them, well above their largest peak."""
     peaks = design.peaks["glr"]
@@ -279,7 +305,7 @@ def _has_died_out(model: IdentifiedModel) -> bool:
     """Whether the last tenth of the impulse response is within its band, or below a hundredth of the largest value."""
     last = slice(-max(len(model.impulse_response) // 10, 1), None)
     g = np.abs(model.impulse_response)
-    return bool(np.all(g[last] < np.maximum(3 * model.std[last], 0.01 * g.max())))
+    return bool(np.all(g[last] < np.maximum(3 * model.conditional_std[last], 0.01 * g.max())))
 
 
 def _describe(estimate: FaultEstimate, evidence: dict[str, Any]) -> str:

@@ -60,6 +60,14 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class SourceJudgement:
+    """The class of the linear support vector machine on F₁ and F₂ (None: healthy), and its decision function."""
+
+    fault_class: str | None
+    decision: Matrix
+
+
+@dataclass(frozen=True)
 class TrainingMovement:
     """Features of one movement to train on, its class, its exemplar and its travel (motor angle [rad])."""
 
@@ -180,14 +188,22 @@ class GateBaseline:
             return Judgement(RACK, isolation)
         return Judgement(None, isolation)
 
+    def judge_by_source(self, features: MovementFeatures) -> SourceJudgement | None:
+        """What the source's classifier says of F₁ and F₂; None when only healthy movements were trained."""
+        if self.source is None:
+            return None
+        point = features.source_vector()[None]
+        said = str(self.source.predict(point)[0])
+        return SourceJudgement(None if said == HEALTHY else said, np.ravel(self.source.decision_function(point)))
+
     def _beyond(self, features: MovementFeatures) -> dict[str, float]:
         """Each judged feature as a multiple of its limit."""
         known = self.known(features)
         shown = self.indicators(features, known)
         return {name: shown[name] / limit for name, limit in self.feature_limits(known).items()}
 
-    def save(self, path: str | Path, kind: str) -> None:
-        """Store as `kind`."""
+    def save(self, path: str | Path, kind: str, method: str = "default") -> None:
+        """Store as `kind`, with the method that decides."""
         meta: dict[str, Any] = {
             "constants": asdict(self.constants),
             "rate": self.rate,
@@ -195,6 +211,7 @@ class GateBaseline:
             "healthy": self.features.n,
             "notch_limit": self.notch_limit,
             "exemplars": self.exemplars,
+            "method": method,
         }
         arrays: dict[str, npt.ArrayLike] = {
             "centre": self.features.centre,
@@ -215,8 +232,8 @@ class GateBaseline:
         save_stored(path, kind, _VERSION, meta, arrays, estimators)
 
     @classmethod
-    def load(cls, path: str | Path, kind: str) -> GateBaseline:
-        """What `save` stored; BadInput when the file is another."""
+    def load(cls, path: str | Path, kind: str) -> tuple[GateBaseline, str]:
+        """What `save` stored, and the method that decides; BadInput when the file is another."""
         stored = load_stored(path, kind)
         meta, arrays, n = stored.meta, stored.arrays, int(stored.meta["healthy"])
         classifier = source = None
@@ -224,7 +241,7 @@ class GateBaseline:
             rays = RayDistances.of(np.array(meta["classes"]), arrays["ray_means"], arrays["ray_precision"], HEALTHY)
             classifier = MovementClassifier(stored.estimators["isolation"], rays, meta["distance_limits"])
             source = stored.estimators["source"]
-        return cls(
+        loaded = cls(
             ActuatorConstants(**meta["constants"]),
             float(meta["rate"]),
             float(meta["shortest_travel"]),
@@ -237,6 +254,7 @@ class GateBaseline:
             _stored_gears(arrays, len(arrays["notch_power"])),
             int(meta.get("exemplars", n)),  # a file of version 3 does not say; its limits stay nearly as they were
         )
+        return loaded, str(meta.get("method", "default"))
 
 
 def _stored_gears(arrays: Mapping[str, npt.NDArray[Any]], orders: int) -> KnownGears:

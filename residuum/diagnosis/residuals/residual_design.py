@@ -171,7 +171,7 @@ class ResidualDesign:
 
     def save(self, path: str | Path, *, kind: str = KIND, settings: dict[str, Any] | None = None) -> None:
         """Store the design (JSON and arrays in a zip), with the settings of a diagnoser that is built on it."""
-        model = {item.name: getattr(self.model, item.name) for item in fields(IdentifiedModel)}
+        model = {item.name: getattr(self.model, item.name) for item in fields(IdentifiedModel) if item.name != "bands"}
         arrays = {f"model-{name}": value for name, value in model.items() if isinstance(value, np.ndarray)}
         arrays |= {f"Q-{name}": getattr(self.post_filter.Q, name) for name in "ABCD"} | {"noise-ar": self.noise.ar}
         arrays |= {f"peaks-{name}": value for name, value in self.peaks.items()}

@@ -190,16 +190,17 @@ def structured_errors(
     """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
 
     Noise forgets within the data, for noise that is integrated would explain every slow error. Where a controller answers the
-    noise (`feedback`), signals predict the error of the next block: in its own they know the noise. `refitted` (n, outputs) an
-    experiment is what other parameter values would change, one more signal that may predict the error; the other arguments are
-    those of `test_structured_error`.
+    noise (`feedback`), signals predict the error of the next sample, for in their own they know the noise; where blocks have
+    several samples that of the next block but one, for in the block before they know how much of the noise came last, and is
+    remembered. `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may
+    predict the error; the other arguments are those of `test_structured_error`.
     """
     how: dict[str, Any] = {"level": level, "seed": seed, "drifting": False, "least_share": least_share}
     total = sum(e.n for e in experiments)
     block = max(1, total // TEST_SAMPLES)
     every = [features(record_axes) for record_axes in axes]
     alive = np.any([np.any(design, axis=0) for design in every], axis=0)
-    later = int(feeds_back(model, experiments, residuals))
+    later = (1 if block == 1 else 2) * int(feeds_back(model, experiments, residuals))
     designs = [block_means(design[:, alive], block) for design in every]
     found = {}
     for k, name in enumerate(model.outputs):

@@ -79,11 +79,16 @@ def _is_no_estimate(key: Key, structure: Structure) -> bool:
     """Whether the effect was estimated on a bound, or no output feels its first parameter, which is what it does."""
     label = "@".join(map(str, key)) if isinstance(key, tuple) else str(key)
     effect = EFFECTS.get(label.partition("@")[0])
-    natural = () if effect is None else tuple(f"{label}.{name}" for name in effect.natural_bounds)
+    natural = () if effect is None else effect.natural_bounds
     own = [k for k, name in enumerate(structure.parameters) if name.startswith(f"{label}.")]
     if own and not any(np.any(slopes[:, :, own[0]]) for slopes in structure.by_parameters):
         return True
-    return any(name.startswith(label) and name not in natural for name in structure.at_bound)
+    return any(_owner(name) == label and name.rpartition(".")[2] not in natural for name in structure.at_bound)
+
+
+def _owner(name: str) -> str:
+    """`spring@arm` of the full name `spring@arm.k`, and of `spring@arm#2.k`, the same parameter of a second instance."""
+    return name.rpartition(".")[0].partition("#")[0]
 
 
 def _behind(winner: Structure, other: Structure) -> float:

@@ -14,7 +14,7 @@ from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.held_out_blocks import Remaining, remaining_on
+from residuum.identification.discrepancy.held_out_blocks import Remaining, blocks_on_track, remaining_on
 from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Candidate, Judgement, at_the_noise, is_incomplete, judge
@@ -28,6 +28,8 @@ from residuum.identification.discrepancy.visibility import Undetectable, undetec
 from residuum.identification.physics import Experiment, PhysicalModel, candidates, match
 from residuum.identification.record import Record
 
+_EXACT_SHARE = 0.4
+"""Part of the time in which an exact structure has to be found."""
 _MOST_HELD = 2
 """Values that are doubted at most."""
 
@@ -133,17 +135,19 @@ def explain(
     """
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
-    tell(0.0, "what takes away most on blocks kept aside")
     model, whole = _informed(model, records, mapping, wanted)
-    with within(seconds):
-        shares = search_by_share(model, whole, wanted, learned=learned)
-    spent = time.perf_counter() - began
-    searched_ = None
+    searched_, shares = None, None
     try:
-        with within(None if seconds is None else seconds - spent):
+        with within(None if seconds is None else _EXACT_SHARE * seconds):
             searched_ = _exact(model, records, mapping, wanted, tell)
     except OutOfTime:
-        tell(0.7, "out of time for an exact structure")
+        tell(0.5, "out of time for an exact structure")
+    structured = searched_ is not None and _is_structured(searched_.found, records, mapping)
+    if searched_ is None or structured or _leaves_more_than_noise(searched_.found):
+        tell(0.5, "what takes away most on blocks kept aside")
+        with within(None if seconds is None else seconds - (time.perf_counter() - began)):
+            shares = search_by_share(model, whole, wanted, learned=learned)
+    blocks = blocks_on_track(model, whole) if shares is None else shares.blocks
     doubted = searched_.doubted if searched_ is not None else []
     by_share = searched_ is None or _is_inexact(searched_.found, shares)
     if searched_ is None or by_share:
@@ -159,9 +163,9 @@ def explain(
         judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0) if shares is None else judged(shares, found)
     else:
         judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
-        if shares is not None:
-            judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, shares.blocks))
-    if judgement.verdict == "adequate" and compare(found.best.model, records, mapping).present:
+        if blocks is not None:
+            judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, blocks))
+    if judgement.verdict == "adequate" and structured:
         judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
     tell(0.85, "what could not have been seen, and the next experiment")
     return Explanation(
@@ -178,7 +182,7 @@ def explain(
         finer=finer,
         held=held_values(model, doubted, found.best),
         by_share=by_share,
-        remaining=None if shares is None else remaining_on(found.best.model, shares.blocks),
+        remaining=None if blocks is None else remaining_on(found.best.model, blocks),
         seconds=time.perf_counter() - began,
     )
 
@@ -217,10 +221,18 @@ def _exact(
 
 
 def _is_inexact(found: Search, shares: ShareSearch | None) -> bool:
-    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there.
+    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there."""
+    return shares is not None and bool(shares.accepted) and does_better(shares, found.best.model)
+
+
+def _is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> bool:
+    """Whether `compare` finds structure in what is left, where nothing was found that is missing, and nothing that drifts."""
+    return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
+
+
+def _leaves_more_than_noise(found: Search) -> bool:
+    """Whether a search for an exact structure ended without one.
 
     What drifts has a mean in every neighbouring block, and an effect would stand for it: then nothing is named.
     """
-    if shares is None or not shares.accepted or found.drifting or at_the_noise(found.best):
-        return False
-    return does_better(shares, found.best.model)
+    return not found.drifting and not at_the_noise(found.best)

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.physics.compile.composition import term_name
-from residuum.identification.physics.model import find_effect, place_of
+from residuum.identification.physics.model import find_effect, place_of, term_name
 from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 

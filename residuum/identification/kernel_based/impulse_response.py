@@ -21,6 +21,7 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import LaggedData, lagged_data
+from residuum.identification.kernel_based.marginal_bands import LARGEST, HyperMixture, PointwiseBands
 from residuum.identification.kernel_based.marginal_likelihood import (
     RESOLUTION,
     MarginalLikelihood,
@@ -47,6 +48,7 @@ class ImpulseResponseFit:
     hyper_parameters: tuple[Mapping[str, float], ...]
     negative_log_likelihood: float
     warnings: tuple[str, ...]
+    bands: HyperMixture | None = None
 
 
 def identify_impulse_response(
@@ -103,8 +105,9 @@ def identify_impulse_response(
 
     Notes
     -----
-    Bands of single coefficients deep in the tail are too short when the response decays otherwise than the prior; the
-    coverage over frequency and signal-to-noise ratio is measured in docs/identification.md.
+    `covariance` is at the estimated hyper-parameters (with their first-order effect), and what frequency responses and random
+    models are made from; `std` is of single coefficients, with the hyper-parameters marginalised (`marginal_bands`), up to 1000
+    coefficients. The coverage of both is measured in docs/identification.md.
 
     Examples
     --------
@@ -138,6 +141,7 @@ def identify_impulse_response(
         negative_log_likelihood=fit.negative_log_likelihood,
         warnings=fit.warnings,
         provenance={**provenance(data, noise_variance, started), "tail": tail},
+        bands=None if fit.bands is None else PointwiseBands(fit.bands, slice(0, order)),
     )
 
 
@@ -183,6 +187,7 @@ def fit_impulse_response(
         _named(likelihood, x, posterior.noise_variance * ratio**2),
         value + likelihood.n * math.log(output_scale),
         tuple(_warnings(likelihood, posterior, value, excited)),
+        HyperMixture(likelihood, x, per_coefficient) if hyper_uncertainty and len(per_coefficient) <= LARGEST else None,
     )
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import NoiseVariance, check_settings, fit_impulse_response, provenance
 from residuum.identification.kernel_based.lagged_data import lagged_data
+from residuum.identification.kernel_based.marginal_bands import PointwiseBands
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 
@@ -126,6 +127,7 @@ def identify_multivariable(
                     negative_log_likelihood=fit.negative_log_likelihood,
                     warnings=fit.warnings,
                     provenance=provenance(data, noise_variance, started),
+                    bands=None if fit.bands is None else PointwiseBands(fit.bands, block),
                 )
             )
         rows.append(tuple(paths))

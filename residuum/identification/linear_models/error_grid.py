@@ -31,7 +31,11 @@ _NARROWEST = 1e-6
 
 
 def refined_grid(
-    envelope: Envelope, nominal: Callable[[FloatArray], ComplexArray], lags: int, sample_time: float
+    envelope: Envelope,
+    nominal: Callable[[FloatArray], ComplexArray],
+    lags: int,
+    sample_time: float,
+    asked: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its points, within `TOLERANCE`.
 
@@ -43,23 +47,27 @@ def refined_grid(
         ω → the nominal response.
     lags : int
         Highest power of z in the responses.
+    asked : array or None
+        Frequencies [rad/s] that the grid has, none below the first; None: 600 over five and a half decades.
 
     Notes
     -----
     Halving ends after `_ROUNDS` rounds or `_MOST` points; what is left between them is the caller's to check.
     """
     nyquist = math.pi / sample_time
+    given = np.geomspace(nyquist / 10**_DECADES, nyquist, _LOGARITHMIC) if asked is None else np.append(asked, nyquist)
     omega = np.unique(
         np.concatenate(
             [
-                np.geomspace(nyquist / 10**_DECADES, nyquist, _LOGARITHMIC),
+                given,
                 nyquist * np.arange(1, _POINTS_A_LAG * lags + 1) / (_POINTS_A_LAG * lags),
                 _minima(nominal, lags, nyquist),
             ]
         )
     )
-    omega = omega[omega <= nyquist]
-    omega = omega[np.append(True, np.diff(omega) > _NARROWEST * omega[1:])]
+    omega = omega[(omega >= given[0]) & (omega <= nyquist)]
+    apart = np.append(True, np.diff(omega) > _NARROWEST * omega[1:])
+    omega = omega[apart | np.isin(omega, given)]
     values = envelope(omega)
     doubtful = np.append(np.ones(len(omega) - 1, dtype=bool), False)  # by the point that an interval begins at
     for _ in range(_ROUNDS):
@@ -67,7 +75,7 @@ def refined_grid(
         left = left[omega[left + 1] > omega[left] * (1.0 + _NARROWEST)]
         if not len(left) or len(omega) + len(left) > _MOST:
             break
-        middle = np.sqrt(omega[left] * omega[left + 1])
+        middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])  # from ω = 0: a tenth
         seen = envelope(middle)
         line = np.sqrt(values[left] * values[left + 1])  # the middle of a straight line in (ln ω, ln Ω)
         doubtful[left] = above = seen > line * (1.0 + TOLERANCE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,16 @@ _ARRAYS = (
     "parameter_covariance",
     "noise_numerator",
     "noise_denominator",
+    "pointwise_std",
 )
+
+
+class Bands(Protocol):
+    """Computes the standard deviations of single coefficients."""
+
+    @property
+    def std(self) -> FloatArray:
+        """Shape (m,)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,6 +71,10 @@ class IdentifiedModel:
         `denominator[0]` is 1; coefficients that were not estimated have zero rows.
     noise_numerator, noise_denominator : array or None
         Monic H in descending powers of z, of equal length; None = white output noise, H = 1.
+    pointwise_std : array or None, shape (m,)
+        Standard deviations of single coefficients that hold more than `covariance` does (hyper-parameters marginalised).
+    bands : Bands or None
+        What computes `pointwise_std` when it is first asked for; not kept in a file.
     hyper_parameters : mapping of name to float
         Of a kernel method: `alpha`, `scale`, …
     negative_log_likelihood : float
@@ -102,6 +115,8 @@ class IdentifiedModel:
     parameter_covariance: FloatArray | None = None
     noise_numerator: FloatArray | None = None
     noise_denominator: FloatArray | None = None
+    pointwise_std: FloatArray | None = None
+    bands: Bands | None = field(default=None, repr=False)
     hyper_parameters: Mapping[str, float] = field(default_factory=dict)
     negative_log_likelihood: float = float("nan")
     aic: float | None = None
@@ -118,6 +133,9 @@ class IdentifiedModel:
         _rule(self.covariance.shape == (m, m), "covariance", f"has shape {self.covariance.shape}; must be ({m}, {m})")
         _rule(np.isfinite(self.sample_time) and self.sample_time > 0, "sample_time", "must be a positive number of seconds")
         _rule(np.isfinite(self.noise_variance) and self.noise_variance >= 0, "noise_variance", "must be ≥ 0 and finite")
+        if self.pointwise_std is not None:
+            known = self.pointwise_std.shape == (m,) and bool((self.pointwise_std >= 0).all())
+            _rule(known, "pointwise_std", f"must be {m} numbers ≥ 0")
         _rule(self.delay >= 0, "delay", f"is {self.delay}; must be a number of samples ≥ 0")
         _rule(np.isfinite(self.offset), "offset", "must be finite")
         self._check_parametric_part()
@@ -153,7 +171,14 @@ class IdentifiedModel:
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviation of each impulse-response coefficient, shape (m,)."""
+        """Standard deviation of each impulse-response coefficient, shape (m,): `pointwise_std` where it is known."""
+        if self.pointwise_std is None and self.bands is not None:
+            object.__setattr__(self, "pointwise_std", _finite(self.bands.std, "pointwise_std"))
+        return self.conditional_std if self.pointwise_std is None else self.pointwise_std
+
+    @property
+    def conditional_std(self) -> FloatArray:
+        """Standard deviations by `covariance`, shape (m,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
@@ -222,6 +247,21 @@ class IdentifiedModel:
         return np.asarray(
             (numerators @ np.vander(z, numerators.shape[1]).T) / (denominators @ np.vander(z, denominators.shape[1]).T)
         )
+
+    def polynomials(self) -> tuple[FloatArray, FloatArray]:
+        """Numerator and denominator of G in ascending powers of z⁻¹, one row each."""
+        if self.numerator is None or self.denominator is None:
+            return np.r_[np.zeros(self.delay), self.impulse_response][None], np.ones((1, 1))
+        lag = len(self.denominator) - len(self.numerator)
+        return np.r_[np.zeros(lag), self.numerator][None], self.denominator[None]
+
+    def sample_polynomials(self, n: int, seed: int | np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """The same of `n` random models, shapes (n, p) and (n, q), or (1, q) where all share the denominator."""
+        rng = np.random.default_rng(seed)
+        if self.parameter_covariance is None:
+            return np.hstack([np.zeros((n, self.delay)), self.sample(n, rng)]), np.ones((1, 1))
+        numerators, denominators = self._sample_parameters(n, rng)
+        return np.hstack([np.zeros((n, denominators.shape[1] - numerators.shape[1])), numerators]), denominators
 
     def simulate(self, u: npt.ArrayLike) -> FloatArray:
         """Noise-free output for input `u`, shape (n,); the input before the first sample counts as zero."""

@@ -14,7 +14,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 
 FORMAT, VERSION = "residuum-identified-model", 1
-_NAMES = tuple(item.name for item in fields(IdentifiedModel))
+_NAMES = tuple(item.name for item in fields(IdentifiedModel) if item.name != "bands")
 _REQUIRED = ("method", "sample_time", "impulse_response", "covariance", "noise_variance")
 _TEXTS = ("method", "input_name", "input_unit", "output_name", "output_unit")
 _MAPPINGS = ("hyper_parameters", "provenance")
@@ -23,6 +23,8 @@ _MAPPINGS = ("hyper_parameters", "provenance")
 def save_identified(model: IdentifiedModel, path: str | Path) -> None:
     """Write `model` as a JSON file that `load_identified` reads back to the same numbers."""
     stored = {name: _plain(getattr(model, name)) for name in _NAMES}
+    if model.bands is not None:
+        stored["pointwise_std"] = _plain(model.std)
     Path(path).write_text(json.dumps({"format": FORMAT, "version": VERSION, **stored}), encoding="utf-8")
 
 

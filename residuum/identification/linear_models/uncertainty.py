@@ -14,25 +14,18 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadInput, BadModel
-from residuum.identification.linear_models.error_grid import TOLERANCE, refined_grid
+from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.drawn_errors import FORMS, DrawnErrors, Form
+from residuum.identification.linear_models.error_grid import refined_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.identification.linear_models.weight_certificate import largest_excess
 
 FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
-Form = Literal["multiplicative", "additive", "inverse-multiplicative"]
 Rule = Literal["chernoff", "worst-case"]
-_ERRORS: dict[str, Callable[[ComplexArray, ComplexArray], ComplexArray]] = {
-    "multiplicative": lambda sampled, nominal: sampled / nominal - 1,
-    "additive": lambda sampled, nominal: sampled - nominal,
-    "inverse-multiplicative": lambda sampled, nominal: 1 - nominal / sampled,
-}
-_MODELS_AT_ONCE = 1000
 _LAGS_A_POLE = 20
 """A pole turns as sharply as so many lags."""
-_CHECK_SEED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +43,8 @@ class UncertaintyWeight:
     n_samples : int
     promise : str
         What n_samples guarantees, in one sentence.
+    certified : bool
+        Whether |weight| ≥ Ω was proven at *every* frequency from the first of the grid to π/Ts (`weight_certificate`).
     """
 
     weight: TransferFunction
@@ -58,6 +53,7 @@ class UncertaintyWeight:
     form: str
     n_samples: int
     promise: str
+    certified: bool = False
 
     @property
     def critical_frequency(self) -> float | None:
@@ -118,8 +114,9 @@ def design_uncertainty_weight(
     model : IdentifiedModel
         Nominal model Ĝ₀ and the distribution that random models are drawn from.
     omega : array or None
-        Frequencies [rad/s], increasing, up to π/Ts; None: over five and a half decades below π/Ts, so close that the envelope
-        hides nothing between them (`refined_grid`), and the weight is checked and raised between them.
+        Frequencies [rad/s], increasing, up to π/Ts, that Ω is wanted at; None: over five and a half decades below π/Ts. The fit
+        adds points until the envelope hides nothing between them (`refined_grid`), and the weight is then raised until it is
+        proven above Ω between the points too (`largest_excess`).
     accuracy, confidence : float
         ε and 1 − ζ of the sample-size rule.
     rule : {"chernoff", "worst-case"}
@@ -142,24 +139,29 @@ def design_uncertainty_weight(
     >>> weight.n_samples, weight.promise
     (59, 'a further random model exceeds Ω at a given frequency with probability at most 0.05, with confidence 0.95')
     """
-    if rule not in SAMPLE_SIZE_RULES or form not in _ERRORS:
+    if rule not in SAMPLE_SIZE_RULES or form not in FORMS:
         raise BadInput(
-            f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form {form!r} one of {list(_ERRORS)}"
+            f"uncertainty weight: rule {rule!r} must be one of {list(SAMPLE_SIZE_RULES)}, form {form!r} one of {list(FORMS)}"
         )
     n_samples = SAMPLE_SIZE_RULES[rule](accuracy, confidence)
+    errors = drawn_errors(model, n_samples, form=form, seed=seed)
+    asked = None if omega is None else np.asarray(omega, dtype=float)
+    frequencies, magnitude = refined_grid(errors.envelope, model.frequency_response, _lags(model), model.sample_time, asked)
+    weight, proven = weight_above(errors, frequencies, magnitude, order)
+    if asked is not None:
+        frequencies, magnitude = asked, magnitude[np.searchsorted(frequencies, asked)]
+    promise = _promise(rule, accuracy, confidence, n_samples)
+    return UncertaintyWeight(weight, frequencies, magnitude, form, n_samples, promise, proven)
 
-    def envelope(frequencies: FloatArray) -> FloatArray:
-        return error_envelope(model, frequencies, n_samples, form=form, seed=seed)
 
-    if omega is None:
-        frequencies, magnitude = refined_grid(envelope, model.frequency_response, _lags(model), model.sample_time)
-    else:
-        frequencies = np.asarray(omega, dtype=float)
-        magnitude = envelope(frequencies)
-    weight = fit_magnitude(frequencies, magnitude, order=order, bound="above", sample_time=model.sample_time)
-    if omega is None:
-        weight = _raised(weight, frequencies, envelope)
-    return UncertaintyWeight(weight, frequencies, magnitude, form, n_samples, _promise(rule, accuracy, confidence, n_samples))
+def weight_above(
+    errors: DrawnErrors, omega: FloatArray, magnitude: FloatArray, order: int | None
+) -> tuple[TransferFunction, bool]:
+    """The weight fitted above Ω on a grid, raised until it is above the errors between the points too; whether that is proven."""
+    weight = fit_magnitude(omega, magnitude, order=order, bound="above", sample_time=errors.sample_time)
+    found = largest_excess(errors, weight, omega)
+    factor = max(1.0, found.bound if found.proven else found.seen)
+    return replace(weight, num=weight.num * factor), found.proven
 
 
 def _lags(model: IdentifiedModel) -> int:
@@ -170,29 +172,18 @@ def _lags(model: IdentifiedModel) -> int:
     return model.order + model.delay
 
 
-def _raised(weight: TransferFunction, omega: FloatArray, envelope: Callable[[FloatArray], FloatArray]) -> TransferFunction:
-    """The weight times what the envelope still exceeds it by, at frequencies that the fit never saw."""
-    between = omega[:-1] * (omega[1:] / omega[:-1]) ** np.random.default_rng(_CHECK_SEED).uniform(size=len(omega) - 1)
-    excess = float(np.max(envelope(between) / np.abs(weight.frequency_response(between))))
-    return weight if excess <= 1.0 else replace(weight, num=weight.num * excess * (1.0 + TOLERANCE))
+def drawn_errors(
+    model: IdentifiedModel, n_samples: int, *, form: Form = "multiplicative", seed: int | np.random.Generator = 0
+) -> DrawnErrors:
+    """The errors of `n_samples` random models against the model itself."""
+    return DrawnErrors.of(model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form)
 
 
 def error_envelope(
     model: IdentifiedModel, omega: npt.ArrayLike, n_samples: int, *, form: Form = "multiplicative", seed: int = 0
 ) -> FloatArray:
     """Ω(ω), the largest error among `n_samples` random models (2.21), shape of `omega`."""
-    omega = np.asarray(omega, dtype=float)
-    nominal, rng = model.frequency_response(omega), np.random.default_rng(seed)
-    largest = np.zeros(len(omega))
-    for start in range(0, n_samples, _MODELS_AT_ONCE):
-        sampled = model.sample_frequency_responses(min(_MODELS_AT_ONCE, n_samples - start), omega, rng)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            errors = np.abs(_ERRORS[form](sampled, nominal))
-        largest = np.maximum(largest, errors.max(axis=0))
-    if not np.isfinite(largest).all():
-        zero = omega[np.argmin(np.isfinite(largest))]
-        raise BadModel(f"uncertainty weight: the response is zero at {zero:g} rad/s, where no {form} error exists; use additive")
-    return np.maximum(largest, np.finfo(float).tiny)
+    return drawn_errors(model, n_samples, form=form, seed=seed).envelope(omega)
 
 
 def _promise(rule: str, accuracy: float, confidence: float, n_samples: int) -> str:

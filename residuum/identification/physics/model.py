@@ -303,6 +303,12 @@ def tied_to(target: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in inside.split(",") if name.strip())
 
 
+def term_name(use: EffectUse) -> str:
+    """Name of an effect's term among those of its balance."""
+    tied = use.target.removeprefix(use.place)
+    return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
+
+
 def missing_name(balance: str) -> str:
     """Name of the additive unknown term of a balance among the kernel's parameters."""
     return f"missing@{balance}"

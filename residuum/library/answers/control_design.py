@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from residuum.library.answers.control_promise import says
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse
 from residuum.robust_control.control_problem import ControlProblem, Solution
@@ -50,6 +51,13 @@ def design_json(
     }
 
 
+def _about(result: dict[str, Any]) -> list[str]:
+    about = result["largest_uncertainty_about"]
+    if about["joined"] is None:
+        return []
+    return [f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}"]
+
+
 def design_text(result: dict[str, Any]) -> str:
     """The short human report; `file` says where the controller was written."""
     plants, control_law = result["random_plants"], result["parameters"]
@@ -59,12 +67,14 @@ def design_text(result: dict[str, Any]) -> str:
         [
             f"{result['structure']}: K = {result['equation']}",
             "  " + ", ".join(f"{name} = {value:.5g}" for name, value in control_law.items()),
+            *_about(result),
             f"  aim {result['aim']}: {wishes}",
             f"  cost {result['certified_cost']:.4g}, largest at {result['worst_frequency_rad_s']:.4g} rad/s; "
             f"robust stability ‖W_T T‖∞ = {result['robust_stability_norm'] or math.inf:.6g}",
             f"  nominal loop {'stable' if result['stable'] else 'UNSTABLE'}; {plants['count']} random plants: "
             f"{plants['unstable']} unstable, median overshoot {100 * plants['overshoot_median']:.2g} %, "
             f"settling {plants['settling_time_median_s']:.3g} s",
+            *says(result),
             *(written if result["file"] else []),
         ]
     )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.errors import BadInput
+from residuum.identification.kernel_based.marginal_bands import band_says
 from residuum.identification.linear_models.fit import simulation_fit
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
@@ -24,6 +25,7 @@ def identification_json(
         "sample_time": model.sample_time,
         "impulse_response": model.impulse_response,
         "std": model.std,
+        "std_says": band_says(model),
         "hyper_parameters": dict(model.hyper_parameters),
         "noise_variance": model.noise_variance,
         "negative_log_likelihood": model.negative_log_likelihood,
@@ -70,6 +72,8 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     ]
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
+    if (said := band_says(model)) is not None:
+        lines.append(f"  bands             {said}")
     if model.hyper_parameters:
         lines.append("  hyper-parameters  " + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()))
     lines += [f"  warning           {text}" for text in model.warnings]

@@ -52,3 +52,34 @@ def assess(y: FloatArray, sample_time: float) -> StepResponse:
 def over_plants(plants: Sequence[TransferFunction], controller: TransferFunction, duration: float) -> list[StepResponse]:
     """The figures for every plant."""
     return [assess(step_response(plant, controller, duration), float(plant.sample_time or 0.0)) for plant in plants]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Step responses of the nominal loop and of drawn plants, to be held against what was promised."""
+
+    nominal: StepResponse
+    drawn: tuple[StepResponse, ...]
+
+    def reached_by(self, share: float) -> tuple[float, float]:
+        """(overshoot, settling time [s]) that this share of the drawn plants stays below, each for itself."""
+        return (
+            float(np.quantile([step.overshoot for step in self.drawn], share, method="higher")),
+            float(np.quantile([step.settling_time for step in self.drawn], share, method="higher")),
+        )
+
+    def kept(self, overshoot: float, settling_time: float) -> tuple[bool, float]:
+        """Whether the nominal loop stays within both, and the share of the drawn plants that does."""
+
+        def within(step: StepResponse) -> bool:
+            return step.overshoot <= overshoot and step.settling_time <= settling_time
+
+        return within(self.nominal), float(np.mean([within(step) for step in self.drawn]))
+
+
+def measured(
+    nominal: TransferFunction, plants: Sequence[TransferFunction], controller: TransferFunction, duration: float
+) -> Measured:
+    """Follow the steps of the nominal loop and of every drawn plant for `duration` [s]."""
+    first, *others = over_plants([nominal, *plants], controller, duration)
+    return Measured(first, tuple(others))

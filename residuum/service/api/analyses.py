@@ -103,6 +103,21 @@ class ControlDesign(BaseModel, extra="forbid"):
         min_length=1, max_length=16, description="Stored identified models."
     )
     aim: Literal["nominal", "robust"] = Field("nominal", description="Best behaviour, or every model of the band.")
+    joined: str | None = Field(None, pattern=NAME, description="The nominal plant, of all operating points' records.")
+    structure: Literal["pidn", "pid", "pi", "lead-lag", "rational"] = Field("pidn", description="Form of the controller.")
+    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: least overshoot worth having (0.01 = 1 %).")
+    settling_time: float | None = Field(None, gt=0, le=1e12, description="nominal: longest settling time [s].")
+    slack: float = Field(0.1, gt=0, le=100, description="nominal: slack of the mixed-sensitivity bound.")
+    in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time.")
+    low_gain: float = Field(120.0, gt=0, le=400, description="robust: l_g [dB].")
+    high_gain: float = Field(-50.0, lt=-0.5, ge=-400, description="robust: least h_g [dB].")
+    critical_frequency: float | None = Field(None, gt=0, le=1e12, description="robust: least ω_c [rad/s].")
+    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of plants drawn.")
+    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of plants drawn.")
+    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
+    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
+    points: int = Field(600, ge=50, le=5000, description="Frequencies of the grid.")
+    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest frequency of the grid [rad/s].")
 
 
 @router.get("/effects")
@@ -190,7 +205,13 @@ def residuals(running: Running, asked: Residuals) -> Response:
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
     files = {f"model-{number}.json": _content(running, name, "identified", None) for number, name in enumerate(asked.models)}
-    step = ["control", "design", *(f"@{file}" for file in files), f"--aim={asked.aim}", "--out", "@controller.json"]
+    given = asked.model_dump(exclude={"models", "joined", "in_time"}, exclude_none=True)
+    options = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
+    options += ["--in-time"] if asked.in_time else []
+    step = ["control", "design", *(f"@{file}" for file in files), *options, "--out", "@controller.json"]
+    if asked.joined is not None:
+        files["joined.json"] = _content(running, asked.joined, "identified", None)
+        step += ["--joined", "@joined.json"]
     return accepted(running.jobs.submit("control-designs", run_commands, [step], files, {}, "controller.json", then=_with_file))
 
 

@@ -42,6 +42,9 @@ class ScoreAnswer(BaseModel):
     units: dict[str, str]
     evidence: dict[str, Any]
     reason: str | None
+    causes: list[dict[str, Any]] | None = Field(default=None, description="model-based: what may have happened, likeliest first.")
+    parameters: dict[str, Any] | None = Field(default=None, description="model-based: every value with its healthy band.")
+    false_alarms_per_day: float | None = Field(default=None, description="model-based: the chosen rate.")
 
 
 class FindingAnswer(ScoreAnswer):

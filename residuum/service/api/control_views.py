@@ -39,6 +39,10 @@ class ControlView(BaseModel, extra="forbid"):
     only: Literal["overshoot", "settling-time", "high-gain", "critical-frequency"] | None = Field(
         None, description="One wish alone chooses the point: the first two with `nominal`, the others with `robust`."
     )
+    in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time, not by the weight.")
+    low_gain_db: float = Field(120.0, gt=0, le=400, description="robust: l_g, gain of W_S at low frequency [dB].")
+    smallest_high_gain_db: float = Field(-50.0, lt=-0.5, ge=-400, description="robust: least h_g [dB].")
+    lowest_critical_frequency: float | None = Field(None, gt=0, le=1e12, description="robust: least ω_c [rad/s].")
     lower: Limit = None
     upper: Limit = None
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Of the random plants.")
@@ -54,7 +58,10 @@ class ControlView(BaseModel, extra="forbid"):
 def view(running: Running, asked: ControlView) -> Response:
     """Controllers along the front of what is possible: bounds, open loop, step responses of drawn plants, code to download."""
     contents = [_content(running, each) for each in asked.models]
-    wishes = asked.model_dump(include={"aim", "overshoot", "settling_time", "slack", "only"})
+    wishes = asked.model_dump(
+        include={"aim", "overshoot", "settling_time", "slack", "only", "in_time"}
+        | {"low_gain_db", "smallest_high_gain_db", "lowest_critical_frequency"}
+    )
     arguments = (contents, asked.structure, wishes, (asked.lower, asked.upper), asked.seed)
     return accepted(running.jobs.submit("control-view", view_control_design, *arguments))
 

@@ -12,7 +12,7 @@ from fastapi import Request, Response
 from fastapi.routing import APIRoute
 from starlette.responses import JSONResponse
 
-from residuum.diagnosis.finding import Finding
+from residuum.diagnosis.finding import TOLD_BESIDE, Finding
 from residuum.service.store import Page, T
 
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
@@ -28,7 +28,8 @@ class Json(JSONResponse):
 
 def finding_json(finding: Finding) -> Response:
     """A finding as `Json(finding.to_json())` gives it, without the plain copy that this makes first."""
-    said = {
+    beside = {name: finding.evidence[name] for name in TOLD_BESIDE if name in finding.evidence}
+    said = beside | {
         "diagnoser": finding.diagnoser,
         "verdict": finding.verdict.value,
         "class": finding.fault_class,

@@ -16,7 +16,7 @@ from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
 from residuum.service.api.signal_body import SIGNAL_BODY, record_of
-from residuum.service.commands.diagnoser_options import bearing_settings
+from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
 
 _SCORED_AT_ONCE = 8192
@@ -39,6 +39,7 @@ _DESCRIBED = SIGNAL_BODY | {
         _parameter("query", "speed_rpm", "number", "bearing: shaft speed [rpm]."),
         _parameter("query", "orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
         _parameter("query", "hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
+        _parameter("query", "method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
     ]
 }
 
@@ -66,7 +67,8 @@ def _query(query_string: bytes) -> QueryParams:
 
 
 async def _judge(services: Services, diagnoser: str, query: QueryParams) -> Diagnoser:
-    settings = bearing_settings(_speed(query.get("speed_rpm")), query.get("orders"), query.get("hertz"))
+    speed = _speed(query.get("speed_rpm"))
+    settings = diagnoser_settings(speed, query.get("orders"), query.get("hertz"), query.get("method"))
     baseline = query.get("baseline")
     if baseline is None:
         return services.judges.untrained(diagnoser, settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
@@ -37,6 +37,7 @@ class UncertaintyAnswer(BaseModel):
     critical_frequency: float | None = Field(description="From here on the weight is 1 or more [Hz].")
     n_samples: int
     promise: str
+    certified: bool = Field(description="Whether the weight is proven above all drawn models between the frequencies too.")
 
 
 class ResidualView(BaseModel, extra="forbid"):
@@ -55,10 +56,14 @@ def get_uncertainty(
     model: ModelName,
     version: Version = None,
     shown: Annotated[int, Query(alias="samples", description="Drawn models to show.", ge=1, le=200)] = 40,
+    epsilon: Annotated[float, Query(description="ε of the number of models drawn.", ge=0.005, le=0.5)] = 0.05,
+    zeta: Annotated[float, Query(description="ζ of the number of models drawn.", ge=1e-6, le=0.5)] = 0.05,
+    rule: Annotated[Literal["chernoff", "worst-case"], Query(description="What ε and ζ promise.")] = "chernoff",
+    order: Annotated[int, Query(description="Order of the weight.", ge=0, le=8)] = WEIGHT_ORDER,
 ) -> Response:
     """The multiplicative uncertainty weight W_T of an identified model, above the models that its posterior allows."""
     identified = read_identified(_content(running, model, version))
-    made = design_uncertainty_weight(identified, order=WEIGHT_ORDER)
+    made = design_uncertainty_weight(identified, accuracy=epsilon, confidence=1 - zeta, rule=rule, order=order)
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
     lags = np.arange(identified.order)
     nominal = identified.impulse_response
@@ -74,6 +79,7 @@ def get_uncertainty(
         "critical_frequency": None if critical is None else critical / (2 * np.pi),
         "n_samples": made.n_samples,
         "promise": made.promise,
+        "certified": made.certified,
     }
     return Json(answer)
 

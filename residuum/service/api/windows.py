@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -33,6 +33,7 @@ async def add_window(
     running: Running,
     asset: AssetName,
     diagnoser: Annotated[str | None, Query(description="Needed with an asset's first window.", max_length=64)] = None,
+    method: Annotated[Literal["source", "default"] | None, Query(description="What decides, of a diagnoser with two.")] = None,
     idempotency_key: Annotated[
         str | None, Header(description="The same key never stores twice.", min_length=1, max_length=200)
     ] = None,
@@ -43,6 +44,7 @@ async def add_window(
     and gets the first answer. The diagnoser is the asset's, with the baseline of the asset's name where there is one.
     """
     judge = await run_in_threadpool(_judge, running, asset, diagnoser)
+    judge = judge if method is None else judge.with_settings(method=method)
     digest = hashlib.sha256(str(request.url.query).encode() + b"\n" + await request.body()).hexdigest()
     record = await record_of(request, judge.channels)
     return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)

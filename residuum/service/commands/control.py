@@ -11,11 +11,21 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.control_design import design_text
 from residuum.library.control import design as design_controller
 from residuum.library.whole_file import write_whole
-from residuum.robust_control.control_problem import STRUCTURES
+from residuum.robust_control.control_problem import STRUCTURES, WeightChoice
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
+from residuum.service.commands.weight_options import (
+    EPSILON,
+    WEIGHT_ORDER,
+    ZETA,
+    Epsilon,
+    Lowest,
+    Rule,
+    WeightOrder,
+    Zeta,
+)
 
 app = typer.Typer(add_completion=False)
 
@@ -41,6 +51,24 @@ def design(
         str | None,
         typer.Option(help="One wish alone: overshoot or settling-time; with --aim robust high-gain or critical-frequency."),
     ] = None,
+    in_time: Annotated[
+        bool,
+        typer.Option(help="nominal: keep overshoot and settling time in time, on the nominal loop and 95 % of random plants."),
+    ] = False,
+    low_gain: Annotated[float, typer.Option(help="robust: l_g, gain of W_S at low frequency \\[dB].")] = 120.0,
+    high_gain: Annotated[float, typer.Option(help="robust: smallest h_g, gain of W_S at high frequency \\[dB].")] = -50.0,
+    critical_frequency: Annotated[
+        float | None, typer.Option(help="robust: lowest ω_c \\[rad/s]; default: a thousandth of where W_T reaches 1.")
+    ] = None,
+    joined: Annotated[
+        Path | None, typer.Option(help="The nominal plant: a model of all operating points' records (default: the models' mean).")
+    ] = None,
+    epsilon: Epsilon = EPSILON,
+    zeta: Zeta = ZETA,
+    rule: Rule = "chernoff",
+    weight_order: WeightOrder = WEIGHT_ORDER,
+    points: Annotated[int, typer.Option(help="Frequencies of the grid, logarithmic up to π/Ts.", min=50, max=5000)] = 600,
+    lowest: Lowest = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help="Hold a parameter of the controller.")] = None,
     within: Annotated[
         list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Keep a parameter of the controller between limits.")
@@ -67,6 +95,12 @@ def design(
             settling_time=settling_time,
             slack=slack,
             only=only,
+            in_time=in_time,
+            low_gain=low_gain,
+            high_gain=high_gain,
+            critical_frequency=critical_frequency,
+            joined=joined,
+            weight=WeightChoice(epsilon, zeta, rule, weight_order, points, lowest),
             fix={name: _number(value, text) for text in fix or [] for name, value in [_split(text, "=", "--fix", "NAME=VALUE")]},
             within=dict(map(_limits, within or [])),
             seed=seed,

@@ -15,13 +15,14 @@ import can
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.identification.physics import load_model
 from residuum.service.alarms.notifications import Broker
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.report import AsJson, report
 from residuum.service.fieldbus.can import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.settings import SourceSettings
+from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, broker_address, is_loopback, load_settings
 from residuum.service.storage import audit, block_rows
@@ -68,6 +69,7 @@ def doctor(
         _check("disk", lambda: _disk(settings)),
         _check("access", lambda: _access(settings)),
         *_buses(settings),
+        *_models(settings),
         *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
         _check("compiled code", _compiled_code),
     ]
@@ -83,6 +85,19 @@ def _check(name: str, look: Callable[[], str]) -> Check:
         return Check(name, True, look())
     except (Wrong, BadInput, StorageUnavailable, BrokenBlock, BrokenAudit, OSError, can.CanError) as error:
         return Check(name, False, " ".join(str(error).split()))
+
+
+def _models(settings: Settings) -> list[Check]:
+    """The model file of every machine that is watched by one."""
+    watched = [machine for machine in settings.machines if machine.diagnoser == "model-based"]
+    return [_check(f"model {machine.asset}", partial(_model, machine)) for machine in watched]
+
+
+def _model(machine: MachineSettings) -> str:
+    if machine.model is None:
+        return "none in the settings; its baseline has the one that it was trained with"
+    model = load_model(machine.model)
+    return f"{machine.model}: reads {', '.join(model.inputs)}, gives {', '.join(model.outputs)}"
 
 
 def _database(settings: Settings) -> str:

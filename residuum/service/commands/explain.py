@@ -34,7 +34,7 @@ def explain_command(
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
     learned: Learned = False,
-    seconds: Seconds = 10.0,
+    seconds: Seconds = 12.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,

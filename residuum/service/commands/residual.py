@@ -17,9 +17,20 @@ from residuum.identification.record import Record
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.commands.weight_options import (
+    EPSILON,
+    WEIGHT_ORDER,
+    ZETA,
+    Epsilon,
+    Lowest,
+    Points,
+    Rule,
+    WeightOrder,
+    Zeta,
+    frequencies,
+)
 
 app = typer.Typer(add_completion=False)
-_WEIGHT_ORDER = 2
 _STRUCTURED_P = 1e-3
 
 
@@ -33,13 +44,20 @@ def design(
         list[Path] | None, typer.Option("--healthy", metavar="RECORD", help="Healthy records; default: those of the model.")
     ] = None,
     channel_map: ChannelMap = None,
+    epsilon: Epsilon = EPSILON,
+    zeta: Zeta = ZETA,
+    rule: Rule = "chernoff",
+    weight_order: WeightOrder = WEIGHT_ORDER,
+    points: Points = None,
+    lowest: Lowest = None,
     as_json: AsJson = False,
 ) -> None:
     """Design a robust residual generator from an identified model."""
     model = load_identified(identified)
     check_output_file(out)
     records = load_records(healthy, channel_map=channel_map) if healthy else _own_records(model.provenance.get("records", ()))
-    weight = design_uncertainty_weight(model, order=_WEIGHT_ORDER)
+    grid = frequencies(model.sample_time, points, lowest)
+    weight = design_uncertainty_weight(model, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, order=weight_order)
     made = design_residual(model, weight.weight, records, fault=fault, gamma=gamma)
     made.save(out)
     report(_design_result(made, identified, out, records), _design_text(made, out), as_json=as_json)

@@ -11,11 +11,14 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
 from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
+    FalseAlarms,
     Hertz,
+    Method,
     Orders,
     SpeedRpm,
-    bearing_settings,
     diagnoser_class,
+    diagnoser_settings,
+    model_settings,
     new_diagnoser,
 )
 from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
@@ -38,10 +41,13 @@ def score(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
+    false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
     """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
-    judge = _judge(diagnoser, baseline, bearing_settings(speed_rpm, orders, hertz))
+    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
+    judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(
         records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )

@@ -9,7 +9,19 @@ import typer
 
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.identification.errors import BadInput
-from residuum.service.commands.diagnoser_options import DiagnoserName, Hertz, Orders, SpeedRpm, bearing_settings, new_diagnoser
+from residuum.service.commands.diagnoser_options import (
+    DiagnoserName,
+    FalseAlarms,
+    FixUndetermined,
+    Hertz,
+    Method,
+    ModelName,
+    Orders,
+    SpeedRpm,
+    diagnoser_settings,
+    model_settings,
+    new_diagnoser,
+)
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report
@@ -35,10 +47,15 @@ def train(
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
+    method: Method = None,
+    model: ModelName = None,
+    fix_undetermined: FixUndetermined = False,
+    false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
-    untrained = new_diagnoser(diagnoser, bearing_settings(speed_rpm, orders, hertz))
+    of_model = model_settings(model, fix_undetermined, false_alarms_per_day)
+    untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = load_records(
@@ -59,7 +76,9 @@ def train(
         "file": str(out),
     }
     count = "1 record" if len(loaded) == 1 else f"{len(loaded)} records"
-    report(result, f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}", as_json=as_json)
+    learned = untrained.learned()
+    human = "\n".join([f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}", *learned.pop("says", [])])
+    report(result | learned, human, as_json=as_json)
 
 
 def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[str] | None]:

@@ -68,6 +68,19 @@ class MachineSettings(_Strict):
     window: WindowSettings
     sources: list[SourceSettings] = Field(min_length=1)
     baseline: str | None = Field(default=None, description="Name of the trained baseline; None: the asset's own.")
+    model: str | None = Field(
+        default=None,
+        description="model-based: the machine's model, a file or a built-in name; its baseline has it too.",
+    )
+    method: Literal["source", "default"] | None = Field(
+        default=None, description="gate-actuator, robust-residual: what decides; None: what the baseline was trained with."
+    )
     alarms: AlarmRule | None = Field(
         default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
     )
+
+    @model_validator(mode="after")
+    def _model_where_one_is_used(self) -> MachineSettings:
+        if self.model is not None and self.diagnoser != "model-based":
+            raise ValueError(f"model: only the diagnoser model-based has one, not {self.diagnoser!r}")
+        return self

@@ -44,7 +44,7 @@ class JudgeAndStore:
 
         It gives None when the service stopped before the window could be stored.
         """
-        judged = self._pool.begin(score_window, machine.diagnoser, baseline, PlainRecord.of(window))
+        judged = self._pool.begin(score_window, machine.diagnoser, baseline, PlainRecord.of(window), machine.method)
 
         def store() -> Finding | None:
             finding = judged()

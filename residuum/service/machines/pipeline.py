@@ -128,7 +128,7 @@ class Pipeline:
                     line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
                     known = version.checksum
             except NotFound:
-                line.set_state("idle", 0.0, f"waiting for a baseline: train {machine.diagnoser} and store it as {machine.asset}")
+                line.set_state("idle", 0.0, _waits_for_baseline(machine))
             except (OSError, StorageUnavailable):  # the disk may come back: ask again
                 log.exception("baseline not taken up", machine=machine.asset)
             await asyncio.sleep(_LOOK_FOR_BASELINE)
@@ -169,3 +169,12 @@ class Pipeline:
         content = training.result()
         await asyncio.to_thread(self._store.add_model_version, machine.asset, "baseline", content, note)
         return content
+
+
+def _waits_for_baseline(machine: MachineSettings) -> str:
+    model = f" --model {machine.model}" if machine.model else ""
+    name = machine.baseline or machine.asset
+    return (
+        f"waiting for a baseline: residuum train {machine.diagnoser} HEALTHY…{model} --out {name}.base, "
+        f"then store it as {name} (POST /api/v1/models?name={name}&kind=baseline&diagnoser={machine.diagnoser})"
+    )

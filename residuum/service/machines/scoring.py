@@ -36,14 +36,16 @@ class PlainRecord(NamedTuple):
         return Record(self.channels, self.units, self.sample_time, t0=self.t0, source=self.source)
 
 
-def score_window(diagnoser: str, baseline: str, window: PlainRecord) -> Finding:
+def score_window(diagnoser: str, baseline: str, window: PlainRecord, method: str | None = None) -> Finding:
     """Judge one window with the diagnoser stored in the file `baseline`; with none (an empty name) by absolute indicators.
+
+    `method` is what decides, where a diagnoser has two; None: what the baseline was trained with.
 
     Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit) is not assessable.
     """
     judge = _loaded(diagnoser, baseline, Path(baseline).stat().st_mtime_ns if baseline else 0)
     try:
-        return judge.score(window.record())
+        return (judge if method is None else judge.with_settings(method=method)).score(window.record())
     except BadInput as error:
         return Finding.not_assessable(diagnoser, str(error))
 

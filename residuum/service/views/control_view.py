@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Wishes
@@ -85,6 +86,7 @@ def view_control_design(
     saturation = (-math.inf if limits[0] is None else limits[0], math.inf if limits[1] is None else limits[1])
     points, chosen = _with_chosen(problem, wanted, found.front, found.chosen)
     plants = problem.random_plants()
+    seen = problem.measured(found, wanted)
     figures = []
     for index, point in enumerate(points):
         progress(0.5 + 0.4 * index / len(points), f"following {len(plants)} drawn plants, point {index + 1} of {len(points)}")
@@ -95,7 +97,8 @@ def view_control_design(
         {**_promises(problem, point), **picture.of(wanted, point, each), **_exports(point, saturation), "figures": _figures(each)}
         for point, each in zip(points, figures, strict=True)
     ]
-    common = {"frequency": _plain(picture.frequency), "drawn_plants": len(plants)}
+    common: dict[str, Any] = {"frequency": _plain(picture.frequency), "drawn_plants": len(plants)}
+    common |= promise_and_measurement(found, wanted, seen)
     return described | {"feasible": True, **common, "points": drawn, "chosen": chosen}
 
 

@@ -79,7 +79,9 @@ class Gateway:
 
     def handle(self, machine: MachineSettings, window: Record, _baseline: str, stopped: threading.Event) -> Finding | None:
         """Keep a window of a machine in the spool (what a `MachineLine` does with it); there is no finding yet."""
-        message = WindowMessage(machine.asset, machine.diagnoser, machine.baseline or machine.asset, PlainRecord.of(window))
+        message = WindowMessage(
+            machine.asset, machine.diagnoser, machine.baseline or machine.asset, PlainRecord.of(window), machine.method
+        )
         payload = message.pack()
         while True:
             try:

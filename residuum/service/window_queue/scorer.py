@@ -139,7 +139,8 @@ class Scorer:
 
     def _judge(self, message: WindowMessage) -> Finding:
         try:
-            return self._pool.call(score_window, message.diagnoser, self._baseline(message.baseline), message.window)
+            baseline = self._baseline(message.baseline)
+            return self._pool.call(score_window, message.diagnoser, baseline, message.window, message.method)
         except BrokenProcessPool:
             if self._stopped.is_set():
                 raise

@@ -19,18 +19,20 @@ ASSET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 @dataclass(frozen=True)
 class WindowMessage:
-    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name `baseline`."""
+    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name `baseline` and `method`."""
 
     asset: str
     diagnoser: str
     baseline: str
     window: PlainRecord
+    method: str | None = None
 
     def pack(self) -> bytes:
         """The message as bytes: MessagePack, samples little endian."""
         window = self.window
         channels = {name: _packed(signal) for name, signal in window.channels.items()}
         names = {"asset": self.asset, "diagnoser": self.diagnoser, "baseline": self.baseline, "source": window.source}
+        names |= {} if self.method is None else {"method": self.method}
         times = {"sample_time": window.sample_time, "t0": window.t0}
         packed: bytes = msgpack.packb({"version": _VERSION, **names, **times, "channels": channels, "units": dict(window.units)})
         return packed
@@ -45,7 +47,7 @@ class WindowMessage:
             channels = {str(name): _unpacked(str(name), *packed) for name, packed in plain["channels"].items()}
             units = {str(name): str(unit) for name, unit in plain["units"].items()}
             window = PlainRecord(channels, units, float(plain["sample_time"]), float(plain["t0"]), str(plain["source"]))
-            message = cls(str(plain["asset"]), str(plain["diagnoser"]), str(plain["baseline"]), window)
+            message = cls(str(plain["asset"]), str(plain["diagnoser"]), str(plain["baseline"]), window, plain.get("method"))
         except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException) as error:
             raise BadInput(f"window message: cannot be read: {type(error).__name__} {error}") from None
         if not ASSET_NAME.fullmatch(message.asset):

@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 from scipy.signal import lfilter
 
+from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.feedback import feeds_back
 from residuum.identification.physics import estimate, match, read_model
@@ -53,3 +54,9 @@ def test_noise_that_a_controller_answers_is_no_missing_effect():
     assert (found.verdict, found.search.accepted, found.search.timing) == ("adequate", [], [])
     assert found.experiments[0].block == 1
     assert not found.experiments[0].hold.any()
+
+
+def test_noise_that_is_remembered_over_blocks_is_no_structure_of_a_complete_model():
+    """Blocks of seven samples: the voltage of the block before knew how much of the noise came at its end."""
+    model = read_model(DRIVE).with_values({"R": R, "K": K, "J": J, "b": B})
+    assert not compare(model, [record(0.3)]).present

@@ -104,6 +104,24 @@ def test_an_asset_is_judged_by_the_baseline_of_its_name(client, example, tmp_pat
     assert same(answer, judge.score(example.faulty[0]).to_json()) and answer["class"] != said["class"]
 
 
+def test_the_method_that_decides_is_chosen_by_the_query(client, tmp_path):
+    case = DIAGNOSERS["robust-residual"].examples()[0]
+    trained = DIAGNOSERS["robust-residual"]().fit(case.training)
+    trained.save(tmp_path / "plant.zip")
+    query = {"name": "plant", "kind": "baseline", "diagnoser": "robust-residual"}
+    assert client.post("/api/v1/models", params=query, content=(tmp_path / "plant.zip").read_bytes()).status_code == 201
+    for method in ("source", "default"):
+        said = trained.with_settings(method=method).score(case.faulty[1]).to_json()
+        query = {"baseline": "plant", "method": method}
+        assert same(client.post("/api/v1/score/robust-residual", params=query, json=as_json(case.faulty[1])).json(), said)
+        query = {"diagnoser": "robust-residual", "method": method}
+        stored = client.post("/api/v1/assets/plant/windows", params=query, json=as_json(case.faulty[1])).json()
+        assert stored["finding"]["evidence"]["method"] == method
+    answer = client.post("/api/v1/score/bearing?method=source", json=as_json(case.faulty[1]))
+    assert 400 <= answer.status_code < 500
+    assert "must be default" in answer.json()["detail"]
+
+
 def test_a_signal_never_loses_its_largest_peak_however_far_it_is_reduced(client):
     rng = np.random.default_rng(3)
     signal = rng.normal(size=1_000_000)

@@ -41,7 +41,7 @@ def test_a_model_that_is_called_adequate_though_much_is_left_is_told_with_what_t
 def test_a_value_that_was_freed_is_said_with_those_that_would_do_as_well():
     held = HeldValue("m", 6195.0, 5894.3, 0.2, "kg", ("S",))
     text = explanation_text(explanation("adequate", 1.0, (held,)))
-    assert "m is fixed at 6195 kg in the model; the records ask for 5894.3 ± 0.2 kg" in text and "(S would do as well)" in text
+    assert "m is fixed at 6195 kg; the records ask for 5894.3 ± 0.2 kg" in text and "(S would do as well)" in text
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,12 @@
 """`residuum train`: labels and exemplars of the records from one file."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.gate.gate_examples import example_record
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats.npz import write_npz
@@ -51,3 +53,24 @@ def test_movements_of_two_actuators_are_counted_as_two(tmp_path, monkeypatch, ca
     assert GateActuator.load("gate").baseline.exemplars == 2
     assert run(["train", "gripping-pliers", *files, *told]) == BAD_INPUT
     assert "only the gate-actuator diagnoser knows exemplars" in capsys.readouterr().err
+
+
+def test_either_method_decides_and_both_are_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    example = RobustResidual.examples()[0]
+    write_npz(example.training[0], "healthy.npz")
+    write_npz(example.faulty[1], "drift.npz")
+    assert run(["train", "robust-residual", "healthy.npz", "--method", "source", "--out", "plant"]) == 0
+    capsys.readouterr()
+    said = {}
+    for method in ([], ["--method", "source"], ["--method", "default"]):
+        assert run(["score", "robust-residual", "drift.npz", "--baseline", "plant", *method, "--json"]) == 0
+        said[" ".join(method)] = json.loads(capsys.readouterr().out)
+    assert said[""] == said["--method source"]
+    assert said["--method source"]["thresholds"].keys() == {"robust_peak"}
+    assert said["--method default"]["thresholds"].keys() == {"glr"}
+    for finding in said.values():
+        evidence = finding["evidence"]
+        assert finding["verdict"] == evidence[f"{evidence['method']}_method"]["verdict"]
+    assert run(["score", "robust-residual", "drift.npz", "--baseline", "plant", "--method", "best"]) == BAD_INPUT
+    assert "must be default or source" in capsys.readouterr().err

@@ -30,7 +30,7 @@ from residuum.identification.physics.compile.expression_meaning import meaning, 
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
 from residuum.identification.physics.files.expression import Call, Name, Node, Number
-from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, tied_to
+from residuum.identification.physics.model import CHANNELS, Balance, EffectUse, PhysicalModel, missing_name, term_name, tied_to
 
 TIME = sp.Symbol("t", real=True)
 
@@ -307,12 +307,6 @@ class _Composer:
             if name in family:
                 return family[name]
         raise BadModel(f"model {self.model.name!r}: name {name!r} is not declared")
-
-
-def term_name(use: EffectUse) -> str:
-    """Name of an effect's term among those of its balance."""
-    tied = use.target.removeprefix(use.place)
-    return f"{use.id}{tied}" + (f"#{use.instance}" if use.instance > 1 else "")
 
 
 def _is_name(tree: Node, name: str) -> bool:

@@ -23,7 +23,7 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     """The operation or function of a node, on SymPy expressions."""
     if isinstance(node, Operation):
         return _OPERATORS[node.operator]
-    return getattr(sp, _FUNCTIONS.get(node.function, node.function))  # type: ignore[no-any-return]
+    return getattr(sp, _FUNCTIONS.get(node.function, node.function))
 
 
 def number(node: Number) -> Any:

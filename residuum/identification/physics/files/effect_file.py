@@ -38,9 +38,9 @@ from residuum.identification.physics.model import BALANCE_KINDS
 
 FloatArray = npt.NDArray[np.float64]
 
-_ID = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
-_PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
+OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
+DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
+PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
 _ROLES = {
     "position": {"torque": "rad", "force": "m"},
     "velocity": {"torque": "rad/s", "force": "m/s"},
@@ -162,10 +162,10 @@ def effects_of(listing: Scalar | Listing | Table | None, tree: Table) -> list[Wr
 
 
 def _effect(item: Table) -> WrittenEffect:
-    item.only(_KEYS, "effect")
+    item.only(DEFINITION_KEYS, "effect")
     id = item.scalar("id", "effect")
     what = f"effect {id.text!r}"
-    if not _ID.fullmatch(id.text):
+    if not re.fullmatch(OWN_ID, id.text):
         raise id.place.refuse(f"{what}: an id is of small letters, digits and '-'")
     acts_on = _acts_on(item, what)
     on_path = acts_on[0] in ("input", "output")
@@ -186,11 +186,11 @@ def _effect(item: Table) -> WrittenEffect:
 def _acts_on(item: Table, what: str) -> list[str]:
     listing = item.entries.get("acts_on")
     if not isinstance(listing, Listing) or not listing.items:
-        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+        raise item.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
     kinds = []
     for kind in listing.items:
-        if not isinstance(kind, Scalar) or kind.text not in _PLACES:
-            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(_PLACES)}")
+        if not isinstance(kind, Scalar) or kind.text not in PLACES:
+            raise kind.place.refuse(f"{what}: acts_on is a list of {', '.join(PLACES)}")
         kinds.append(kind.text)
     if len(kinds) > 1 and {"input", "output"} & set(kinds):
         raise listing.place.refuse(f"{what}: acts on balances, on an input or on an output, not on several of these")
@@ -206,8 +206,8 @@ def _parameters(table: Table, what: str) -> dict[str, dict[str, Any]]:
         numbers = {key: text.number(f"{each}: {key}") for key, text in given.items() if key in ("value", "lower", "upper")}
         flags = {key: text.truth(f"{each}: {key}") for key, text in given.items() if key in ("fixed", "size")}
         texts = {key: text.text for key, text in given.items() if key in ("unit", "meaning")}
-        found[name] = {"value": 0.0, "unit": "", "meaning": name} | texts | numbers | flags
-        if not numbers.get("lower", -np.inf) <= found[name]["value"] <= numbers.get("upper", np.inf):
+        found[name] = {"value": 0.0, "unit": "", "meaning": name, **texts, **numbers, **flags}
+        if not numbers.get("lower", -np.inf) <= numbers.get("value", 0.0) <= numbers.get("upper", np.inf):
             raise entry.place.refuse(f"{each}: value is outside its bounds")
     return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
+from residuum.identification.physics.files.effect_file import DEFINITION_KEYS, OWN_ID, PLACES
 from residuum.identification.physics.files.model_file import (
     EFFECT_KEYS,
     INPUT_KEYS,
@@ -45,6 +46,7 @@ def model_schema() -> dict[str, Any]:
             "minProperties": 1,
             "additionalProperties": _object(OUTPUT_KEYS, ["value"], value=_EXPRESSION),
         },
+        "own_effects": {"type": "array", "items": _own_effect()},
         "effects": {"type": "array", "items": _effect(parameter)},
         "initial": _named(_NUMBER),
     }
@@ -70,13 +72,29 @@ def _balances() -> list[dict[str, Any]]:
 
 def _effect(parameter: dict[str, Any]) -> dict[str, Any]:
     properties = {
-        "id": {"enum": [*EFFECTS, *STRUCTURAL]},
+        "id": {"anyOf": [{"enum": [*EFFECTS, *STRUCTURAL]}, {"type": "string", "pattern": OWN_ID}]},
         **dict.fromkeys(("balance", "input", "output"), _TEXT),
         "parameters": _named({"anyOf": [_NUMBER, parameter]}),
         "provenance": {"type": "object"},
     }
     given = {key: properties[key] for key in EFFECT_KEYS}
     return {"type": "object", "required": ["id"], "additionalProperties": False, "properties": given}
+
+
+def _own_effect() -> dict[str, Any]:
+    types = {"value": _NUMBER, "lower": _NUMBER, "upper": _NUMBER, "fixed": {"type": "boolean"}, "size": {"type": "boolean"}}
+    parameter = {"type": "object", "additionalProperties": False, "properties": types | {"unit": _TEXT, "meaning": _TEXT}}
+    state = {"unit": _TEXT, "rate": _EXPRESSION, "start": _EXPRESSION}
+    each: dict[str, dict[str, Any]] = {
+        **dict.fromkeys(DEFINITION_KEYS, _TEXT),
+        "id": {"type": "string", "pattern": OWN_ID},
+        "acts_on": {"type": "array", "minItems": 1, "items": {"enum": list(PLACES)}},
+        "term": _EXPRESSION,
+        "signal": _EXPRESSION,
+        "parameters": _named(parameter),
+        "states": _named({"type": "object", "required": ["rate"], "additionalProperties": False, "properties": state}),
+    }
+    return {"type": "object", "required": ["id", "acts_on"], "additionalProperties": False, "properties": each}
 
 
 def _object(keys: tuple[str, ...], required: list[str], **other: dict[str, Any]) -> dict[str, Any]:

@@ -12,8 +12,9 @@ import { runIn } from "./jobs.js";
 const AIMS = { nominal: "nominal performance", robust: "robust performance" };
 const STRUCTURES = { pidn: "PID with filtered derivative", pid: "PID", pi: "PI", "lead-lag": "lead–lag", rational: "rational, order 2" };
 const ONLY = { nominal: { "": "both wishes", overshoot: "least overshoot", "settling-time": "shortest settling" }, robust: { "": "both wishes", "high-gain": "highest gain", "critical-frequency": "highest frequency" } };
-const KEPT = ["models", "aim", "structure", "overshoot", "settling", "slack", "only", "lower", "upper", "point"];
-const DEFAULTS = { models: "", aim: "nominal", structure: "pidn", overshoot: "1", settling: "", slack: "0.1", only: "", lower: "", upper: "" };
+const KEPT = ["models", "aim", "structure", "overshoot", "settling", "slack", "only", "held", "lower", "upper", "point"];
+const HELD = { "": "those of the weight", time: "held in time" };
+const DEFAULTS = { models: "", aim: "nominal", structure: "pidn", overshoot: "1", settling: "", slack: "0.1", only: "", held: "", lower: "", upper: "" };
 
 export function controlPage(place, query) {
   document.title = "Control · Residuum";
@@ -50,7 +51,8 @@ export function controlPage(place, query) {
     const nominal = asked.aim === "nominal";
     show(form, panel("Design for what, and how", null, h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); begin({ again: true }); } },
       h("fieldset", {}, h("legend", {}, "models, one an operating point"), h("div", { class: "choices" }, rows), modelFiles(take)),
-      h("div", { class: "fields" }, choose("aim", "aim", AIMS, () => { asked.only = ""; drawForm(); }), choose("structure", "structure", STRUCTURES), choose("only", "of the front take", ONLY[asked.aim]),
+      h("div", { class: "fields" }, choose("aim", "aim", AIMS, () => { asked.only = ""; drawForm(); }), choose("structure", "structure", STRUCTURES), asked.held && nominal ? null : choose("only", "of the front take", ONLY[asked.aim]),
+        nominal ? choose("held", "overshoot and settling time are", HELD, () => { asked.only = ""; drawForm(); }) : null,
         nominal ? type("overshoot", "least overshoot worth having [%]", { min: 0.001, max: 99, required: true }) : null,
         nominal ? type("settling", "longest settling time [s]", { min: 0, placeholder: "10 × the response" }) : null,
         nominal ? type("slack", "slack γ of the bound", { min: 0.001, max: 100, required: true }) : null,
@@ -99,8 +101,16 @@ function modelFiles(take) {
 function body(asked) {
   const models = asked.models.split(",").map((each) => { const [model, version] = each.split("@"); return { model, ...(Number(version) ? { version: Number(version) } : {}) }; });
   const optional = (key, name = key) => (asked[key] === "" || !Number.isFinite(Number(asked[key])) ? {} : { [name]: Number(asked[key]) });
-  const wishes = asked.aim === "nominal" ? { overshoot: Number(asked.overshoot) / 100, slack: Number(asked.slack), ...optional("settling", "settling_time") } : {};
+  const wishes = asked.aim === "nominal" ? { overshoot: Number(asked.overshoot) / 100, slack: Number(asked.slack), ...(asked.held ? { in_time: true } : {}), ...optional("settling", "settling_time") } : {};
   return { models, aim: asked.aim, structure: asked.structure, ...wishes, ...(asked.only ? { only: asked.only } : {}), ...optional("lower"), ...optional("upper") };
+}
+
+const seconds = (value) => (value === null ? "never" : quantity(value, "s"));
+
+/** What the design promises in time beside what the nominal loop and drawn plants do. */
+function promise({ promised, measured }) {
+  const { nominal, random_plants: plants } = measured;
+  return h("p", {}, `Promised: ${percent(promised.overshoot)} overshoot, settling in ${seconds(promised.settling_time_s)}. Measured on the nominal loop: ${nominal.overshoot === null ? "no end" : percent(nominal.overshoot)} and ${seconds(nominal.settling_time_s)}${measured.kept ? ", kept" : ", NOT kept"}; ${percent(measured.share_kept)} of ${plants.count} drawn plants keep it.`);
 }
 
 const MOST_OF_A_UNIT = 24;
@@ -144,6 +154,7 @@ function promises(view, point, index) {
     : `Plants with up to ${percent(1 / (point.robust_stability_norm ?? Infinity))} of the uncertainty are not destabilised: ‖W_T T‖∞ = ${number(point.robust_stability_norm)}, certified.`;
   const settled = figures.settling_time === null ? "most do not settle within the time followed" : `they settle in ${quantity(figures.settling_time, "s")} with ${percent(figures.overshoot)} overshoot (medians)`;
   return panel("Controller", index === view.chosen ? "the preferred point of the front" : "another point of the front",
+    index === view.chosen && view.promised ? promise(view) : null,
     h("p", { class: "says-large" }, guarantee, " ", `Of ${view.drawn_plants} plants drawn anew ${figures.unstable ? figures.unstable : "none"} became unstable; ${settled}.`),
     h("dl", { class: "facts" }, fact("K(z)", view.equation), Object.entries(point.parameters).map(([name, value]) => fact(name, quantity(value, parameterUnit(view, name)))), fact("Sample time", quantity(view.sample_time, "s")),
       fact("Cost", `${number(point.cost)} of ${number(view.limit)}, largest at ${quantity(point.worst_frequency, "Hz")}`)));

@@ -74,8 +74,18 @@ function head(name, asset, machine) {
     h("p", { class: "says-large" }, sentence(finding)),
     h("dl", { class: "facts" },
       fact("Diagnoser", asset?.diagnoser ?? machine?.diagnoser ?? "–"),
+      ...methods(finding),
       fact("Last window", finding ? `${finding.window}, ${ago(finding.at)}` : "none yet", finding && moment(finding.at)),
       fact("Windows kept", count(asset?.windows ?? 0))));
+}
+
+/** What each method of a diagnoser with two says; the one that decides is named first. */
+function methods(finding) {
+  const { method, source_method: source, default_method: ours } = finding?.evidence ?? {};
+  if (!source || !ours) return [];
+  const said = (one) => one.class ? title(one.class) : one.verdict;
+  const decides = (name) => (name === method ? " (decides)" : "");
+  return [fact("Default method", said(ours) + decides("default")), fact("Source's method", said(source) + decides("source"), source.reason)];
 }
 
 const fact = (name, value, hint) => h("div", { title: hint }, h("dt", {}, name), h("dd", {}, value));

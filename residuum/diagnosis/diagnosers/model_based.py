@@ -1,0 +1,172 @@
+"""Any machine that has a model: trained on a model file and healthy records, told which cause and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
+from residuum.diagnosis.finding import Finding
+from residuum.diagnosis.model_based.assessment import assess, missing_physics
+from residuum.diagnosis.model_based.baseline import Baseline
+from residuum.diagnosis.model_based.detection import rate_alone
+from residuum.diagnosis.model_based.training import train
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
+from residuum.identification.record import Record
+
+FALSE_ALARMS_PER_DAY = 1.0
+
+
+class ModelBased(Diagnoser):
+    """Innovations of the model's own filter against those of healthy windows; a posterior over causes; their sizes.
+
+    Parameters
+    ----------
+    model : str, path, PhysicalModel or None
+        A built-in name or a model file; None: the built-in model whose inputs and outputs the records have.
+    false_alarms_per_day : float
+        Of windows that follow one another without overlap.
+    fix_undetermined : bool
+        Keep values that healthy windows do not determine at the file's, instead of refusing.
+    """
+
+    name: ClassVar[str] = "model-based"
+    channels: ClassVar[Sequence[Channel]] = (
+        Channel("inputs", "", "every input of the model, by its name there (unit: the model's)"),
+        Channel("outputs", "", "every output of the model that was recorded, by its name there"),
+    )
+    classes: ClassVar[Sequence[str]] = (
+        "healthy", "parameter", "effect", "disturbance", "unknown",
+        "sensor-offset", "sensor-gain", "sensor-noise", "sensor-stuck", "sensor-delay", "sensor-drop-out",
+        "actuator-offset", "actuator-gain", "actuator-stuck", "actuator-limit",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        *,
+        model: str | Path | PhysicalModel | None = None,
+        false_alarms_per_day: float = FALSE_ALARMS_PER_DAY,
+        fix_undetermined: bool = False,
+    ) -> None:
+        if not (np.isfinite(false_alarms_per_day) and false_alarms_per_day > 0):
+            raise BadInput(f"false alarms per day: {false_alarms_per_day!r}; must be a positive number")
+        self.model = load_model(model) if isinstance(model, str | Path) else model
+        self.false_alarms_per_day, self.fix_undetermined = false_alarms_per_day, fix_undetermined
+        self._baseline: Baseline | None = None
+
+    def fit(self, records: Sequence[Record], labels: Sequence[str] | None = None) -> Self:
+        """Learn what is healthy from the records labelled `healthy` (all, without labels)."""
+        if labels is not None and len(labels) != len(records):
+            raise BadInput(f"model-based: {len(labels)} labels for {len(records)} records; one each is needed")
+        healthy = [r for k, r in enumerate(records) if labels is None or labels[k] == "healthy"]
+        if not healthy:
+            raise BadInput("model-based: no healthy record to train on")
+        model = self.model or built_in_model(healthy)
+        self._baseline = train(model, healthy, fix_undetermined=self.fix_undetermined)
+        self.model = model
+        return self
+
+    @property
+    def baseline(self) -> Baseline:
+        """What was learned; NotTrained before `fit`."""
+        if self._baseline is None:
+            raise NotTrained("model-based: has no baseline; train it on a model and healthy records first")
+        return self._baseline
+
+    def score(self, record: Record) -> Finding:
+        """Judge one window."""
+        return assess(self.name, self.baseline, record, self.false_alarms_per_day)
+
+    def with_settings(self, **settings: object) -> Self:
+        """The same baseline at another rate of false alarms."""
+        if "method" in settings:
+            super().with_settings(method=settings.pop("method"))
+        known = {"false_alarms_per_day": self.false_alarms_per_day, "fix_undetermined": self.fix_undetermined, **settings}
+        try:
+            other = type(self)(model=self.model, **known)  # type: ignore[arg-type]
+        except TypeError:
+            raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}") from None
+        other._baseline = self._baseline
+        return other
+
+    def learned(self) -> dict[str, Any]:
+        """Healthy values, the physics that healthy windows show beyond the model, and the rate that they vouch for."""
+        b = self.baseline
+        alone = rate_alone(b.scatter.windows, b.usual.seconds)
+        missing = missing_physics(b)
+        values = {n: {"value": b.tracking.model.values[n], "unit": b.tracking.model.all_parameters[n].unit} for n in b.free}
+        says = [f"  {n} = {v['value']:.5g} {v['unit']}" for n, v in values.items() if not n.startswith(tuple(b.stand_ins))]
+        says += [
+            f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain` tells more"
+            for m in missing
+        ]
+        says.append(
+            f"  {b.scatter.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated"
+        )
+        told = {"windows": b.scatter.windows, "parameters": values, "missing_physics": missing}
+        return told | {"rate_without_extrapolation": alone, "says": says}
+
+    def describe(self) -> Mapping[str, object]:
+        """With the channels of the model, once it is known."""
+        if self.model is None:
+            return super().describe()
+        inputs = [Channel(n, s.unit, "input of the model", s.default is None) for n, s in self.model.inputs.items()]
+        outputs = [Channel(n, s.unit, "output of the model", False) for n, s in self.model.outputs.items()]
+        return {**super().describe(), "channels": [vars(channel) for channel in (*inputs, *outputs)]}
+
+    def save(self, path: str | Path) -> None:
+        """Store the trained diagnoser."""
+        settings = {"false_alarms_per_day": self.false_alarms_per_day, "fix_undetermined": self.fix_undetermined}
+        self.baseline.save(path, self.name, settings)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The diagnoser stored by `save`."""
+        baseline, settings = Baseline.load(path, cls.name)
+        try:
+            loaded = cls(**settings)
+        except TypeError as error:
+            raise BadInput(f"{path}: is not a model-based baseline: {error}") from None
+        loaded._baseline, loaded.model = baseline, baseline.tracking.model
+        return loaded
+
+    @classmethod
+    def examples(cls) -> Sequence[Example]:
+        """A mass on a guide pushed to and fro: its mass grown, a friction that was not there, an offset of its speed's sensor."""
+        healthy = [_axis(seed) for seed in range(20)]
+        faulty = [_axis(51, mass=120.0), _axis(52, friction=20.0), _axis(53, gain=1.1)]
+        return (Example(healthy, None, [_axis(seed) for seed in (61, 62, 63)], faulty),)
+
+
+def built_in_model(records: Sequence[Record]) -> PhysicalModel:
+    """The built-in model whose inputs, and at least one output, all records have; BadInput when there is none."""
+    for name in BUILT_IN:
+        model = load_model(name)
+        needed = [n for n, s in model.inputs.items() if s.default is None]
+        if all(set(needed) <= set(r.names) and set(model.outputs) & set(r.names) for r in records):
+            return model
+    raise BadInput(f"model-based: needs a model (--model FILE); no built-in one has the channels {', '.join(records[0].names)}")
+
+
+def _axis(seed: int, *, mass: float = 95.0, friction: float = 0.0, gain: float = 1.0, n: int = 1500) -> Record:
+    """M dv/dt = F − τ sgn v at 200 Hz, F of random levels; position and speed with noise."""
+    rng = np.random.default_rng([seed, 7])
+    levels = rng.uniform(30.0, 120.0, n // 50 + 1) * np.where(np.arange(n // 50 + 1) % 2, -1.0, 1.0)
+    force = np.repeat(levels, 50)[:n]
+    q, v = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        for _ in range(10):
+            free = v[k + 1] if _ else v[k]
+            pushed = free + 5e-4 * force[k] / mass
+            v[k + 1] = pushed - np.sign(pushed) * min(abs(pushed), 5e-4 * friction / mass)
+            q[k + 1] = (q[k + 1] if _ else q[k]) + 5e-4 * v[k + 1]
+    channels = {
+        "force": force,
+        "position": q + 1e-4 * rng.standard_normal(n),
+        "velocity": gain * v + 2e-3 * rng.standard_normal(n),
+    }
+    return Record(channels, {"force": "N", "position": "m", "velocity": "m/s"}, 0.005, source=f"example {seed}")

@@ -1,0 +1,58 @@
+"""A model as Modelica text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from residuum.identification.physics.compile import symbolic as sp
+from residuum.identification.physics.export.explicit_model import ExplicitModel
+
+
+def modelica_source(model: ExplicitModel) -> str:
+    """A flat model: parameters, inputs, outputs, states with their first values, and one equation each."""
+    parameters = [f'  parameter Real {n} = {model.values[n]!r} "{model.described(n)}";' for n in model.parameters]
+    inputs = [f'  input Real {n} "{model.described(n)}";' for n in model.inputs]
+    states = [f'  Real {n} "{model.described(n)}";' for n in model.states]
+    outputs = [f'  output Real y_{n} "{model.described(n)}";' for n in model.outputs]
+    return "\n".join(
+        [
+            *model.head("//"),
+            f'model {model.name} "{model.title}"',
+            *parameters,
+            *inputs,
+            *states,
+            *outputs,
+            "initial equation",
+            *(f"  {n} = {_code(e)};" for n, e in model.initial.items()),
+            "equation",
+            *(f"  der({n}) = {_code(e)};" for n, e in model.rates.items()),
+            *(f"  y_{n} = {_code(e)};" for n, e in model.outputs.items()),
+            f"end {model.name};",
+            "",
+        ]
+    )
+
+
+def _code(expression: Any) -> str:
+    expression = sp.sympify(expression)
+    if isinstance(expression, sp.Piecewise):
+        *cases, (last, _) = expression.args
+        parts = [f"{'else' if k else ''}if {_code(condition)} then {_code(value)} " for k, (value, condition) in enumerate(cases)]
+        return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+    piecewise = [e for e in sp.preorder_traversal(expression) if isinstance(e, sp.Piecewise | sp.Min | sp.Max)]
+    texts = {}
+    if piecewise and expression is not piecewise[0]:
+        for k, part in enumerate(piecewise):
+            texts[f"residuum_part_{k}"] = _code(part)
+            expression = expression.subs(part, sp.Symbol(f"residuum_part_{k}", real=True))
+    elif isinstance(expression, sp.Min | sp.Max):
+        name, (first, *rest) = expression.func.__name__.lower(), expression.args
+        text = _code(first)
+        for other in rest:
+            text = f"{name}({text}, {_code(other)})"
+        return text
+    printed = sp.sstr(expression if expression.is_Relational else expression.evalf(17))
+    text = str(printed).replace("**", "^").replace("Abs(", "abs(")
+    for name, value in texts.items():
+        text = text.replace(name, value)
+    return text

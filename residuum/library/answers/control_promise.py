@@ -1,0 +1,81 @@
+"""What a control design promises in time beside what is measured, for the console and the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from residuum.robust_control.certificates.time_domain import Measured, StepResponse
+from residuum.robust_control.control_problem import Solution, Wishes
+
+_SHARE = 0.95
+
+
+def promise_and_measurement(found: Solution, wishes: Wishes, seen: Measured) -> dict[str, Any]:
+    """`promised` (None with the robust aim: it promises nothing in time) and `measured`, whose `kept` says whether they agree.
+
+    `kept` is of the nominal loop, `share_kept` of the drawn plants; `reached_by_95_percent` is what 95 % of these stay below.
+    """
+    overshoot, settling_time = seen.reached_by(_SHARE)
+    measured: dict[str, Any] = {
+        "nominal": _figures(seen.nominal),
+        "random_plants": {
+            "count": len(seen.drawn),
+            "median": _figures(
+                StepResponse(*(float(np.median([getattr(step, name) for step in seen.drawn])) for name in _NAMES))
+            ),
+            "reached_by_95_percent": {"overshoot": _finite(overshoot), "settling_time_s": _finite(settling_time)},
+        },
+    }
+    if wishes.aim != "nominal":
+        return {"promised": None, "measured": measured}
+    promised = {"overshoot": found.chosen.first, "settling_time_s": found.chosen.second, "in_time": wishes.in_time}
+    kept, share = seen.kept(found.chosen.first, found.chosen.second)
+    return {"promised": promised, "measured": measured | {"kept": kept, "share_kept": share}}
+
+
+def says(result: Mapping[str, Any]) -> list[str]:
+    """The same in lines for people."""
+    measured, promised = result["measured"], result["promised"]
+    nominal = measured["nominal"]
+    lines = [f"  measured on the nominal loop: overshoot {_percent(nominal)}, settling {_seconds(nominal)}"]
+    if promised is None:
+        return lines
+    kept = "kept" if measured["kept"] else "NOT kept"
+    if not measured["kept"] and not promised["in_time"]:
+        kept += " (the weight promises this of its reference model alone; --in-time holds the loop to it)"
+    reached = measured["random_plants"]["reached_by_95_percent"]
+    return [
+        f"  promised: overshoot {_percent(promised)}, settling {_seconds(promised)}: {kept}",
+        *lines,
+        f"  95 % of the random plants: overshoot up to {_percent(reached)}, settling up to {_seconds(reached)}; "
+        f"{100 * measured['share_kept']:.0f} % keep the promise",
+    ]
+
+
+_NAMES = ("overshoot", "settling_time", "integral_absolute_error")
+
+
+def _figures(step: StepResponse) -> dict[str, float | None]:
+    return {
+        "overshoot": _finite(step.overshoot),
+        "settling_time_s": _finite(step.settling_time),
+        "integral_absolute_error_s": _finite(step.integral_absolute_error),
+    }
+
+
+def _percent(figures: Mapping[str, Any]) -> str:
+    value = figures["overshoot"]
+    return "without end" if value is None else f"{100 * value:.3g} %"
+
+
+def _seconds(figures: Mapping[str, Any]) -> str:
+    value = figures["settling_time_s"]
+    return "never" if value is None else f"{value:.4g} s"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

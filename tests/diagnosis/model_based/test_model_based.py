@@ -1,0 +1,132 @@
+"""The model-based diagnoser on a machine that shares no code with the model: faults found, named and sized."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from residuum.diagnosis.diagnosers.model_based import ModelBased
+from residuum.diagnosis.finding import Verdict
+from residuum.diagnosis.model_based.filtered_window import TrackingFilter
+from residuum.diagnosis.model_based.healthy_values import Undetermined
+from residuum.diagnosis.model_based.hypotheses import Column, Hypothesis, slopes_of
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import load_model, match
+from residuum.identification.physics.simulate.kalman import tune
+from residuum.identification.record import Record
+from residuum.simulation import MACHINES
+
+WINDOW = 6.0
+
+
+@cache
+def axis_windows(count, mass=1.0, friction=1.0):
+    """Windows of one axis with dry friction, which the model lacks; its mass or friction changed from window 20 on."""
+    machine = MACHINES["linear-axis"](seed=5, effects={"coulomb-friction": {}}, rate=250.0, deviation=0.05)
+    found = []
+    for k in range(20 + count):
+        if k == 20:
+            machine.axis = machine.axis._replace(M=machine.axis.M * mass, tau_c=machine.axis.tau_c * friction)
+        s = machine.simulate(WINDOW)
+        found.append(Record(dict(s.channels), dict(s.units), s.sample_time, t0=s.t0, source=f"window {k}"))
+    return found, machine.axis
+
+
+@cache
+def watched():
+    return ModelBased(model="linear-axis").fit(axis_windows(6)[0][:20])
+
+
+def group(finding):
+    first = finding.to_json()["causes"][0]
+    return {f"{first['name']}@{first['place']}".rstrip("@"), *first["indistinguishable_from"]}
+
+
+def changed(record, **channels):
+    return replace(record, channels={**record.channels, **channels})
+
+
+def test_healthy_windows_are_healthy_and_the_friction_is_told_as_missing_physics():
+    findings = [watched().score(record) for record in axis_windows(6)[0][20:]]
+    assert [f.verdict for f in findings].count(Verdict.HEALTHY) >= 5
+    missing = findings[0].evidence["missing_physics"]
+    assert {m["place"] for m in missing} == {"axis"} and any("friction" in m["effect"] for m in missing)
+    assert "residuum explain" in findings[0].reason and "extrapolated" in findings[0].reason
+
+
+def test_a_mass_a_fifth_heavier_is_found_named_and_sized():
+    windows, axis = axis_windows(10, mass=1.2)
+    findings = [watched().score(record) for record in windows[20:]]
+    faulty = [f for f in findings if f.verdict is Verdict.FAULTY]
+    assert len(faulty) >= 9 and sum("M" in group(f) for f in faulty) >= 0.85 * len(faulty)
+    for finding in findings:
+        told = finding.to_json()["parameters"]["M"]
+        assert told["value"] > told["healthy"]["high"] and told["healthy"]["high"] < axis.M
+    size = next(c for c in finding.to_json()["causes"] if c["name"] == "M")["value"]
+    assert size["value"] == pytest.approx(axis.M, rel=0.03) and size["unit"] == "kg"
+
+
+def test_a_sensor_that_reads_too_much_is_told_as_the_sensor():
+    record = axis_windows(6)[0][22]
+    finding = watched().score(changed(record, velocity=1.06 * record["velocity"]))
+    assert finding.verdict is Verdict.FAULTY and "gain@velocity" in group(finding)
+    first = finding.to_json()["causes"][0]
+    assert first["kind"] == "sensor" and first["value"]["value"] == pytest.approx(0.06, abs=0.01)
+    assert "velocity" in first["says"]
+
+
+def test_a_stuck_sensor_is_told_with_its_onset():
+    record = axis_windows(6)[0][23]
+    half = record.n // 2
+    held = np.where(np.arange(record.n) > half, record["velocity"][half], record["velocity"])
+    finding = watched().score(changed(record, velocity=held))
+    assert finding.fault_class == "sensor-stuck"
+    assert finding.to_json()["causes"][0]["onset_time"] == pytest.approx(record.time[half], abs=0.05)
+
+
+def test_lost_readings_are_a_drop_out():
+    record = axis_windows(6)[0][24]
+    lost = np.random.default_rng(0).random(record.n) < 0.02
+    finding = watched().score(changed(record, velocity=np.where(lost, -9.0, record["velocity"])))
+    assert finding.fault_class == "sensor-drop-out"
+
+
+def test_a_machine_that_stands_is_not_assessable():
+    record = axis_windows(6)[0][20]
+    still = {name: np.full(record.n, float(record[name][0])) for name in record.names}
+    finding = watched().score(changed(record, **still))
+    assert finding.verdict is Verdict.NOT_ASSESSABLE and "stands still" in finding.reason
+
+
+def test_a_rarer_alarm_has_a_higher_limit():
+    record = axis_windows(6)[0][20]
+    often, seldom = (watched().with_settings(false_alarms_per_day=rate).score(record) for rate in (10.0, 0.01))
+    assert often.thresholds["deviation"] < seldom.thresholds["deviation"]
+
+
+def test_values_that_the_windows_leave_open_are_refused_by_name_or_held():
+    text = load_model("linear-axis")
+    resting = [changed(r, force=np.zeros(r.n), velocity=1e-3 * np.random.default_rng(k).standard_normal(r.n),
+                       position=1e-4 * np.random.default_rng(k + 99).standard_normal(r.n))
+               for k, r in enumerate(axis_windows(6)[0][:8])]  # fmt: skip
+    with pytest.raises(Undetermined, match=r"M: record.*--fix-undetermined"):
+        ModelBased(model=text).fit(resting)
+
+
+def test_without_a_model_that_fits_it_asks_for_one():
+    with pytest.raises(BadInput, match="--model"):
+        ModelBased().fit([Record({"a": np.arange(100.0)}, {"a": "V"}, 0.01)])
+
+
+def test_slopes_of_the_innovations_are_those_of_finite_differences():
+    model, (e,) = match(load_model("linear-axis"), axis_windows(6)[0][:1])
+    noise = tune(model, [e], [np.zeros(2)])
+    base = TrackingFilter(model, noise, np.ones(2), 1)
+    step = 1e-3
+    up, down = (base.run(e, {"M": 95.0 * (1.0 + sign * step)}).normalised for sign in (1.0, -1.0))
+    differences = -(up - down) / (2.0 * 95.0 * step)
+    h = Hypothesis("parameter", "M", "", (Column("parameter:M", "one", "kg"),))
+    J = slopes_of(base.run(e), base, [h], np.ones((e.n, 1)))[:, :, 0]
+    assert np.sum(differences * J) / np.sum(J * J) == pytest.approx(1.0, abs=0.05)
+    assert np.corrcoef(differences.ravel(), J.ravel())[0, 1] > 0.98
