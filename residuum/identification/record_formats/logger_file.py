@@ -107,7 +107,7 @@ def _heads(
         at, line = above[-2]
     guesses["header"] = (
         f"row {at}",
-        f"the last line of {width} names above the samples; {at - 1} lines before it are passed over",
+        f"the last line of {width} names above the samples; {at - 1} lines before it passed over",
     )
     heads = [_head(cell) for cell in line]
     names = [name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)]
@@ -148,7 +148,7 @@ def _time(
         if k not in stamped and _TIME_NAME.fullmatch(name) and (k == 0 or units[k].lower() in UNITS)
     ]
     chosen: tuple[int, ...]
-    if len(stamped) == 2 and [*stamped.values()][1][0] == "clock" and [*stamped.values()][0][0] != "clock":
+    if [form == "clock" for form, _ in stamped.values()] == [False, True]:
         chosen = tuple(stamped)
     elif len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
@@ -201,7 +201,7 @@ def _channels(
         if sentinels := sorted({cell for cell in cells if is_value(cell) and _or_zero(cell, decimal) in _SENTINELS}):
             guesses[f"column {name!r}"] = (
                 "kept as numbers",
-                f"{sentinels[0]} may mean no value; then add it to the mapping's `missing`",
+                f"{sentinels[0]} may mean no value; if so, add it to `missing`",
             )
     if not channels:
         raise BadRecord(f"{source}: no column of numbers beside the time")
@@ -218,7 +218,7 @@ def _or_zero(cell: str, decimal: str) -> float:
 def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str) -> LoggerFile:
     stamps, values, rows = table(text, mapping, source)
     steps = np.diff(stamps)
-    back, same = steps < 0, steps == 0
+    back = steps < 0
     order = np.argsort(stamps, kind="stable")
     if back.any():
         far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
@@ -233,7 +233,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         why = "the rows are equal" if equal else "the rows differ"
         guesses["duplicates"] = (
             mapping.duplicates,
-            f"{len(pairs)} rows repeat a stamp, the first is row {rows[pairs[0][1]]}; {why}",
+            f"{len(pairs)} rows repeat a stamp, first row {rows[pairs[0][1]]}; {why}",
         )
     forward = np.diff(np.unique(stamps)) / 1e9
     if not len(forward):

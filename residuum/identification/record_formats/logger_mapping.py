@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
@@ -86,8 +87,6 @@ class LoggerMapping:
 
     def to_yaml(self) -> str:
         """The mapping as YAML."""
-        import yaml
-
         plain = {**asdict(self), "time": list(self.time), "missing": list(self.missing)}
         return yaml.safe_dump(plain, allow_unicode=True, sort_keys=False)
 
@@ -98,8 +97,6 @@ def _is_count(value: object) -> bool:
 
 def read_mapping(path: Path) -> LoggerMapping:
     """The mapping of a YAML file; BadRecord names the file and the field."""
-    import yaml
-
     try:
         found: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -135,12 +132,8 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
             stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
         except (ValueError, OverflowError):
             raise BadRecord(f"{source}, row {row}: {stamp[:40]!r} is no time of the form {mapping.time_form!r}") from None
-        values.append(
-            [
-                _value(cells[column - 1], mapping, f"{source}, row {row}, column {name!r}")
-                for column, name in mapping.names.items()
-            ]
-        )
+        where = f"{source}, row {row}, column"
+        values.append([_value(cells[k - 1], mapping, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
@@ -155,9 +148,7 @@ def _value(cell: str, mapping: LoggerMapping, where: str) -> float:
     try:
         return number(cell, mapping.decimal)
     except ValueError:
-        raise BadRecord(
-            f"{where}: {cell[:40]!r} is not a number; where it means no value, add it to the mapping's `missing`"
-        ) from None
+        raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, add it to `missing`") from None
 
 
 def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
@@ -234,9 +225,8 @@ def _resampled(time: FloatArray, values: FloatArray, names: list[str], notes: li
         hole = (at[after] - at[after - 1] > _HOLE * np.median(np.diff(at))) & (np.abs(even - at[after]) > 1e-6 * step)
         hole &= np.abs(even - at[after - 1]) > 1e-6 * step
         signals.append(np.where(hole, np.nan, signal))
-        notes.append(
-            f"{name} resampled to {step:.6g} s: error {_linear_error(at, taken):.3g} rms, {int(hole.sum())} left missing"
-        )
+        error = _linear_error(at, taken)
+        notes.append(f"{name} resampled to {step:.6g} s: error about {error:.3g} rms, {int(hole.sum())} samples left missing")
     return step, np.array(signals)
 
 

@@ -13,13 +13,13 @@ _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d+:\d\d)([T :,.].*)?")
 _GROUPED = {",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"), ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")}
 _SURE = {
-    ",": re.compile(
-        r"[+-]?((0|\d{4,})?,\d+|\d*,(\d{1,2}|\d{4,})|[1-9]\d{0,2}(\.\d{3})+,\d*|[1-9]\d{0,2}(\.\d{3}){2,})([eE].*)?|.*,.*[eE].*"
-    ),
-    ".": re.compile(
-        r"[+-]?((0|\d{4,})?\.\d+|\d*\.(\d{1,2}|\d{4,})|[1-9]\d{0,2}(,\d{3})+\.\d*|[1-9]\d{0,2}(,\d{3}){2,})([eE].*)?|.*\..*[eE].*"
-    ),
+    sign: re.compile(
+        rf"[+-]?((0|\d{{4,}})?{at}\d+|\d*{at}(\d{{1,2}}|\d{{4,}})|\d+{at}|[1-9]\d{{0,2}}({by}\d{{3}})+{at}\d*"
+        rf"|[1-9]\d{{0,2}}({by}\d{{3}}){{2,}})([eE].*)?|[^{by}]*{at}[^{by}]*[eE].*"
+    )
+    for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
+"""Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
 _SCANNED = 2000
 
 
@@ -109,9 +109,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
         sign, (row, cell) = next(iter(seen.items()))
         return sign, f"{cell!r} in row {row} reads only so"
     if unsure is not None:
-        raise BadRecord(
-            f"{source}, row {unsure[0]}: {unsure[1]!r} is a decimal comma or a thousands sign; say which with --decimal"
-        )
+        raise BadRecord(f"{source}, row {unsure[0]}: {unsure[1]!r} may hold a decimal comma or a thousands sign; give --decimal")
     return ".", "no cell says otherwise"
 
 
