@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
@@ -235,7 +236,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
             mapping.duplicates,
             f"{len(pairs)} rows repeat a stamp, first row {rows[pairs[0][1]]}; {why}",
         )
-    forward = np.diff(np.unique(stamps)) / 1e9
+    forward: npt.NDArray[np.float64] = np.diff(np.unique(stamps)).astype(np.float64) / 1e9
     if not len(forward):
         raise BadRecord(f"{source}: all rows have one time stamp")
     step = float(np.median(forward))

@@ -106,7 +106,8 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     if (form == "iso") != (len(first) == 4) or (form != "iso" and len(third) != 4):
         raise ValueError(cell)
     order = {"iso": (first, second, third), "day first": (third, second, first), "month first": (third, first, second)}[form]
-    day = datetime(*(int(part) for part in order), tzinfo=UTC)  # type: ignore[misc]
+    year, month, date = map(int, order)
+    day = datetime(year, month, date, tzinfo=UTC)
     return int(day.timestamp()) * 10**9 + (_clock(clock) if clock else 0)
 
 
