@@ -21,12 +21,15 @@ _COMMON: list[Processor] = [
 
 
 class _StandardError(logging.StreamHandler[Any]):
-    """Standard error as it is when a line comes: it may be redirected."""
+    """Standard error as it is when a line comes: it may be redirected, and what it was before may be closed by then."""
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write a line."""
-        self.setStream(sys.stderr)
-        super().emit(record)
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> Any:
+        """Where the line goes."""
+        return sys.stderr
 
 
 def set_up_logs(settings: Settings) -> None:

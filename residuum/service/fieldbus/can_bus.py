@@ -15,7 +15,7 @@ import numpy.typing as npt
 from residuum.service.fieldbus.can_channel import bus_arguments
 from residuum.service.fieldbus.frame_batch import BUS_OFF, FrameBatch, FrameBatchBuilder
 
-logging.getLogger("can").addHandler(logging.NullHandler())  # counters and exceptions say it
+logging.getLogger("can").setLevel(logging.CRITICAL)  # counters and exceptions say it
 _MOST_IN_ONE_READ = 2048
 _SEND_TIMEOUT = 0.2
 _RECEIVE_BUFFER = 16 << 20

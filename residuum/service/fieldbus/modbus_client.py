@@ -17,7 +17,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteMult
 
 from residuum.service.fieldbus.register_map import Registers
 
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())  # the counters say it
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the counters say it
 
 _LAST_FIRST_TRANSACTION = 30_000
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
 from pymodbus.constants import ExcCodes
@@ -10,6 +11,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 from residuum.service.fieldbus.device_registers import DeviceRegisters
 
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # exceptions say it
 _READ, _WRITE = 3, 16
 
 
