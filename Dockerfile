@@ -2,12 +2,12 @@ FROM python:3.12-slim AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE ./
 COPY residuum ./residuum
-RUN python -m venv /opt/residuum && /opt/residuum/bin/pip install --no-cache-dir ".[postgres,mqtt,oidc]"
+RUN python -m venv /opt/residuum && /opt/residuum/bin/pip install --no-cache-dir ".[postgres,mqtt,oidc,opcua,sparkplug,parquet]"
 
 FROM python:3.12-slim
-RUN useradd --uid 10001 --no-create-home residuum && install -d -o residuum /var/lib/residuum
+RUN useradd --uid 10001 --no-create-home residuum && install -d -o residuum /var/lib/residuum /var/lib/residuum-keys
 COPY --from=build /opt/residuum /opt/residuum
-ENV PATH=/opt/residuum/bin:$PATH NUMBA_CACHE_DIR=/tmp/numba PYTHONUNBUFFERED=1
+ENV PATH=/opt/residuum/bin:$PATH NUMBA_CACHE_DIR=/tmp/residuum RESIDUUM_CACHE=/tmp/residuum PYTHONUNBUFFERED=1
 USER residuum
 EXPOSE 8000
 CMD ["residuum", "serve"]

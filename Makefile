@@ -17,7 +17,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .venv/dev: pyproject.toml .venv/run
 	@echo "installing what the tests need into .venv (once)"
-	@$(BIN)/python -m pip install -qq -e '.[dev,docs,notebook,formats,postgres,mqtt,oidc,fleet]'
+	@$(BIN)/python -m pip install -qq -e '.[dev,docs,notebook,formats,parquet,postgres,mqtt,oidc,fleet,fmi,opcua,sparkplug]'
 	@touch $@
 
 run: .venv/run
@@ -31,6 +31,7 @@ check: .venv/dev
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/biome ci --error-on-warnings residuum/service/web/assets/js
 
 # The reference pages from the code, and the site that the service shows under /docs/.
 docs: .venv/dev
@@ -48,12 +49,12 @@ soak: .venv/dev
 	@$(BIN)/python -m benchmarks.overload --seconds 60
 	@$(BIN)/python -m benchmarks.fleet --jobs 10000 --samples 1024
 	@$(BIN)/python -W ignore -m benchmarks.files --mutants 2000
-	@$(BIN)/python -m benchmarks.soak --hours 24 --speed 20
+	@$(BIN)/python -m benchmarks.soak --hours 24 --speed 5
 
 # What an installation holds, and nothing of what only its development needs: CycloneDX 1.6 in residuum.cdx.json.
 sbom: .venv/dev
 	@rm -rf build/sbom && $(PYTHON) -m venv build/sbom
-	@build/sbom/bin/python -m pip install -qq '.[formats,postgres,mqtt,oidc,fleet]'
+	@build/sbom/bin/python -m pip install -qq '.[formats,parquet,postgres,mqtt,oidc,fleet,fmi,opcua,sparkplug]'
 	@build/sbom/bin/python -m pip uninstall -qq -y pip setuptools
 	@$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --validate -o residuum.cdx.json build/sbom/bin/python
 	@rm -rf build/sbom && echo "written: residuum.cdx.json"

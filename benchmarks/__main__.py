@@ -9,7 +9,7 @@ BENCHMARKS: dict[str, str] = {
     "hidden_effects": "effects hidden in simulated machines: named or missed, false blame, calibration",
     "explain": "how long explain takes on 60 s at 1 kHz, with an empty cache and with a filled one",
     "real_records": "missing physics in real recordings: Silverbox beside published errors, a lamp that heats a plate",
-    "ingest": "CPU and losses of the bus sources at the demo's full traffic, beside python-can's receive loop",
+    "ingest": "CPU and losses of the bus sources at the demo's full traffic",
     "identification": "kernel identification beside scikit-learn, impulseest and the textbook form; coverage of its bands",
     "prediction_error": "prediction error methods: coverage of the ellipsoids, order and fit on (2.38), real data beside peers",
     "vibration": "kurtogram and envelope beside PySDKit and SciPy; bands found in noise; Table 6; real bearings",

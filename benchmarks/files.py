@@ -136,7 +136,7 @@ def _read_and_exit(file: Path) -> None:
     tempfile.tempdir = str(file.parent)
     code = 1
     try:
-        code = upload_reader.main(str(file), MEMORY, SECONDS)
+        code = upload_reader.main(MEMORY, SECONDS, str(file), f'{{"options": {{}}, "unpacked": {MEMORY}}}')
         sys.stdout.flush()
     except Exception as error:
         os.write(1, f"{type(error).__name__}: {error}".encode("utf-8", "replace"))
@@ -177,7 +177,7 @@ def campaign(mutants: int, whole_way: int, seed: int = 0, formats: tuple[str, ..
 
 
 def _is_no_line(said: Path) -> bool:
-    text = said.read_text()
+    text = said.read_text().partition("\n")[2]  # after the kind of refusal
     return not text.strip() or "\n" in text.strip() or len(text) > 2000
 
 

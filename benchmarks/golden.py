@@ -2,6 +2,7 @@
 
     python -m benchmarks.golden record OLD_TREE old.json --inputs FOLDER      (inputs are simulated by this tree if not there)
     python -m benchmarks.golden record NEW_TREE new.json --inputs FOLDER
+    python -m benchmarks.golden record NEW_TREE new.json --inputs FOLDER --only 'explain|improve'      (these commands, no calls)
     python -m benchmarks.golden compare old.json new.json [--table FILE]      (exit status 1 when something differs unexpectedly)
 
 The cases, and which answers were changed on purpose and why, are `golden_cases.yaml`.
@@ -129,8 +130,8 @@ class Service:
         return (case["text"].encode(), case.get("kind", "application/json")) if "text" in case else (None, "")
 
 
-def record(tree: Path, out: Path, inputs: Path) -> None:
-    """Write what a tree answers to every case."""
+def record(tree: Path, out: Path, inputs: Path, only: str | None) -> None:
+    """Write what a tree answers to every case, or to the commands that match `only`."""
     cases = yaml.safe_load(CASES.read_text())
     if not inputs.exists():
         simulate_inputs(tree, inputs, cases)
@@ -138,11 +139,12 @@ def record(tree: Path, out: Path, inputs: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="golden-") as temporary:
         folder = Path(temporary) / "records"
         shutil.copytree(inputs, folder, ignore=shutil.ignore_patterns("kernels"))
-        for line in cases["commands"]:
+        for line in (line for line in cases["commands"] if only is None or re.search(only, line)):
             found[f"residuum {line}"] = run_command(tree, line, folder)
-        with Service(tree, folder) as service:
-            for case in cases["calls"]:
-                found[named(case, found)] = service.call(case)
+        if only is None:
+            with Service(tree, folder) as service:
+                for case in cases["calls"]:
+                    found[named(case, found)] = service.call(case)
     where = subprocess.run(["git", "-C", tree, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     plain = json.dumps({"commit": where.stdout.strip(), "answers": found}, indent=1, ensure_ascii=False)
     out.write_text(plain.replace(str(Path(temporary)), "FOLDER").replace(str(tree), "TREE"))
@@ -158,18 +160,21 @@ def named(case: Mapping[str, Any], known: Mapping[str, Answer]) -> str:
 def differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, str]]:
     """(kind, place) of all that differs: `more` (a member that was not there), `rounding`, `less` or `other`."""
     if isinstance(old, dict) and isinstance(new, dict):
-        for name in old.keys() | new.keys():
-            if not untimely(name):
-                where = f"{place}.{name}"
-                if name not in old or name not in new:
-                    yield ("more" if name in new else "less"), where
-                else:
-                    yield from differences(old[name], new[name], where)
+        yield from _of_members(old, new, place)
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for k, (one, other) in enumerate(zip(old, new, strict=True)):
             yield from differences(one, other, f"{place}[{k}]")
-    elif old != new and not (is_time(old) and is_time(new)):
+    elif old != new and not (is_time(old) and is_time(new)) and without_places(old) != without_places(new):
         yield ("rounding" if alike(old, new) else "other"), place
+
+
+def _of_members(old: Answer, new: Answer, place: str) -> Iterator[tuple[str, str]]:
+    for name in (name for name in old.keys() | new.keys() if not untimely(name)):
+        where = f"{place}.{name}"
+        if name not in old or name not in new:
+            yield ("more" if name in new else "less"), where
+        else:
+            yield from differences(old[name], new[name], where)
 
 
 def untimely(name: str) -> bool:
@@ -180,6 +185,11 @@ def untimely(name: str) -> bool:
 def is_time(value: Any) -> bool:
     """Whether a text is a time of the clock, or carries one."""
     return isinstance(value, str) and re.search(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d|\b\d+(\.\d+)? s\b", value) is not None
+
+
+def without_places(value: Any) -> Any:
+    """A text without the names of temporary folders in it."""
+    return re.sub(r"/tmp/tmp\w+", "TEMPORARY", value) if isinstance(value, str) else value
 
 
 def alike(old: Any, new: Any) -> bool:
@@ -209,7 +219,7 @@ def compare(old_file: Path, new_file: Path, table: Path | None, verbose: bool) -
     old, new = (json.loads(path.read_text()) for path in (old_file, new_file))
     changes = yaml.safe_load(CASES.read_text())["changed_on_purpose"]
     rows, count, unexpected = [], {"same": 0, "more": 0, "rounding": 0, "changed on purpose": 0, "unexpected": 0}, 0
-    for name in old["answers"]:
+    for name in (name for name in old["answers"] if name in new["answers"]):
         kind, places = judged(old["answers"][name], new["answers"][name])
         why = on_purpose(name, kind, places, changes) if kind in ("other", "less", "rounding") else ""
         verdict = "changed on purpose" if why else "unexpected" if kind in ("other", "less") else kind
@@ -239,6 +249,7 @@ def main() -> int:
     recording.add_argument("tree", type=Path)
     recording.add_argument("out", type=Path)
     recording.add_argument("--inputs", type=Path, required=True)
+    recording.add_argument("--only")
     comparing = does.add_parser("compare")
     comparing.add_argument("old", type=Path)
     comparing.add_argument("new", type=Path)
@@ -247,7 +258,7 @@ def main() -> int:
     given = parser.parse_args()
     if given.does == "compare":
         return compare(given.old, given.new, given.table, given.verbose)
-    record(given.tree.resolve(), given.out, given.inputs.resolve())
+    record(given.tree.resolve(), given.out, given.inputs.resolve(), given.only)
     return 0
 
 

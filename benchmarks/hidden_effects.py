@@ -19,7 +19,9 @@ import numpy as np
 import orjson
 
 from residuum.identification.discrepancy.explain import Explanation, explain
-from residuum.identification.discrepancy.improve import Improvement, added, improve
+from residuum.identification.discrepancy.improve import improve
+from residuum.identification.discrepancy.improvement import Improvement
+from residuum.identification.discrepancy.join_effects import added
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
@@ -221,6 +223,20 @@ def main() -> None:
 
 def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     """Tables: effects named, false blame by noise, effects outside the catalogue, pairs, calibration."""
+    _report_single(outcomes)
+    _report_nothing_missing(outcomes)
+    _report_outside(outcomes)
+    print("\n### Two at once\n\n| hidden | accepted |\n|---|---|")
+    for case, out in outcomes:
+        if case.family == "two":
+            print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
+    _report_calibration([(case, out) for case, out in outcomes if case.family in SINGLE])
+    _report_improved(outcomes)
+    seconds = [out["seconds"] for _, out in outcomes]
+    print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
+
+
+def _report_single(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     print("### Hidden effects\n")
     print("| machine | effect | size | named first (group) | misses |\n|---|---|---|---|---|")
     rows: dict[tuple[str, str, str], list[tuple[Case, dict[str, Any]]]] = defaultdict(list)
@@ -231,28 +247,32 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
         hits = [_hits(case, out) for case, out in found]
         misses = ", ".join(_says(case, out) for (case, out), hit in zip(found, hits, strict=True) if not hit)
         print(f"| {machine} | {effect} | {size} | {sum(hits)} / {len(hits)} | {misses} |")
+
+
+def _report_nothing_missing(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     print("\n### Nothing missing\n\n| case | not blamed | blamed |\n|---|---|---|")
     quiet: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for case, out in outcomes:
         if case.family == "none":
             what = case.hidden[0][0] if case.hidden else f"noise ρ = {case.settings.get('noise_color', 0)}"
             quiet[f"{case.machine}, {what}"].append(out)
-    for what, found_quiet in quiet.items():
-        blamed = [f"{out['first']} ({out['probability']:.2f})" for out in found_quiet if out["verdict"] == "missing-effect"]
-        print(f"| {what} | {len(found_quiet) - len(blamed)} / {len(found_quiet)} | {', '.join(blamed)} |")
+    for what, found in quiet.items():
+        blamed = [f"{out['first']} ({out['probability']:.2f})" for out in found if out["verdict"] == "missing-effect"]
+        print(f"| {what} | {len(found) - len(blamed)} / {len(found)} | {', '.join(blamed)} |")
+
+
+def _report_outside(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     print("\n### Outside the catalogue\n\n| effect | size | not claimed with probability above .9 | claimed |\n|---|---|---|---|")
     outside: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     for case, out in outcomes:
         if case.family == "outside":
             outside[case.hidden[0]].append(out)
-    for (effect, size), found_outside in outside.items():
-        claimed = [f"{o['first']} ({o['probability']:.2f})" for o in found_outside if o["probability"] > 0.9 and _blames(o)]
-        print(f"| {effect} | {size} | {len(found_outside) - len(claimed)} / {len(found_outside)} | {', '.join(claimed)} |")
-    print("\n### Two at once\n\n| hidden | accepted |\n|---|---|")
-    for case, out in outcomes:
-        if case.family == "two":
-            print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
-    single = [(case, out) for case, out in outcomes if case.family in SINGLE]
+    for (effect, size), found in outside.items():
+        claimed = [f"{o['first']} ({o['probability']:.2f})" for o in found if o["probability"] > 0.9 and _blames(o)]
+        print(f"| {effect} | {size} | {len(found) - len(claimed)} / {len(found)} | {', '.join(claimed)} |")
+
+
+def _report_calibration(single: list[tuple[Case, dict[str, Any]]]) -> None:
     for least, channels, what in ((150.0, None, "all"), (40.0, (), "all channels")):
         visible = [
             _hits(case, out)
@@ -263,9 +283,6 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
     sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
     print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
-    _report_improved(outcomes)
-    seconds = [out["seconds"] for _, out in outcomes]
-    print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
 
 
 def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal, stats
 
+from benchmarks.peers.adaptive_threshold import adaptive_threshold
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
 from residuum.diagnosis.residuals.kalman_residual import kalman_residual
@@ -22,14 +23,13 @@ from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.diagnosis.residuals.unknown_input_observer import unknown_input_observer
 from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
-from residuum.diagnosis.systems.state_space import StateSpace
 from residuum.diagnosis.systems.system_norms import h_infinity_norm
-from residuum.diagnosis.thresholds.adaptive_threshold import adaptive_threshold
 from residuum.diagnosis.thresholds.cusum import cusum
 from residuum.diagnosis.thresholds.healthy_reference import BLOCK, block_peaks
 from residuum.diagnosis.thresholds.threshold import peak_threshold
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.physics import load_model

@@ -13,21 +13,22 @@ from scipy.optimize import differential_evolution
 from scipy.signal import lfilter
 
 from benchmarks.peers import FOLDER, run_peer
+from benchmarks.peers.full_order import full_order_design
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import save_identified
 from residuum.identification.linear_models.schur import is_schur
+from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
-from residuum.robust_control.state_space import StateSpace, weighted_loop
 from residuum.robust_control.synthesis.controller_structure import PI, PIDN, Rational
-from residuum.robust_control.synthesis.full_order import full_order_design
 from residuum.robust_control.synthesis.structured_synthesis import default_starts, synthesise
+from residuum.robust_control.weighted_loop import weighted_loop
 from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
 from residuum.robust_control.weights.reference_model import ReferenceModel
 from residuum.service.views.control_view import view_control_design
@@ -257,7 +258,7 @@ def peers() -> None:
         A = rng.normal(size=(n, n))
         A *= rng.uniform(0.5, 0.995) / np.abs(np.linalg.eigvals(A)).max()
         parts = [rng.normal(size=shape) for shape in ((n, inputs), (outputs, n), (outputs, inputs))]
-        systems.append(StateSpace(A, *parts))
+        systems.append(StateSpace(A, *parts, sample_time=1.0))
     with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
         json.dump([[m.tolist() for m in (s.A, s.B, s.C, s.D)] for s in systems], file)
         file.flush()

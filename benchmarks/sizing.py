@@ -1,4 +1,4 @@
-"""The sizing rule of docs/operations.md beside what windows of several sizes really cost.
+"""The sizing rule of docs/explanation/operations.md beside what windows of several sizes really cost.
 
     python -m benchmarks.sizing
 
@@ -40,7 +40,7 @@ class Cost:
 
 
 def rule(channels: int, samples: int) -> Cost:
-    """What docs/operations.md says."""
+    """What docs/explanation/operations.md says."""
     b = channels * samples * 8
     return Cost(CPU_PER_WINDOW + CPU_PER_BYTE * b, b + BLOCK_BYTES, b)
 

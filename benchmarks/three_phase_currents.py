@@ -11,7 +11,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
-from residuum.diagnosis.gate.current_signature import current_signature
+from benchmarks.peers.current_signature import current_signature
 from residuum.diagnosis.learning.object_wise_validation import proportion_interval
 
 FILE = Path(__file__).parents[2] / "shared" / "data" / "itsc" / "Data_ITSC.mat"

@@ -12,9 +12,9 @@ from scipy.io import loadmat
 from sklearn.metrics import roc_auc_score
 
 from benchmarks.peers import run_peer
+from benchmarks.peers.band_selection import MERITS, choose_band, separation
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
-from residuum.diagnosis.vibration.band_selection import MERITS, choose_band, separation
 from residuum.diagnosis.vibration.bearing_frequencies import orders_from_geometry
 from residuum.diagnosis.vibration.bearing_model import faulty_bearing, impact_train
 from residuum.diagnosis.vibration.envelope import band_envelope

@@ -1,4 +1,4 @@
-"""Writes the reference pages that follow from the code: effects, Python names, commands, and the schema of model files.
+"""Writes the reference pages that follow from the code: effects, Python names, commands, settings, routes, schema of model files.
 
 python docs/make_reference.py            # writes docs/reference/
 python docs/make_reference.py --check    # exit status 1 when a page is stale
@@ -8,6 +8,7 @@ import inspect
 import json
 import re
 import sys
+import tempfile
 from importlib import import_module
 from pathlib import Path
 
@@ -17,7 +18,9 @@ import residuum as rs
 from residuum.identification.physics import candidates, read_model
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.files.model_schema import model_schema
+from residuum.service.app import create_app
 from residuum.service.commands import COMMANDS
+from residuum.service.settings import Settings
 
 HERE = Path(__file__).parent / "reference"
 WRITTEN = "<!-- Written by docs/make_reference.py from the code; change it there. -->\n\n"
@@ -29,6 +32,8 @@ def pages():
         "effects.md": effects_page(),
         "python.md": python_page(),
         "commands.md": commands_page(),
+        "settings.md": settings_page(),
+        "routes.md": routes_page(),
         "model-file.schema.json": json.dumps(model_schema(), indent=1, ensure_ascii=False) + "\n",
     }
 
@@ -85,6 +90,11 @@ def bounds(parameter):
 def cell(text):
     """A text inside a table: bars do not end its cell."""
     return "`" + text.replace("|", "∣") + "`"
+
+
+def plain(text):
+    """A sentence inside a table: bars do not end its cell, and what looks like a tag is none."""
+    return " ".join(text.replace("|", "∣").replace("<", "&lt;").split())
 
 
 def python_page():
@@ -179,6 +189,78 @@ def usage(name, command):
         lines.append(help_[0] + "\n")
     rows = [f"| `{p.name}` | {p.help} |" for p in map(Shown, command.params) if p.name != "--help"]
     return "\n".join([*lines, "| argument or option | meaning |\n|---|---|", *rows, ""])
+
+
+def settings_page():
+    """Every setting with its default, the service's own first and then those of machines, sources, windows and alarms."""
+    schema = Settings.model_json_schema()
+    parts = [
+        WRITTEN + "# Settings\n",
+        "A settings file is YAML: one of these keys a line. `residuum serve --settings FILE` reads it, or the variable "
+        "`RESIDUUM_SETTINGS` names it. The environment comes first: `RESIDUUM_PORT=9000`. Unknown keys are refused.\n",
+        settings_table(schema),
+        *(f"\n## {name}\n\n{part.get('description', '')}\n\n{settings_table(part)}" for name, part in schema["$defs"].items()),
+    ]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def settings_table(schema):
+    """The keys of one object."""
+    rows = [
+        f"| `{name}` | {kind_of(key)} | {default_of(name, key, schema)} | {plain(key.get('description', 'see above'))} |"
+        for name, key in schema.get("properties", {}).items()
+    ]
+    return "\n".join(["| key | value | default | meaning |\n|---|---|---|---|", *rows])
+
+
+def kind_of(key):
+    """What may stand there, in words."""
+    if "$ref" in key:
+        name = key["$ref"].rsplit("/", 1)[1]
+        return f"[{name}](#{name.lower()})"
+    if "anyOf" in key or "allOf" in key:
+        return " or ".join(dict.fromkeys(kind_of(one) for one in key.get("anyOf", key.get("allOf")) if one.get("type") != "null"))
+    if "enum" in key:
+        return ", ".join(f"`{value}`" for value in key["enum"])
+    if key.get("type") == "array":
+        return f"list of {kind_of(key.get('items', {}))}"
+    return {"object": "names and values", "string": "text", "boolean": "true or false"}.get(
+        key.get("type"), key.get("type", "text")
+    )
+
+
+def default_of(name, key, schema):
+    """The default as it would be written."""
+    if name in schema.get("required", []):
+        return "needed"
+    default = key.get("default")
+    if default in (None, "", [], {}) or isinstance(default, dict):
+        return "–"
+    return f"`{str(default).lower() if isinstance(default, bool) else default}`"
+
+
+def routes_page():
+    """Every route of the HTTP interface in a line; `/openapi.json` of a running service has bodies and answers too."""
+    with tempfile.TemporaryDirectory() as folder:
+        described = create_app(Settings(data=folder)).openapi()
+    rows = [
+        f"| `{verb.upper()}` | `{path}` | {plain(first_sentence(route))} |"
+        for path, routes in described["paths"].items()
+        for verb, route in routes.items()
+    ]
+    parts = [
+        WRITTEN + "# Routes\n",
+        "The service describes bodies, parameters and answers of each route in `/openapi.json`. "
+        "Errors are problem documents (RFC 9457).\n",
+        "| method | path | what it does |\n|---|---|---|",
+        *rows,
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def first_sentence(route):
+    """The first paragraph of a route's description."""
+    return (route.get("description") or route.get("summary") or "").split("\n\n")[0]
 
 
 class Shown:

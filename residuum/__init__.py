@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from residuum.library.control import Controller
     from residuum.library.explanation import Explanation
     from residuum.library.finding import Finding
+    from residuum.library.foreign_models import equations_model, linear_model
     from residuum.library.improvement import Estimation, Improvement
     from residuum.library.model import Model, model
     from residuum.library.monitor import Monitor, load_monitor, monitor
@@ -48,10 +49,12 @@ __all__ = [
     "Record",
     "control",
     "effects",
+    "equations_model",
     "from_arrays",
     "from_pandas",
     "from_xarray",
     "identify",
+    "linear_model",
     "load_monitor",
     "load_plant",
     "model",
@@ -67,6 +70,7 @@ _PLACES = {
     "library.control": ("Controller",),
     "library.explanation": ("Explanation",),
     "library.finding": ("Finding",),
+    "library.foreign_models": ("equations_model", "linear_model"),
     "library.improvement": ("Estimation", "Improvement"),
     "library.model": ("Model", "model"),
     "library.monitor": ("Monitor", "load_monitor", "monitor"),

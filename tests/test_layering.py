@@ -16,6 +16,8 @@ MAY_IMPORT = {
     "library": {"identification", "diagnosis", "robust_control", "simulation"},
     "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
+FOR_ALL = {"residuum.code_folder", "residuum.kept_loops"}
+"""How compiled code is kept: no physics and no method, so also the simulators may use it."""
 ONLY_IN_SERVICE = {
     "fastapi",
     "starlette",
@@ -60,7 +62,7 @@ def test_imports_follow_the_layers(path):
     room = parts[0]
     for name in imported(path):
         top, *rest = name.split(".")
-        if top == "residuum" and rest and rest[0] != room:
+        if top == "residuum" and rest and rest[0] != room and name not in FOR_ALL:
             assert rest[0] in MAY_IMPORT[room], f"{room} must not import {name}"
             if rest[0] == "simulation":
                 assert any(str(path.relative_to(ROOT)).startswith(place) for place in MAY_USE_SIMULATION), f"imports {name}"
@@ -88,3 +90,28 @@ def test_no_import_cycles():
 
     for name in graph:
         visit(name, [])
+
+
+STARTED = {
+    "__main__": "python -m residuum",
+    "identification/discrepancy/compile_ahead": "python -m, by make and the container's build",
+    "identification/physics/files/model_schema": "docs/make_reference.py writes the schema of model files from it",
+    "identification/unit_registry": "units loads it for a unit that is none of the common ones",
+    "service/fieldbus/opcua": "the list of sources loads it when such a source is opened: its library is an extra",
+    "service/fieldbus/sparkplug": "the list of sources loads it when such a source is opened: its libraries are an extra",
+    "service/finding_metrics": "the service loads it when findings are published as Sparkplug B: its libraries are an extra",
+    "service/finding_nodes": "the service loads it when findings are offered over OPC UA: its library is an extra",
+    "service/commands/": "the console program loads a command by its name",
+    "service/storage/migrations/": "alembic loads them by their place",
+    "service/work/worker_preload": "the fork server loads it by its name",
+}
+"""What nothing imports because something else starts it, and what that is."""
+
+
+def test_every_module_is_reached():
+    """A module that nothing imports is started by something named here, or goes: to the peers of `benchmarks`, or altogether."""
+    names = {str(path.relative_to(ROOT).with_suffix("")): path for path in modules() if path.stem != "__init__"}
+    reached = {name for path in modules() for name in imported(path)}
+    alone = {name for name in names if "residuum." + name.replace("/", ".") not in reached}
+    unnamed = {name for name in alone if not name.startswith(tuple(STARTED))}
+    assert not unnamed, f"nothing reaches {sorted(unnamed)}"

@@ -22,6 +22,9 @@ class Verdict(StrEnum):
 TOLD_BESIDE = ("causes", "parameters", "false_alarms_per_day")
 """Evidence that the `score` object also has at its top level, where a diagnoser tells causes."""
 
+RECORDED = "recorded_without_baseline"
+"""Evidence of a window that was kept and not judged."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -70,6 +73,17 @@ class Finding:
     def not_assessable(cls, diagnoser: str, reason: str, **evidence: Any) -> Finding:
         """The finding for a window that cannot be judged, with the sentence that says why."""
         return cls(diagnoser, Verdict.NOT_ASSESSABLE, evidence=evidence, reason=reason)
+
+    @classmethod
+    def recorded(cls, diagnoser: str) -> Finding:
+        """The finding on a window that came before there was a baseline: the window is kept to train one. It raises no alarm."""
+        says = "there is no baseline yet: the window is recorded, so that one can be trained from it"
+        return cls.not_assessable(diagnoser, says, **{RECORDED: True})
+
+    @property
+    def only_recorded(self) -> bool:
+        """Whether nothing was judged, because there was no baseline."""
+        return bool(self.evidence.get(RECORDED))
 
     def to_json(self) -> dict[str, Any]:
         """The finding as plain JSON values (the `score` object of the command line and the HTTP interface)."""

@@ -4,22 +4,65 @@ Every message is one line that says *what* is wrong, *where*, and *which rule* i
 command line and the HTTP interface print it unchanged.
 """
 
+_LONGEST = 200
+
+
+def in_one_line(error: Exception) -> str:
+    """Another library's exception as part of our line: its class and what it says, cut after 200 characters."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST]
+
 
 class BadInput(ValueError):
-    """Something a caller handed over cannot be used; the message names what, where and the rule."""
+    """Something a caller handed over cannot be used; the message names what, where and the rule.
+
+    >>> import residuum as rs
+    >>> rs.simulate("gate-drive", duration=2.0, colour="red")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.BadInput: gate-drive: has no setting 'colour'; known are ...
+    """
 
 
 class BadRecord(BadInput):
-    """A record or record file breaks the record rules (uneven sampling, text in a number column, …)."""
+    """A record or record file breaks the record rules (uneven sampling, text in a number column, …).
+
+    >>> import residuum as rs
+    >>> rs.from_arrays({"u": [1.0, 2.0]}, units={"u": "V"}, sample_time=0.0)
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.BadRecord: record: sample_time is 0.0; must be a positive number of seconds
+    """
 
 
 class BadUnit(BadInput):
-    """A unit is unknown, or incompatible with the one that is needed."""
+    """A unit is unknown, or incompatible with the one that is needed.
+
+    >>> import residuum as rs
+    >>> rs.from_arrays({"u": [1.0]}, units={"u": "V"}, sample_time=0.1).in_unit("u", "A")
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.BadUnit: channel 'u': unit 'V' cannot be converted to 'A'
+    """
 
 
 class BadModel(BadInput):
-    """A model file or a model built in code is not well formed; the message carries line and column."""
+    """A model file or a model built in code is not well formed; the message carries line and column.
+
+    >>> import residuum as rs
+    >>> rs.model("linear-axis").with_values(weight=90.0)  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.BadModel: ...
+    """
 
 
 class NotIdentifiable(BadInput):
-    """The data cannot determine what was asked for (too short, input does not excite, …)."""
+    """The data cannot determine what was asked for (too short, input does not excite, …).
+
+    >>> import residuum as rs
+    >>> record = rs.from_arrays({"u": [0.0] * 300, "y": [0.0] * 300}, units={"u": "V", "y": "V"}, sample_time=0.1)
+    >>> rs.identify(record, input="u", output="y")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.NotIdentifiable: ...
+    """

@@ -66,20 +66,28 @@ class Record:
             raise BadRecord(f"{where}: sample_time is {self.sample_time!r}; must be a positive number of seconds")
         if not np.isfinite(self.t0):
             raise BadRecord(f"{where}: t0 is {self.t0!r}; must be finite")
-        signals = {name: _signal(values, f"{where}, channel {name!r}") for name, values in self.channels.items()}
-        lengths = {name: signal.shape[0] for name, signal in signals.items()}
-        if len(set(lengths.values())) != 1:
-            raise BadRecord(f"{where}: channels differ in length {lengths}; all must be equal")
-        if unitless := [name for name in signals if name not in self.units]:
-            raise BadRecord(f"{where}: channel {unitless[0]!r} has no unit; every channel needs one")
-        units = {name: self.units[name] for name in signals}
-        for unit in units.values():
-            parse_unit(unit)
+        signals = self._checked_signals(where)
+        units = self._checked_units(where)
         if nul := [text for text in (*units, *units.values(), *self.notes) if "\x00" in text]:
             raise BadRecord(f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps")
         object.__setattr__(self, "channels", MappingProxyType(signals))
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "notes", tuple(self.notes))
+
+    def _checked_signals(self, where: str) -> dict[str, Signal]:
+        signals = {name: _signal(values, f"{where}, channel {name!r}") for name, values in self.channels.items()}
+        lengths = {name: signal.shape[0] for name, signal in signals.items()}
+        if len(set(lengths.values())) != 1:
+            raise BadRecord(f"{where}: channels differ in length {lengths}; all must be equal")
+        return signals
+
+    def _checked_units(self, where: str) -> dict[str, str]:
+        if unitless := [name for name in self.channels if name not in self.units]:
+            raise BadRecord(f"{where}: channel {unitless[0]!r} has no unit; every channel needs one")
+        units = {name: self.units[name] for name in self.channels}
+        for unit in units.values():
+            parse_unit(unit)
+        return units
 
     @property
     def names(self) -> tuple[str, ...]:

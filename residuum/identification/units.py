@@ -1,22 +1,25 @@
 """Physical units of channels and parameters: parsing, checking, converting.
 
-Units are written as engineers write them in column heads (`rad/s`, `N*m`, `°C`, `%`, `rpm`, `g`).
-The registry is pint's, with three changes that suit recorded signals: `g` is standard gravity
-(nobody records grams), `%` is a dimensionless hundredth, and `count` is dimensionless.
+Units are written as engineers write them in column heads (`rad/s`, `N*m`, `°C`, `%`, `rpm`, `g`). Products of common units are
+read here; pint reads everything else, and is loaded when it is first needed.
 """
 
+from __future__ import annotations
+
 import re
-import threading
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pint
 
+from residuum.identification.common_units import COMMON_UNITS, NamedUnit
 from residuum.identification.errors import BadUnit
 
-_REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
 _SPELLINGS = {
     "": "dimensionless",
     "1": "dimensionless",
@@ -31,22 +34,77 @@ _SPELLINGS = {
     "Ω": "ohm",
     "rpm": "revolution/minute",
     "1/min": "revolution/minute",
+    "U/min": "revolution/minute",
+    "min-1": "revolution/minute",
+    "min⁻¹": "revolution/minute",
+    "s-1": "1/s",
+    "s⁻¹": "1/s",
     "raw": "dimensionless",
     "bool": "dimensionless",
     "count": "dimensionless",
 }
 _LONGEST = 80
-_OWN = re.compile(r"[A-Za-z_][A-Za-z_]*")
-"""A unit that nobody knows: letters alone."""
 _MISREAD = re.compile(r"\b(pu|digits?)\b")
 """Units of their own that the registry would read as a prefix and a unit (`pu`: pico-dalton)."""
-_MOST_OWN = 1000
-_own: set[str] = set()
-_lock = threading.Lock()
+_JOINED = (
+    (re.compile(r"/([mkM]?N)m\b"), r"/\1/m"),
+    (re.compile(r"\b([mkM]?N)m\b"), r"\1*m"),
+    (re.compile(r"\b([cm]?m)([23])\b"), r"\1**\2"),
+)
+"""Spellings of loggers and data sheets: `Nm`, `1/Nm`, `m3/h`."""
+_COUNTS = {"radian", "bit", "count", "decibel"}
+"""Base units without a dimension."""
+_FACTOR = re.compile(r"([*/]?)(1|[A-Za-zµ%_]+)(?:\*\*(-?\d+(?:\.\d+)?))?")
+_REGISTRY = "residuum.identification.unit_registry"
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A product of named units to powers."""
+
+    factors: tuple[tuple[NamedUnit, float], ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """The unit in base units (one rpm is 0.1047 rad/s)."""
+        return float(np.prod([named.scale**power for named, power in self.factors]))
+
+    @property
+    def offset(self) -> float:
+        """Where the unit's zero lies in base units: 273.15 K for °C, 0 for most."""
+        return self.factors[0][0].offset if len(self.factors) == 1 and self.factors[0][1] == 1 else 0.0
+
+    @property
+    def base(self) -> dict[str, float]:
+        """Base units with their exponents, radians among them."""
+        powers: dict[str, float] = {}
+        for named, power in self.factors:
+            for name, exponent in named.base:
+                powers[name] = powers.get(name, 0.0) + power * exponent
+        return {name: power for name, power in powers.items() if power}
+
+    @property
+    def dimension(self) -> Mapping[str, float]:
+        """Base units with their exponents, without those that only count."""
+        return {name: power for name, power in self.base.items() if name not in _COUNTS}
+
+    @property
+    def symbols(self) -> dict[str, float]:
+        """Symbol of each named unit with its exponent."""
+        return {named.symbol: power for named, power in self.factors}
+
+    def __mul__(self, other: Unit) -> Unit:
+        return Unit(_merged((*self.factors, *other.factors)))
+
+    def __truediv__(self, other: Unit) -> Unit:
+        return self * other**-1
+
+    def __pow__(self, power: float) -> Unit:
+        return Unit(tuple((named, exponent * power) for named, exponent in self.factors))
 
 
 @lru_cache(maxsize=1024)
-def parse_unit(text: str) -> pint.Unit:
+def parse_unit(text: str) -> Unit:
     """Return the unit that `text` names; a word that nobody knows (`ticks`) is a unit of its own dimension.
 
     Raises BadUnit when the text is no unit, or one whose size in base units is no number; the message repeats the text.
@@ -54,7 +112,7 @@ def parse_unit(text: str) -> pint.Unit:
     >>> compatible("ticks/s", "ticks/min"), compatible("ticks", "rad")
     (True, False)
 
-    >>> str(parse_unit("N·m/A").dimensionality) == str(parse_unit("V*s/rad").dimensionality)
+    >>> parse_unit("N·m/A").dimension == parse_unit("V*s/rad").dimension
     True
     """
     spelled = text.strip()
@@ -62,32 +120,60 @@ def parse_unit(text: str) -> pint.Unit:
         raise BadUnit(f"unit {spelled[:20]!r}…: longer than {_LONGEST} characters")
     spelled = _SPELLINGS.get(spelled, spelled).replace("·", "*").replace("Ω", "ohm").replace("°C", "delta_degC")
     spelled = _MISREAD.sub(r"own_\1", spelled).replace("²", "**2").replace("³", "**3").replace("^", "**")
-    for word in _OWN.findall(spelled):
-        _define_unknown(word)
+    for joined, product in _JOINED:
+        spelled = joined.sub(product, spelled)
+    factors = _common(spelled)
     try:
-        unit = _REGISTRY.Unit(spelled)
-        factor: Any = _REGISTRY.get_base_units(unit)[0]
-        if not 0 < factor < np.inf:
+        unit = Unit(_merged(factors if factors is not None else import_module(_REGISTRY).factors(spelled)))
+        if not 0 < unit.scale < np.inf:
             raise OverflowError(spelled)
-        return unit
+    except BadUnit:
+        raise
     except Exception as error:  # pint raises many unrelated types (tokenizer, attribute, definition errors)
         raise BadUnit(f"unit {text!r}: not a known unit") from error
+    return unit
 
 
-def _define_unknown(word: str) -> None:
-    """Enter a word into the registry as a unit of its own dimension, where it is none yet."""
-    with _lock:
-        if word in _REGISTRY:
-            return
-        if len(_own) >= _MOST_OWN:
-            raise BadUnit(f"unit {word!r}: nobody knows it, and {_MOST_OWN} units of their own are in use already")
-        _REGISTRY.define(f"{word} = [{word}]")
-        _own.add(word)
+def _common(spelled: str) -> list[tuple[NamedUnit, float]] | None:
+    """The factors of a product of common units (`kg*m**2/s`); None for anything else."""
+    if spelled == "dimensionless":
+        return []
+    factors, place = [], 0
+    while place < len(spelled):
+        found = _FACTOR.match(spelled, place)
+        if found is None or bool(found[1]) != bool(place) or (found[2] not in COMMON_UNITS and found[2] != "1"):
+            return None
+        power = float(found[3] or 1.0) * (-1.0 if found[1] == "/" else 1.0)
+        factors += [(COMMON_UNITS[found[2]], power)] if found[2] != "1" else []
+        place = found.end()
+    return factors
+
+
+def _merged(factors: Any) -> tuple[tuple[NamedUnit, float], ...]:
+    """Each named unit once; within a product a temperature is a difference."""
+    powers: dict[NamedUnit, float] = {}
+    factors = list(factors)
+    alone = len(factors) == 1 and factors[0][1] == 1
+    for named, power in factors:
+        of = named if alone or not named.offset else NamedUnit(f"Δ{named.symbol}", named.scale, named.base)
+        powers[of] = powers.get(of, 0.0) + power
+    return tuple((named, power) for named, power in powers.items() if power)
+
+
+def is_own(word: str) -> bool:
+    """Whether a base unit is a word that nobody knows.
+
+    >>> unit = parse_unit("ticks/s")
+    >>> is_own("ticks"), is_own("second")
+    (True, False)
+    """
+    registry = sys.modules.get(_REGISTRY)
+    return registry is not None and registry.is_own(word)
 
 
 def compatible(first: str, second: str) -> bool:
     """Whether values in unit `first` can be converted to unit `second`."""
-    return bool(parse_unit(first).dimensionality == parse_unit(second).dimensionality)
+    return bool(parse_unit(first).dimension == parse_unit(second).dimension)
 
 
 def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "value") -> npt.NDArray[np.float64]:
@@ -105,7 +191,10 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
         return array
     if not compatible(source, target):
         raise BadUnit(f"{what}: unit {_shown(source)} cannot be converted to {_shown(target)}")
-    return np.asarray(_REGISTRY.Quantity(array, parse_unit(source)).to(parse_unit(target)).magnitude, dtype=float)
+    given, wanted = parse_unit(source), parse_unit(target)
+    if given.offset == wanted.offset:
+        return np.asarray(array * (given.scale / wanted.scale))
+    return np.asarray((array * given.scale + (given.offset - wanted.offset)) / wanted.scale)
 
 
 def _shown(unit: str) -> str:

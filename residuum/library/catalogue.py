@@ -61,7 +61,7 @@ class Catalogue(Mapping[str, Effect]):
         EFFECTS.add(effect() if isinstance(effect, type) else effect)
 
     def read(self, path: str | PathLike[str]) -> list[str]:
-        """Add the effects that a YAML file defines; returns their ids.
+        """Add the effects that the YAML file `path` defines; returns their ids.
 
         Raises
         ------

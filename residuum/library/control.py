@@ -74,7 +74,7 @@ class Controller(Result):
 
     @cached_property
     def measured(self) -> Measured:
-        """Step responses of the nominal loop, and of 200 plants drawn from the models' uncertainty that no design has seen."""
+        """Step responses of the nominal loop, and of 200 or more plants drawn from their uncertainty that no design has seen."""
         return self.problem.measured(self.found, self.wishes)
 
     @property
@@ -107,7 +107,7 @@ class Controller(Result):
         return self._exported("c", path, limits)
 
     def export_structured_text(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] = _NO_LIMITS) -> str:
-        """The controller as IEC 61131-3 structured text, as `export_c` does it in C."""
+        """The controller as IEC 61131-3 structured text; `path` and `limits` as in `export_c`."""
         return self._exported("st", path, limits)
 
     def _exported(self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float]) -> str:

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Self
 
-from residuum.identification.physics import PhysicalModel, candidates, write_model
+from residuum.identification.physics import Key, PhysicalModel, candidates, write_model
 from residuum.identification.physics.effects.base import Parameter
 from residuum.library.result import html_table
 from residuum.library.whole_file import write_whole
@@ -46,8 +46,8 @@ class DescribedModel:
         return tuple(use.label for use in self.physical.effects)
 
     @property
-    def fitting_effects(self) -> list[tuple[str, str]]:
-        """What of the catalogue fits it, as (effect, place)."""
+    def fitting_effects(self) -> list[Key]:
+        """What of the catalogue fits it: each `effect` with its `target`."""
         return candidates(self.physical)
 
     @property

@@ -8,12 +8,18 @@ from dataclasses import dataclass
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.linear_models.error_models import ERROR_MODELS
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES
+from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES, Orders
 from residuum.identification.linear_models.prediction_error import identify as identify_prediction_error
+from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES, identify_regularised
 from residuum.identification.record import Record
 
-__all__ = ["CRITERIA", "METHODS", "Request", "check_method"]
+__all__ = ["CRITERIA", "LAGS", "METHODS", "UNCERTAINTIES", "Request", "check_method", "with_uncertainty"]
+UNCERTAINTIES = ("own", *ERROR_MODELS)
+"""How far to trust a model: by the covariance of its own estimate, or by an error model from records."""
+LAGS = 100
+"""Length of an impulse response that nobody chose."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +34,13 @@ class Request:
     noise_variance: str | float
     offset: bool
     criterion: str = "bic"
+    uncertainty: str = "own"
+    noise_bound: float | None = None
 
 
 def _kernel(records: Sequence[Record], request: Request) -> IdentifiedModel:
-    order = 100 if request.order is None else request.order
-    delay = request.delay
-    if delay is None:
-        delay = estimate_delay(records, request.input, request.output, kernel=request.kernel, offset=request.offset).delay
+    order = LAGS if request.order is None else request.order
+    delay = _delay(records, request)
     return identify_impulse_response(
         records,
         request.input,
@@ -47,11 +53,23 @@ def _kernel(records: Sequence[Record], request: Request) -> IdentifiedModel:
     )
 
 
+def _delay(records: Sequence[Record], request: Request) -> int:
+    if request.delay is not None:
+        return request.delay
+    return estimate_delay(records, request.input, request.output, kernel=request.kernel, offset=request.offset).delay
+
+
+def _penalised(penalty: str) -> Callable[[Sequence[Record], Request], IdentifiedModel]:
+    def identify_penalised(records: Sequence[Record], request: Request) -> IdentifiedModel:
+        orders = Orders(nb=LAGS if request.order is None else request.order, delay=_delay(records, request))
+        return identify_regularised(records, request.input, request.output, orders=orders, penalty=penalty, offset=request.offset)
+
+    return identify_penalised
+
+
 def _parametric(structure: str) -> Callable[[Sequence[Record], Request], IdentifiedModel]:
     def identify_structure(records: Sequence[Record], request: Request) -> IdentifiedModel:
-        delay = request.delay
-        if delay is None:
-            delay = estimate_delay(records, request.input, request.output, kernel=request.kernel, offset=request.offset).delay
+        delay = _delay(records, request) if STRUCTURES[structure].has_input else 1
         return identify_prediction_error(
             STRUCTURES[structure],
             records,
@@ -68,12 +86,34 @@ def _parametric(structure: str) -> Callable[[Sequence[Record], Request], Identif
 
 METHODS: dict[str, Callable[[Sequence[Record], Request], IdentifiedModel]] = {
     "kernel": _kernel,
-    **{name: _parametric(name) for name, structure in STRUCTURES.items() if structure.has_input},
+    **{penalty: _penalised(penalty) for penalty in PENALTIES},
+    **{name: _parametric(name) for name in STRUCTURES},
 }
+"""`ar` alone needs no input: it is the model of a time series."""
 
 
-def check_method(method: str, criterion: str) -> None:
-    """Refuse names that there are not, with those there are."""
+def with_uncertainty(model: IdentifiedModel, records: Sequence[Record], request: Request) -> IdentifiedModel:
+    """The model with the error model that was asked for, from these records.
+
+    Raises BadInput for a model without an input, or a noise bound that nothing uses.
+    """
+    if request.uncertainty == "own":
+        if request.noise_bound is not None:
+            raise BadInput("noise bound: is used by the uncertainty set-membership alone")
+        return model
+    if not model.input_name:
+        raise BadInput(f"uncertainty {request.uncertainty!r}: needs a model with an input; a time series has none")
+    return ERROR_MODELS[request.uncertainty](model, records, request.noise_bound)
+
+
+def check_method(method: str, criterion: str, uncertainty: str = "own", input: str | None = None) -> None:
+    """Refuse names that there are not, with those there are, and an input too many or too few."""
+    if input is not None and bool(input) == (method == "ar"):
+        raise BadInput(
+            "method 'ar': models an output alone; leave the input out" if input else f"method {method!r}: needs an input"
+        )
+    if uncertainty not in UNCERTAINTIES:
+        raise BadInput(f"uncertainty {uncertainty!r}: there is none of this name; known are {', '.join(UNCERTAINTIES)}")
     if method not in METHODS:
         raise BadInput(f"method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     if criterion not in CRITERIA:

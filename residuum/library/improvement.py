@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from residuum.identification.discrepancy.improve import Improvement as Improved
+from residuum.identification.discrepancy.improvement import Improvement as Improved
 from residuum.identification.physics import Estimate, Experiment
 from residuum.library.answers.estimation import estimate_json, estimate_text
 from residuum.library.answers.improvement import improvement_json, improvement_text

@@ -127,7 +127,7 @@ class Model(DescribedModel):
         effects : iterable of effect id
             Consider only these (default: all that fit the model).
         seconds : float
-            Time for the search [s]; then the best answer so far.
+            Longest time for the search [s]; the best answer so far is given.
         progress : callable or bool
             Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
         options
@@ -144,11 +144,13 @@ class Model(DescribedModel):
         --------
         See `Explanation`.
         """
+        from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
         given = as_records(records)
         with told(progress) as tell:
+            ensure_compiled(tell)
             found = explain(
                 self.physical,
                 given,
@@ -169,7 +171,7 @@ class Model(DescribedModel):
         add: Sequence[str] | str | None = None,
         map: Mapped = None,
         effects: Sequence[str] | None = None,
-        seconds: float | None = 24.0,
+        seconds: float | None = 34.0,
         progress: Progress = None,
         **options: Any,
     ) -> Improvement[Model]:
@@ -201,11 +203,13 @@ class Model(DescribedModel):
         --------
         See `Improvement`.
         """
+        from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
         wanted = [add] if isinstance(add, str) else add
         with told(progress) as tell:
+            ensure_compiled(tell)
             found = improve(
                 self.physical, as_records(records), map, add=wanted, effects=effects, seconds=seconds, tell=tell, **options
             )

@@ -79,7 +79,7 @@ class Monitor(OutlierMixin, BaseEstimator):
         self.source, self.diagnoser, self.map, self.settings = source, diagnoser, map, settings
 
     def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
-        """Learn from healthy records, or from records with one label each in `y` (`healthy`, or a fault class).
+        """Learn from the healthy records `X`, or from records with one label each in `y` (`healthy`, or a fault class).
 
         Raises
         ------
@@ -96,35 +96,35 @@ class Monitor(OutlierMixin, BaseEstimator):
         return Finding(self._trained().score(record))
 
     def findings(self, X: Records) -> list[Finding]:
-        """The finding of every window."""
+        """The finding of every window of `X` (a record, a file, or a list of these)."""
         trained = self._trained()
         return [Finding(trained.score(record)) for record in self._records(X)]
 
     def predict(self, X: Records) -> npt.NDArray[np.int64]:
-        """1 for a healthy window, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
+        """1 for a healthy window of `X`, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
         says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
         return np.array([says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64)
 
     def score_samples(self, X: Records) -> npt.NDArray[np.float64]:
-        """How normal each window is, the higher the more: minus its largest indicator over that one's threshold.
+        """How normal each window of `X` is, the higher the more: minus its largest indicator over that one's threshold.
 
         Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot be judged.
         """
         return np.array([-_largest(finding.found) for finding in self.findings(X)])
 
     def decision_function(self, X: Records) -> npt.NDArray[np.float64]:
-        """`score_samples` + 1: negative where an indicator is above its threshold; shape (windows,)."""
+        """`score_samples` + 1 of the windows `X`: negative where an indicator is above its threshold; shape (windows,)."""
         return self.score_samples(X) + 1.0
 
     def indicators(self, X: Records) -> pandas.DataFrame:
-        """The indicators of every window, a row a window: features of the residual for a method of your own.
+        """The indicators of every window of `X`, a row a window: features of the residual for a method of your own.
 
         Raises MissingPackage when pandas is not installed.
         """
         return data_frame([dict(finding.found.indicators) for finding in self.findings(X)])
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Store the trained diagnoser as `residuum train --out` does.
+        """Store the trained diagnoser in the file `path`, as `residuum train --out` does.
 
         Raises
         ------

@@ -9,7 +9,14 @@ from residuum.identification.errors import BadInput
 
 
 class MissingPackage(BadInput, ImportError):
-    """An optional package is not installed; the message says what needs it and how to get it."""
+    """An optional package is not installed; the message says what needs it and how to get it.
+
+    >>> import residuum as rs
+    >>> raise rs.MissingPackage("plotly: …")
+    Traceback (most recent call last):
+        ...
+    residuum.library.optional_package.MissingPackage: plotly: …
+    """
 
 
 def need(package: str, what: str, extra: str = "notebook") -> Any:

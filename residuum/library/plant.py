@@ -15,7 +15,7 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
-from residuum.library.identification_methods import METHODS, Request, check_method
+from residuum.library.identification_methods import METHODS, Request, check_method, with_uncertainty
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
@@ -40,7 +40,7 @@ class Plant(Result):
     identified : IdentifiedModel
         Impulse response with covariance, noise variance, numerator and denominator of a parametric method.
     method : str
-        `kernel`, `arx`, `armax`, `oe` or `bj`.
+        `kernel`, `ridge`, `lasso`, `ar`, `arx`, `fir`, `armax`, `oe` or `bj`.
     estimation, held_out : tuple of Record
         What it was identified from, and what the records' split notes kept.
 
@@ -72,7 +72,7 @@ class Plant(Result):
         return self.identified.frequency_response(omega)
 
     def sample(self, n: int, seed: int = 0) -> npt.NDArray[np.float64]:
-        """`n` impulse responses drawn from the distribution of the estimate, shape (n, order)."""
+        """`n` impulse responses drawn from the distribution of the estimate by the random numbers of `seed`, shape (n, order)."""
         return self.identified.sample(n, seed)
 
     def to_control(self) -> Any:
@@ -80,7 +80,13 @@ class Plant(Result):
         return to_control(self.identified.transfer_function())
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the JSON file that `rs.load_plant`, `residuum residual` and `residuum control` read."""
+        """Write the JSON file `path` that `rs.load_plant`, `residuum residual` and `residuum control` read.
+
+        Raises
+        ------
+        BadInput
+            The folder of `path` does not exist.
+        """
         save_identified(self.identified, Path(path))
 
     def bode(self, frequencies: npt.ArrayLike | None = None) -> plotly.graph_objects.Figure:
@@ -166,7 +172,7 @@ class Plant(Result):
 def identify(
     records: MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]],
     *,
-    input: str,
+    input: str = "",
     output: str,
     method: str = "kernel",
     kernel: str = "tc",
@@ -175,6 +181,8 @@ def identify(
     noise_variance: str | float = "marginal",
     offset: bool = True,
     criterion: str = "bic",
+    uncertainty: str = "own",
+    noise_bound: float | None = None,
     progress: Progress = None,
 ) -> Plant:
     """A linear model from one channel to another, with the covariance of its estimate.
@@ -182,11 +190,12 @@ def identify(
     Parameters
     ----------
     records : Record, file, or a list of these
-        Each is an experiment of its own; a note `split: 0.7` keeps the rest of a record for validation.
+        Each is a separate experiment; a note `split: 0.7` keeps the rest of a record for validation.
     input, output : str
-        Channels.
+        Channels; the method `ar` takes no input.
     method : str
-        `kernel` (regularised impulse response), `arx`, `armax`, `oe` or `bj`.
+        `kernel` (regularised impulse response), `ridge` or `lasso` (penalised FIR), `arx`, `fir`, `armax`, `oe`, `bj`, or `ar` (a
+        time series).
     kernel : str
         Prior of the impulse response: `tc`, `dc`, `ss` or `di`.
     order : int
@@ -199,6 +208,11 @@ def identify(
         Fit a constant level as well.
     criterion : str
         What chooses the order: `bic`, `aic` or cross-validation (`residuum identify --help` lists them).
+    uncertainty : str
+        `own` (covariance of the estimate), or an error model from the part kept for validation (the same records without one):
+        `model-error`, `set-membership` or `stochastic-embedding`.
+    noise_bound : float
+        Largest noise of `set-membership` [output unit]; None: 1.1 times the smallest possible.
     progress : callable or bool
         As in `Model.explain`.
 
@@ -220,8 +234,8 @@ def identify(
     >>> plant.identified.is_parametric
     True
     """
-    check_method(method, criterion)
-    request = Request(input, output, order, delay, kernel, noise_variance, offset, criterion)
+    check_method(method, criterion, uncertainty, input)
+    request = Request(input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound)
     with told(progress) as tell:
         return identified(as_records(records), request, method, tell)
 
@@ -257,13 +271,18 @@ def load_plant(path: str | PathLike[str]) -> Plant:
 
 def identified(records: Sequence[MeasuredRecord], request: Request, method: str, tell: Tell) -> Plant:
     """The plant that a method finds; each record's part after its split note is kept for validation."""
-    cuts = [record.n if record.split is None else max(1, round(record.split * record.n)) for record in records]
-    estimation = tuple(record.window(0, cut) for record, cut in zip(records, cuts, strict=True))
-    held_out = tuple(record.window(cut, record.n) for record, cut in zip(records, cuts, strict=True) if cut < record.n)
+    estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
-    model = METHODS[method](estimation, request)
+    model = with_uncertainty(METHODS[method](estimation, request), held_out or estimation, request)
     tell(0.9, "simulating beside the records")
     return Plant(model, method, estimation, held_out)
+
+
+def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:
+    """What a model is identified from, and what the records' split notes keep for validation."""
+    cuts = [record.n if record.split is None else max(1, round(record.split * record.n)) for record in records]
+    estimation = tuple(record.window(0, cut) for record, cut in zip(records, cuts, strict=True))
+    return estimation, tuple(record.window(cut, record.n) for record, cut in zip(records, cuts, strict=True) if cut < record.n)
 
 
 def to_control(system: Any) -> Any:

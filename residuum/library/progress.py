@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Tell = Callable[[float, str], None]
-"""Called with the share done (0 … 1) and what is being done."""
+"""Called with the share done (0 … 1) and what is being done. What it raises ends the work and comes out of it."""
 Progress = Tell | bool | None
 """A function to tell, True or False to show or hide the line, None to show it where somebody watches."""
 

@@ -204,7 +204,7 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
 
 
 def as_records(records: Any) -> list[MeasuredRecord]:
-    """One record, several, or files, as a list; each is an experiment of its own.
+    """One record, several, or files, as a list; each is a separate experiment.
 
     Raises
     ------
@@ -219,6 +219,8 @@ def as_records(records: Any) -> list[MeasuredRecord]:
         raise BadRecord("record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})")
     if hasattr(records, "dims"):
         raise BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
+    if hasattr(records, "__array__"):
+        raise BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, sample_time=…)")
     if isinstance(records, Sequence) and records:
         return [one for item in records for one in as_records(item)]
     raise BadRecord(f"record: is {type(records).__name__}; must be a Record, a file, or a list of these")

@@ -43,7 +43,21 @@ class Record(MeasuredRecord):
     """
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write a record file; the ending says the format (`.csv`, `.npz`, …). A failed write leaves no file behind."""
+        """Write the record file `path`; its ending says the format (`.csv`, `.npz`, …). A failed write leaves no file behind.
+
+        Raises
+        ------
+        BadRecord
+            An ending that is not known, or a folder that does not exist.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> rs.from_arrays({"u": [0.0, 1.0]}, units={"u": "V"}, sample_time=0.1).save("drive.dat")  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+            ...
+        residuum.identification.errors.BadRecord: ...
+        """
         write_record(self, Path(path))
 
     def to_pandas(self) -> pandas.DataFrame:

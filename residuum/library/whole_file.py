@@ -9,8 +9,8 @@ from pathlib import Path
 from residuum.identification.errors import BadInput
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it is there whole, or as it was before.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file, a text as UTF-8, so that it is there whole, or as it was before.
 
     Raises
     ------
@@ -23,8 +23,8 @@ def write_whole(path: Path, text: str) -> None:
         raise BadInput(f"{path}: is a folder; give the name of a file")
     handle, part = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
         os.chmod(part, 0o666 & ~_umask())
         os.replace(part, path)
     except BaseException:

@@ -30,6 +30,8 @@ FloatArray = npt.NDArray[np.float64]
 AIMS = ("nominal", "robust")
 STRUCTURES: dict[str, type[ControllerStructure]] = {"pidn": PIDN, "pid": PID, "pi": PI, "lead-lag": LeadLag, "rational": Rational}
 _VALIDATION_PLANTS = 200
+_MORE_PLANTS, _MOST_PLANTS = 4, 12_800
+_PROMISED_SHARE = 0.95
 _PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
 _FOLLOWED = 1.5
 """Steps are followed for so many of the settling times that are asked for or promised."""
@@ -156,7 +158,7 @@ class ControlProblem:
         self.W_T, self.largest = self._uncertainty(self.plant, omega)
         self.loop = Loop([self.plant], omega)
         self.magnitude = np.abs(self.W_T.frequency_response(omega))
-        self.crossing = _critical_frequency(omega, self.magnitude)
+        self.crossing = critical_frequency(omega, self.magnitude)
 
     def _uncertainty(self, plant: TransferFunction, omega: FloatArray) -> tuple[TransferFunction, FloatArray]:
         choice = self.choice
@@ -218,9 +220,18 @@ class ControlProblem:
         return Solution(chosen, (chosen,))
 
     def measured(self, found: Solution, wishes: Wishes) -> Measured:
-        """Step responses of the nominal loop and of plants that no design has seen."""
+        """Step responses of the nominal loop and of plants that no design has seen.
+
+        So many are drawn that what 95 % of them stay below is known to a tenth of itself: 200, and four times as many until it
+        is, at most 12 800. Where a few plants settle one swing later than the others, that quantile of 200 is off by half.
+        """
         duration = max(self.horizon, _FOLLOWED * found.chosen.second) if wishes.aim == "nominal" else self.horizon
-        return measured(self.plant, self.random_plants(), found.chosen.design.controller, duration)
+        count = _VALIDATION_PLANTS
+        while True:
+            seen = measured(self.plant, self.random_plants(count), found.chosen.design.controller, duration)
+            if count >= _MOST_PLANTS or seen.is_sure_of(_PROMISED_SHARE, self.loop.sample_time):
+                return seen
+            count *= _MORE_PLANTS
 
     def random_plants(self, count: int = _VALIDATION_PLANTS, stream: int = 1) -> list[TransferFunction]:
         """Plants of every model's posterior, other ones than the weight was made from; another `stream`, others."""
@@ -237,7 +248,8 @@ class ControlProblem:
         return RobustAim(wishes.low_gain_db, wishes.smallest_high_gain_db, lowest_critical_frequency=lowest, only=wishes.only)
 
 
-def _critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:
+def critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:
+    """Where an uncertainty reaches 1 [rad/s], or the grid's end; BadInput when it is larger from the beginning."""
     above = np.flatnonzero(magnitude >= 1.0)
     if above.size and above[0] == 0:
         raise BadInput("uncertainty: over 100 % already at the lowest frequency; identify with more or better data first")

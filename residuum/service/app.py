@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
@@ -13,10 +15,15 @@ from fastapi import FastAPI
 from sqlalchemy.engine import make_url
 
 from residuum.service import problems
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
+from residuum.service.api.results import downloads
+from residuum.service.broker_address import broker_address
+from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
+from residuum.service.loop_watch import watch_loop
 from residuum.service.machines.judges import Judges
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
@@ -24,7 +31,7 @@ from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.gate import Gate
 from residuum.service.services import LivePipeline, Services
-from residuum.service.settings import Settings, broker_address
+from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage import DiskStore
 from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
@@ -63,7 +70,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        async with _running(settings, events, metrics, keys, make_pipeline) as services:
+        async with _running(app, settings, events, metrics, keys, make_pipeline) as services:
             app.state.services = services
             yield
 
@@ -91,23 +98,32 @@ def _add_routes(app: FastAPI) -> None:
 
 @asynccontextmanager
 async def _running(
-    settings: Settings, events: Events, metrics: Metrics, keys: ApiKeys, make_pipeline: MakePipeline
+    app: FastAPI, settings: Settings, events: Events, metrics: Metrics, keys: ApiKeys, make_pipeline: MakePipeline
 ) -> AsyncIterator[Services]:
     set_up_logs(settings)
     notifications = Notifications(settings)
 
     told = Told()
+    outs = await asyncio.to_thread(_finding_outs, settings)
 
     def show(kind: str, payload: Mapping[str, Any]) -> None:
         metrics.event(kind, payload)
         events.publish(kind, payload)
+        if kind == "reset":
+            tell_latest(store, outs)
+        for out in outs:
+            out.tell(kind, payload)
 
     def announce(kind: str, payload: Mapping[str, Any]) -> None:
         if kind != "finding" or told.first(payload["id"]):
             show(kind, payload)
         notifications.tell(kind, payload)
 
-    store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, settings.alarm_rule)
+    def rule_of(asset: str) -> AlarmRule:
+        return pipeline.alarm_rule(asset)
+
+    store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
+    await asyncio.to_thread(tell_latest, store, outs)
     await asyncio.to_thread(notifications.start, store.outbox)
     executor = WorkerPool(settings.workers)
     jobs = Jobs(events.publish)
@@ -116,8 +132,10 @@ async def _running(
     log.info("started", database=make_url(settings.database_url).render_as_string(hide_password=True), data=str(settings.data))
     if orphans := await asyncio.to_thread(store.sweep, _SETTLED):
         log.warning("removed signal blocks without a row, left by a crash", blocks=orphans)
-    watches = [asyncio.create_task(_watch_shelved(store)), asyncio.create_task(_retain(store, settings))]
+    await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)  # left by a crash
+    watches = [asyncio.create_task(each) for each in (_watch_shelved(store), _retain(store, settings), watch_loop(metrics.stall))]
     await pipeline.start()
+    await asyncio.to_thread(app.openapi)  # routes are put together at their first use, which would hold up whoever asks then
     elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message) if settings.mqtt else None
     if elsewhere is not None:
         elsewhere.start()
@@ -133,8 +151,32 @@ async def _running(
         await asyncio.to_thread(jobs.close)
         executor.shutdown(wait=False, cancel_futures=True)
         await asyncio.to_thread(notifications.stop)
+        for out in outs:
+            await asyncio.to_thread(out.stop)
         store.close()
         log.info("stopped")
+
+
+def _finding_outs(settings: Settings) -> list[Any]:
+    """The OPC UA server and the Sparkplug edge node that offer the latest findings, started, as far as they are set."""
+    nodes = import_module("residuum.service.finding_nodes").FindingNodes(settings.opcua_server) if settings.opcua_server else None
+    if nodes is not None:
+        nodes.start()
+    finding_node = _sparkplug_findings(settings)
+    return [out for out in (nodes, finding_node) if out is not None]
+
+
+def _sparkplug_findings(settings: Settings) -> Any:
+    """The edge node that publishes findings, started; None where none is set. BadSettings without its libraries."""
+    if not settings.sparkplug:
+        return None
+    try:
+        module = import_module("residuum.service.finding_metrics")
+    except ModuleNotFoundError:
+        raise BadSettings("setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+    found = module.FindingMetrics(broker_address(settings.mqtt), settings.sparkplug)
+    found.start()
+    return found
 
 
 def _baselines(store: DiskStore) -> Any:

@@ -19,7 +19,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit status (0 done, 1 the answer is no, 2 bad input, 3 a fault of ours)."""
+    """Run one command and return its exit status (0 done, 1 the answer is no, 2 bad input, 3 an internal error)."""
     if not arguments or arguments[0] in ("--help", "-h", "help"):
         sys.stdout.write(_overview())
         return DONE if arguments else BAD_INPUT
@@ -30,6 +30,10 @@ def run(arguments: list[str]) -> int:
     if name not in COMMANDS:
         return _refuse(f"command {name!r}: there is none of this name; known are {', '.join(COMMANDS)}")
     try:
+        if fmus := [argument for argument in rest if argument.lower().endswith(".fmu")]:
+            apart = import_module("residuum.service.commands.fmu_process")
+            if apart.is_wanted(name):
+                return int(apart.run_apart(arguments, fmus[0]))
         with loading_modules():
             command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
         status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
@@ -46,7 +50,7 @@ def run(arguments: list[str]) -> int:
         return DONE
     except Exception as error:
         traceback.print_exc()
-        sys.stderr.write(f"residuum: a fault of ours: {type(error).__name__}: {error}\n")
+        sys.stderr.write(f"residuum: internal error: {type(error).__name__}: {error}\n")
         return OUR_FAULT
     return status if isinstance(status, int) else DONE
 

@@ -1,27 +1,53 @@
-"""Structured logs: one event a line, for people or as JSON."""
+"""Structured logs: one event a line, for people or as JSON; lines of libraries and of the HTTP server in the same form."""
 
 from __future__ import annotations
 
 import logging
 import sys
+from typing import Any
 
 import structlog
+from structlog.typing import Processor
 
+from residuum.service.request_ids import add_request_id
 from residuum.service.settings import Settings
+
+_COMMON: list[Processor] = [
+    structlog.contextvars.merge_contextvars,
+    add_request_id,
+    structlog.processors.add_log_level,
+    structlog.processors.TimeStamper(fmt="iso", utc=True),
+]
+
+
+class _StandardError(logging.StreamHandler[Any]):
+    """Standard error as it is when a line comes: it may be redirected, and what it was before may be closed by then."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> Any:
+        """Where the line goes."""
+        return sys.stderr
 
 
 def set_up_logs(settings: Settings) -> None:
-    """Send log lines of ours to standard error, in the chosen form and from the chosen severity on."""
-    form = structlog.processors.JSONRenderer() if settings.log_format == "json" else structlog.dev.ConsoleRenderer(colors=False)
+    """Send log lines to standard error in the chosen form: ours from the chosen severity, libraries' from warnings on."""
+    as_json = settings.log_format == "json"
+    form: Processor = structlog.processors.JSONRenderer() if as_json else structlog.dev.ConsoleRenderer(colors=False)
     structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.format_exc_info,
-            form,
-        ],
+        processors=[*_COMMON, structlog.processors.format_exc_info, form],
         wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, settings.log_level.upper())),
         logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),  # looked up a line: standard error may be redirected later
         cache_logger_on_first_use=False,
     )
+    lines = structlog.stdlib.ProcessorFormatter(
+        foreign_pre_chain=[*_COMMON, structlog.stdlib.add_logger_name],
+        processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, structlog.processors.format_exc_info, form],
+    )
+    handler = _StandardError()
+    handler.setFormatter(lines)
+    handler.setLevel(logging.WARNING)
+    others = [known for known in logging.root.handlers if not isinstance(known, _StandardError)]
+    logging.root.handlers[:] = [*others, handler]

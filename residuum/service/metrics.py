@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 """Methods that have a label of their own: a stranger may send any word as a method, and each would be kept for ever."""
+_STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
 _SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 10)
 
 
@@ -32,6 +33,12 @@ class Metrics:
         self._alarms = Counter("residuum_alarm_changes", "Alarms that changed state", ("asset", "state"), registry=self._registry)
         self._news = Counter(
             "residuum_stored_messages", "Messages about windows that scorers stored", ("outcome",), registry=self._registry
+        )
+        self._stalls = Histogram(
+            "residuum_event_loop_stall_seconds",
+            "Times for which the event loop was held up [s]",
+            buckets=_STALLS,
+            registry=self._registry,
         )
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
@@ -56,6 +63,10 @@ class Metrics:
     def stored_message(self, outcome: str) -> None:
         """Count a message about a window that a scorer stored: taken, refused or overflow."""
         self._news.labels(outcome).inc()
+
+    def stall(self, seconds: float) -> None:
+        """Count a time for which the event loop was held up."""
+        self._stalls.observe(seconds)
 
     def render(self) -> bytes:
         """The metrics in Prometheus' text format."""

@@ -1,7 +1,11 @@
-"""Checking a model file before it is stored: every kind of model has its reader."""
+"""Checking a model file before it is stored: every kind of model has its reader.
+
+As a program (`python -m residuum.service.model_files MEMORY SECONDS FILE KIND DIAGNOSER`) it checks FILE within limits.
+"""
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +14,7 @@ from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.physics.files.model_file import load_model
 from residuum.service.machines.judges import diagnoser_class
+from residuum.service.work.limited_process import run_limited, within_limits
 
 MODEL_KINDS: dict[str, tuple[str, str]] = {
     "physical": ("application/yaml", ".yaml"),
@@ -19,15 +24,41 @@ MODEL_KINDS: dict[str, tuple[str, str]] = {
 """Media type and file ending of each kind."""
 
 
+_SHORT = 16 * 2**10
+"""Bytes up to which a model's text is read in the service itself: parsing YAML of 200 kB takes seconds of the interpreter."""
+
+
+def is_read_apart(kind: str, content: bytes) -> bool:
+    """Whether a file is checked in a process of its own: it is long, or packed."""
+    return kind == "baseline" or len(content) > _SHORT
+
+
+def check_long_model_file(kind: str, content: bytes, diagnoser: str | None, *, memory: int, seconds: int) -> None:
+    """`check_model_file` of a file that is long, or packed, in a limited process of its own; BadModel also beyond a limit."""
+    _reader(kind, diagnoser)  # no process is started for a diagnoser that there is not
+    with tempfile.TemporaryDirectory(prefix="residuum-model-") as folder:
+        file = Path(folder) / "model"
+        file.write_bytes(content)
+        refusal = run_limited(__name__, (str(file), kind, diagnoser or ""), Path(folder), memory=memory, seconds=seconds)
+    if refusal is not None:
+        reason, says = refusal
+        raise BadModel(says if reason else f"model file: {says}")
+
+
 def check_model_file(kind: str, content: bytes, diagnoser: str | None = None) -> None:
-    """Refuse a file that its reader refuses; the reader's message is kept, with 'body' for the file's name."""
+    """Refuse a file that its reader refuses; the reader's message is kept, with 'model file' for the file's name.
+
+    NotFound for a diagnoser that there is not, BadInput for a baseline without one, BadModel for all that is wrong with the file.
+    """
+    reader = _reader(kind, diagnoser)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"model{MODEL_KINDS[kind][1]}"
         file.write_bytes(content)
         try:
-            _reader(kind, diagnoser)(file)
+            reader(file)
         except BadInput as error:
-            raise BadModel(str(error).replace(str(file), "body").replace(file.name, "body")) from None
+            said = str(error).replace(f"model {str(file)!r}", "model file")
+            raise BadModel(said.replace(str(file), "model file").replace(file.name, "model file")) from None
 
 
 def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
@@ -36,3 +67,12 @@ def _reader(kind: str, diagnoser: str | None) -> Callable[[Path], object]:
             raise BadInput("query: diagnoser is missing; a baseline needs it")
         return diagnoser_class(diagnoser).load
     return load_model if kind == "physical" else load_identified
+
+
+def main(memory: int, seconds: int, name: str, kind: str, diagnoser: str) -> int:
+    """Check a file within the limits; gives the exit status."""
+    return within_limits(lambda: check_model_file(kind, Path(name).read_bytes(), diagnoser or None), memory, seconds)
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]))

@@ -15,22 +15,12 @@ from starlette.responses import Response
 
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_states import IllegalTransition
+from residuum.service.bad_bodies import BadBody, TooLarge, UnsupportedBody
+from residuum.service.request_ids import HEADER, request_id
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
 
 log = structlog.get_logger()
-
-
-class BadBody(BadInput):
-    """The body of a request is not what its content type says (malformed JSON, no array, wrong length)."""
-
-
-class UnsupportedBody(BadInput):
-    """The content type of a request is none that the route reads."""
-
-
-class TooLarge(BadInput):
-    """The body of a request, or what it declares to hold, is larger than the limit."""
 
 
 _STATUS: dict[type[Exception], int] = {
@@ -49,6 +39,9 @@ _MOST_SHOWN = 500
 
 def problem(status: int, detail: str, kind: str | None = None, headers: dict[str, str] | None = None, **more: Any) -> Response:
     """A problem document. `kind` names the rule that was broken, for programs; `detail` is one line for people."""
+    number = request_id()
+    if number is not None:
+        more, headers = {"request_id": number, **more}, {HEADER: number, **(headers or {})}
     body = {
         "type": f"urn:residuum:problem:{kind}" if kind else "about:blank",
         "title": _title(status),
@@ -86,7 +79,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Exception)
     async def _ours(_request: Request, error: Exception) -> Response:
-        return problem(500, f"a fault of ours: {type(error).__name__}; the log has the details", "internal")
+        return problem(500, f"internal error: {type(error).__name__}; the log has the details", "internal")
 
 
 def _title(status: int) -> str:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, ParamSpec, Protocol, TypeVar
 
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from fastapi import Depends, Request
 
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
+from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.judges import Judges
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller
 from residuum.service.settings import Settings
 from residuum.service.store import Store
 from residuum.service.work.jobs import Jobs
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_READERS = 2
+"""Long bodies that are read at once."""
 
 
 class LivePipeline(Protocol):
@@ -32,6 +42,27 @@ class LivePipeline(Protocol):
     def faults(self, machine: str) -> Mapping[str, Any]:
         """The faults a demo machine has, and which are on."""
 
+    async def put_machine(self, machine: MachineSettings) -> None:
+        """Watch a machine from now on, or watch it by other settings."""
+
+    async def remove_machine(self, asset: str) -> None:
+        """Watch a machine no more."""
+
+    def refuse_fixed(self, asset: str) -> None:
+        """Conflict for a machine that cannot be changed while the service runs."""
+
+    def machine(self, asset: str) -> MachineSettings:
+        """The settings of a watched machine; NotFound."""
+
+    def live(self, asset: str) -> Mapping[str, Any]:
+        """What the signals of a machine read now."""
+
+    def units(self, asset: str) -> Mapping[str, str]:
+        """Name and unit of every signal on a machine's buses; NotFound."""
+
+    def alarm_rule(self, asset: str) -> AlarmRule:
+        """The rule of a machine's alarms."""
+
     async def switch_fault(self, machine: str, fault: str, size: float | None) -> None:
         """Switch a fault of a demo machine on (size None: its default), or off (fault `none`, or size 0)."""
 
@@ -48,6 +79,16 @@ class Services:
     metrics: Metrics
     pipeline: LivePipeline
     keys: ApiKeys
+    _readers: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_READERS))
+    _writer: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+
+    async def reading(self, read: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
+        """Read something long in a thread, with few others; the rest wait, and take no thread from other requests meanwhile."""
+        return await run_sync(partial(read, *arguments, **more), limiter=self._readers)
+
+    async def writing(self, write: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
+        """Write a long answer in a thread, one at a time: each takes memory and disk, and together they would take all."""
+        return await run_sync(partial(write, *arguments, **more), limiter=self._writer)
 
 
 def caller_of(request: Request) -> Caller:

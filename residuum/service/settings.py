@@ -6,14 +6,14 @@ import ipaddress
 import os
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
-from urllib.parse import urlsplit
+from typing import Any, Literal
 
 from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, YamlConfigSettingsSource
 
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.settings import MachineSettings
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
@@ -43,6 +43,9 @@ class Settings(BaseSettings):
     database: str = Field("", description="SQLAlchemy URL (sqlite:///…, postgresql+psycopg://…); empty: SQLite in `data`.")
     demo: bool = Field(False, description="Start the simulated machines and watch them.")
     demo_speed: float = Field(1.0, ge=0.01, le=100, description="How many times faster than real time the demo's machines live.")
+    demo_opcua: str = Field(
+        "", description="Address at which the demo's process plant offers itself over OPC UA, too: opc.tcp://127.0.0.1:4841/."
+    )
     machines: list[MachineSettings] = Field([], description="Machines to watch: sources, windows, diagnoser.")
     api_keys: Path | None = Field(None, description="File of API keys, a line each: name role SHA-256-of-the-key.")
     oidc_issuer: AnyHttpUrl | None = Field(
@@ -57,6 +60,14 @@ class Settings(BaseSettings):
     tls_key: Path | None = Field(None, description="PEM file of the certificate's private key.")
     webhooks: list[AnyHttpUrl] = Field([], description="Addresses to which every change of an alarm is posted as JSON.")
     mqtt: str = Field("", description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix]; empty: none.")
+    opcua_server: str = Field(
+        "",
+        description="Address at which findings and alarms are offered as OPC UA nodes, opc.tcp://127.0.0.1:4840/; empty: none.",
+    )
+    sparkplug: str = Field(
+        "",
+        description="Edge node, GROUP/NODE, as which findings are published as Sparkplug B on the broker of `mqtt`; empty: none.",
+    )
     workers: int = Field(
         default_factory=lambda: max(1, min(4, (os.cpu_count() or 2) - 1)), ge=1, description="Processes that run diagnosers."
     )
@@ -115,6 +126,26 @@ class Settings(BaseSettings):
             raise ValueError("tls_certificate and tls_key: one of them is not enough")
         return self
 
+    @model_validator(mode="after")
+    def _node_and_broker(self) -> Settings:
+        if self.sparkplug and not self.mqtt:
+            raise ValueError("sparkplug: needs a broker; set mqtt, too")
+        return self
+
+    @field_validator("sparkplug")
+    @classmethod
+    def _edge_node(cls, value: str) -> str:
+        if value and (value.count("/") != 1 or not all(value.split("/")) or set(value) & set("+#")):
+            raise ValueError("must be GROUP/NODE, without + and #")
+        return value
+
+    @field_validator("opcua_server", "demo_opcua")
+    @classmethod
+    def _opcua_address(cls, value: str) -> str:
+        if value and not value.startswith("opc.tcp://"):
+            raise ValueError("must be opc.tcp://host:port/")
+        return value
+
     @field_validator("mqtt")
     @classmethod
     def _broker(cls, value: str) -> str:
@@ -136,28 +167,6 @@ class Settings(BaseSettings):
         return init_settings, env_settings, file
 
 
-class BrokerAddress(NamedTuple):
-    """Where an MQTT broker is, and what topics begin with."""
-
-    host: str
-    port: int
-    user: str | None
-    password: str | None
-    prefix: str
-
-
-def broker_address(url: str) -> BrokerAddress:
-    """The parts of `mqtt://[user:password@]host[:port][/prefix]`; ValueError when it is none.
-
-    >>> broker_address("mqtt://broker/plant-7").port, broker_address("mqtt://broker/plant-7").prefix
-    (1883, 'plant-7')
-    """
-    parts = urlsplit(url)
-    if parts.scheme != "mqtt" or not parts.hostname or set(url) & set("#?") or "+" in parts.path:
-        raise ValueError("must be mqtt://[user:password@]host[:port][/prefix]")
-    return BrokerAddress(parts.hostname, parts.port or 1883, parts.username, parts.password, parts.path.strip("/") or "residuum")
-
-
 @lru_cache(maxsize=64)
 def is_loopback(host: str) -> bool:
     """Whether only this machine can reach an address.
@@ -173,13 +182,15 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def load_settings(**arguments: Any) -> Settings:
-    """Settings from all sources; arguments that are None count as not given.
+def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
+    """Settings from all sources; arguments that are None count as not given. `file` stands before `RESIDUUM_SETTINGS`.
 
     Raises BadSettings with one line: which setting, what it is, which rule.
     """
-    if (file := os.environ.get(SETTINGS_FILE)) and not Path(file).is_file():
-        raise BadSettings(f"{SETTINGS_FILE}: no such file: {file}")
+    if file is not None:
+        os.environ[SETTINGS_FILE] = str(file)
+    if (named := os.environ.get(SETTINGS_FILE)) and not Path(named).is_file():
+        raise BadSettings(f"{'--settings' if file else SETTINGS_FILE}: no such file: {named}")
     try:
         return Settings(**{name: value for name, value in arguments.items() if value is not None})
     except ValidationError as error:

@@ -94,15 +94,16 @@ class Asset:
     last_finding: StoredFinding | None
 
     def to_json(self) -> dict[str, Any]:
-        """The asset; `state` is the latest verdict, or `no-data`."""
+        """The asset; `state` is the latest verdict, `no-baseline` while windows are only recorded, or `no-data`."""
         last = self.last_finding
+        verdict = None if last is None else "no-baseline" if last.finding.only_recorded else last.finding.verdict.value
         return {
             "id": self.id,
             "title": self.title,
             "diagnoser": self.diagnoser,
             "created_at": self.created_at,
             "windows": self.windows,
-            "state": last.finding.verdict.value if last else "no-data",
+            "state": verdict or "no-data",
             "last_finding": last.to_json() if last else None,
         }
 
@@ -279,6 +280,16 @@ class Store(Protocol):
     def newest_finding(self) -> int:
         """The largest number of a finding; 0 before there is one."""
 
+    def findings_between(
+        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
+    ) -> Sequence[StoredFinding]:
+        """The first findings of an asset in [begin, end) with a number larger than `after`, oldest first."""
+
+    def windows_between(
+        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
+    ) -> Sequence[StoredWindow]:
+        """The first windows of an asset received in [begin, end) with a number larger than `after`, oldest first."""
+
     def finding_of(self, window: int) -> StoredFinding:
         """The latest finding on a window."""
 
@@ -287,6 +298,9 @@ class Store(Protocol):
 
     def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
         """Hourly history of the findings whose rows were let go."""
+
+    def recorded_windows(self, asset: str, limit: int = 500) -> Sequence[int]:
+        """The newest windows of an asset that are kept with their signals and were never judged, oldest first."""
 
     def windows(self, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
         """Windows of an asset, newest first."""

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.signal import lfilter
 
+from residuum.kept_loops import njit
 from residuum.simulation.gate_drive_effects import EFFECTS
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
@@ -255,7 +255,7 @@ def _random_profile(own: np.random.Generator) -> Array:
     return np.asarray(smooth / np.std(smooth))
 
 
-@njit(cache=True)
+@njit()
 def _current(y, d, u):  # type: ignore[no-untyped-def]
     """Armature current without inductance; brushes block it below their drop."""
     e = u - d.K * y[_OMEGA]
@@ -264,7 +264,7 @@ def _current(y, d, u):  # type: ignore[no-untyped-def]
     return free / (R + d.r_s) if free * u > 0.0 else free / R
 
 
-@njit(cache=True)
+@njit()
 def _load(theta, omega, d, walk, table):  # type: ignore[no-untyped-def]
     """Torque of loads, springs and stops against positive motion."""
     tau = d.load + walk + d.k * theta + d.k3 * theta**3
@@ -280,7 +280,7 @@ def _load(theta, omega, d, walk, table):  # type: ignore[no-untyped-def]
     return tau
 
 
-@njit(cache=True)
+@njit()
 def _transmitted(y, d):  # type: ignore[no-untyped-def]
     """Torque from rotor to gate through the elastic transmission and its gap."""
     twist, rate = y[_THETA] - y[_THETA_2], y[_OMEGA] - y[_OMEGA_2]
@@ -294,7 +294,7 @@ def _transmitted(y, d):  # type: ignore[no-untyped-def]
     return 0.0
 
 
-@njit(cache=True)
+@njit()
 def _driving(y, d, u, walk, table):  # type: ignore[no-untyped-def]
     """(torque on the rotor without dry friction, current)."""
     i = y[_CURRENT] if d.L > 0.0 else _current(y, d, u)
@@ -307,7 +307,7 @@ def _driving(y, d, u, walk, table):  # type: ignore[no-untyped-def]
     return tau, i
 
 
-@njit(cache=True)
+@njit()
 def _friction(omega, direction, i, d):  # type: ignore[no-untyped-def]
     """Dry friction ≥ 0 against motion in `direction`."""
     level = d.tau_c + 0.5 * d.asymmetry * direction + d.mu * abs(d.K * i)
@@ -316,7 +316,7 @@ def _friction(omega, direction, i, d):  # type: ignore[no-untyped-def]
     return max(level, 0.0)
 
 
-@njit(cache=True)
+@njit()
 def _slope(dy, y, d, u, walk, table, direction):  # type: ignore[no-untyped-def]
     """dy/dt with the direction of sliding given; direction 0 is a rotor that sticks."""
     tau, i = _driving(y, d, u, walk, table)
@@ -337,7 +337,7 @@ def _slope(dy, y, d, u, walk, table, direction):  # type: ignore[no-untyped-def]
     dy[_LAG] = (omega - y[_LAG]) / d.T_lag if d.T_lag > 0.0 else 0.0
 
 
-@njit(cache=True)
+@njit()
 def _runge_kutta(y, d, u, walk, table, direction, h, work):  # type: ignore[no-untyped-def]
     """work[4] := y after one classical step of length h."""
     _slope(work[0], y, d, u, walk, table, direction)
@@ -350,7 +350,7 @@ def _runge_kutta(y, d, u, walk, table, direction, h, work):  # type: ignore[no-u
     work[4] = y + h / 6.0 * (work[0] + 2.0 * work[1] + 2.0 * work[2] + work[3])
 
 
-@njit(cache=True)
+@njit()
 def _direction(y, d, u, walk, table):  # type: ignore[no-untyped-def]
     """Where the rotor slides: the sign of its speed, or at standstill where the torque breaks it away; 0 sticks."""
     if y[_OMEGA] != 0.0:
@@ -360,7 +360,7 @@ def _direction(y, d, u, walk, table):  # type: ignore[no-untyped-def]
     return sign if abs(tau) > _friction(0.0, sign, i, d) else 0.0
 
 
-@njit(cache=True)
+@njit()
 def _until_crossing(y, d, u, walk, table, direction, h, work):  # type: ignore[no-untyped-def]
     """work[4] := y at the instant in (0, h] when ω reaches zero; returns that instant (secant with bisection's bracket)."""
     early, late, before, after = 0.0, h, y[_OMEGA], work[4, _OMEGA]
@@ -380,7 +380,7 @@ def _until_crossing(y, d, u, walk, table, direction, h, work):  # type: ignore[n
     return at
 
 
-@njit(cache=True)
+@njit()
 def _step(y, d, u, walk, table, h, work, hard):  # type: ignore[no-untyped-def]
     """Advance y by h, cutting the step where dry friction changes its sign."""
     left = h
@@ -400,7 +400,7 @@ def _step(y, d, u, walk, table, h, work, hard):  # type: ignore[no-untyped-def]
             return
 
 
-@njit(cache=True)
+@njit()
 def _live(out, y, d, seen, walk, table, h):  # type: ignore[no-untyped-def]
     hard = d.tau_c + d.tau_s + abs(d.asymmetry) + d.mu > 0.0
     work = np.empty((5, 8))

@@ -13,7 +13,6 @@ from residuum.simulation.signals import Array, Signals
 
 VIBRATION_RATE, MACHINE_RATE = 12800.0, 1000.0  # Hz
 PLIERS = 4
-DAMAGED = 3  # plier P3
 _SYNC_PERIOD, _SYNC_WIDTH = 1.0, 0.02  # s
 _PULSE, _LONG_PULSE = 0.02, 0.04  # of a round
 _MESH_TEETH = 66  # mesh impacts a round of the pliers' drive
@@ -52,7 +51,7 @@ NEARNESS = np.array([0.40, 0.40, 1.00, 0.55])  # transmission from the cam in Q1
 
 
 class GrippingPliers(Machine):
-    r"""Four pliers on one rotor at 1800 rounds an hour; plier P3's posterior bearing can be damaged.
+    r"""Four pliers on one rotor at 1800 rounds an hour; one plier's posterior bearing can be damaged (P3's, as in the source).
 
     .. math::
         a(t) = \sum_{j} h_{frame}(t - t_j) A_j + \sum_k h_{panel, bracket, frame}(t - t_k) B_k + \text{mesh}(\psi) + w(t),
@@ -64,6 +63,10 @@ class GrippingPliers(Machine):
     so 2.5 impacts a round in Q3 and 2.5 of 55 % in Q4 add the mean power of an envelope that grows from .0075 to
     .0165 g (Valceschini, Table 6); the healthy envelope of .0075 g in a band of 133 Hz is white noise of 0.35 m/s².
     Mould clamps strike at fixed places of every round and ring the panel and the bracket, and the frame half as much.
+
+    So the mode that a kurtogram finds, the growth of RMS and kurtosis, and Q3 before Q4 are settings of this simulator: a method
+    that returns them proves that it reads a record rightly, not that real pliers behave so. What is not set: limits on healthy
+    rounds, the place of another plier's damage, and what is found when mode, level and place are drawn at random.
 
     The rotor speed breathes by 0.1 %. Accelerometer and machine control have clocks of their own, each up to
     ±25 ppm off (together ±50 ppm), and the machine's clock reads up to ±0.2 s more at the start. Both see the
@@ -77,6 +80,8 @@ class GrippingPliers(Machine):
     ----------
     preforms_after : float
         Time of the first preform [s]; before it the cam carries 60 % of its load.
+    damaged_plier : int
+        1 … 4, whose bearing the fault damages.
     long_pulse : bool
         Whether one plier's indicator pulse is longer, so that quadrants can be told apart.
     """
@@ -92,7 +97,9 @@ class GrippingPliers(Machine):
         "sync": "",
     }
     faults: ClassVar[Mapping[str, Fault]] = {
-        "plier-bearing": Fault(1.0, "", "posterior bearing of plier P3; 1 is material ground off one place of the roller"),
+        "plier-bearing": Fault(
+            1.0, "", "posterior bearing of one plier (P3 unless set); 1 is material ground off one place of the roller"
+        ),
     }
 
     def __init__(
@@ -103,9 +110,12 @@ class GrippingPliers(Machine):
         exemplar: int = 0,
         *,
         preforms_after: float = 0.0,
+        damaged_plier: int = 3,
         long_pulse: bool = True,
         rounds_per_hour: float = 1800.0,
     ) -> None:
+        if damaged_plier not in range(1, PLIERS + 1):
+            raise BadSetting(f"gripping-pliers: damaged_plier is {damaged_plier!r}; must be 1, 2, 3 or 4")
         if not 60.0 <= rounds_per_hour <= 6000.0:
             raise BadSetting(f"gripping-pliers: rounds_per_hour is {rounds_per_hour!r}; must be between 60 and 6000")
         super().__init__(seed, effects, faults, exemplar)
@@ -116,7 +126,7 @@ class GrippingPliers(Machine):
             clamp=0.9 * (1 + 0.1 * spread[1]),
             mesh=0.15 * (1 + 0.2 * spread[2]),
         )
-        self._preforms_after, self._long_pulse = preforms_after, long_pulse
+        self._preforms_after, self._long_pulse, self._damaged = preforms_after, long_pulse, damaged_plier
         self._modes = [
             _Ring(FRAME.frequency * (1 + 0.01 * spread[3]), FRAME.damping),
             _Ring(PANEL.frequency * (1 + 0.02 * spread[4]), PANEL.damping),
@@ -228,11 +238,11 @@ class GrippingPliers(Machine):
         panel[at] += 0.5 * strength
 
     def _bearing(self, size: float, t: Array, rounds: Array, frame: Array, bracket: Array) -> None:
-        """One impact each turn of P3's roller, as strong as its load there and as near as its quadrant is."""
+        """One impact each turn of the damaged plier's roller, as strong as its load there and as near as its quadrant is."""
         turns = rounds * self.bench.cam_radius / self.bench.roller_radius
         slipping = turns + 0.01 / (2 * np.pi) * np.sin(2 * np.pi * 0.37 * turns)
         at, count = _crossings(slipping)
-        quadrant = np.floor(rounds[1:][at] * PLIERS).astype(int) % PLIERS  # of P3: see the indicator
+        quadrant = (np.floor(rounds[1:][at] * PLIERS).astype(int) + 3 - self._damaged) % PLIERS  # P3's is the segment's own
         strength = self.bench.bearing * size * self._load(t[1:][at]) * LOAD[quadrant] * NEARNESS[quadrant]
         strength = strength * np.exp(0.4 * (self._scatter(6, count, 1.0) - 1))
         frame[at] += strength
@@ -247,7 +257,7 @@ class GrippingPliers(Machine):
             "vibration_clock_ppm": 1e6 * float(self._vibration_ppm),
             "machine_clock_ppm": 1e6 * float(self._machine_ppm),
             "machine_clock_offset": self._machine_t0,
-            "damaged_plier": float(DAMAGED),
+            "damaged_plier": float(self._damaged),
         }
 
 

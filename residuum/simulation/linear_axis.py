@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from residuum.kept_loops import njit
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
 
@@ -173,19 +173,19 @@ class LinearAxis(Machine):
         return {"M": float(self.axis.M)}
 
 
-@njit(cache=True)
+@njit()
 def _force(q, v, a):  # type: ignore[no-untyped-def]
     """Everything but drive and dry friction, against positive motion [N]."""
     periodic = a.amplitude * np.sin(2 * np.pi * q / a.period) + a.cogging * np.sin(2 * np.pi * q / a.pitch)
     return a.load + a.b * v + a.drag * v * abs(v) + a.k * q + a.k3 * q**3 + periodic
 
 
-@njit(cache=True)
+@njit()
 def _dry(v, direction, a):  # type: ignore[no-untyped-def]
     return max(a.tau_c + 0.5 * a.asymmetry * direction + a.tau_s * np.exp(-((v / a.v_s) ** 2)), 0.0)
 
 
-@njit(cache=True)
+@njit()
 def _move(x, a, F, h):  # type: ignore[no-untyped-def]
     """One step: midpoint rule for what is smooth, then dry friction takes speed away, at most all of it."""
     q, v = x[0], x[1]
@@ -197,7 +197,7 @@ def _move(x, a, F, h):  # type: ignore[no-untyped-def]
     x[1] = after
 
 
-@njit(cache=True)
+@njit()
 def _live(out, x, a, w, closed, draws, late, Ts):  # type: ignore[no-untyped-def]
     h = Ts / _SUBSTEPS
     whole = int(np.floor(a.delay / Ts))

@@ -5,8 +5,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from residuum.kept_loops import njit
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
 
@@ -115,12 +115,12 @@ class OscillatorMachine(Machine):
         return {"M": float(self.circuit.M), "d": float(self.circuit.d), "k": float(self.circuit.k)}
 
 
-@njit(cache=True)
+@njit()
 def _acceleration(q, v, c, F):  # type: ignore[no-untyped-def]
     return (F - c.d * v - c.k * q - c.k2 * q * q - c.k3 * q**3 - c.drag * v * abs(v) - c.load) / c.M
 
 
-@njit(cache=True)
+@njit()
 def _live(out, y, c, force, Ts):  # type: ignore[no-untyped-def]
     h = Ts / _SUBSTEPS
     q, v = y

@@ -5,8 +5,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from residuum.kept_loops import njit
 from residuum.simulation.machine import BadSetting, Effect, Fault, Machine
 from residuum.simulation.signals import Array
 
@@ -194,7 +194,7 @@ class OvenMachine(Machine):
         return {name: float(value) for name, value in self.oven._asdict().items() if name[0] in "PCGT"}
 
 
-@njit(cache=True)
+@njit()
 def _slope(dT, T, o, power, ambient, running, open_door):  # type: ignore[no-untyped-def]
     hole = T[_HOLE]
     hot, cold = hole + _ZERO, ambient + _ZERO
@@ -218,7 +218,7 @@ def _slope(dT, T, o, power, ambient, running, open_door):  # type: ignore[no-unt
     dT[_WALL] = (into_wall - o.G_ambient * (T[_WALL] - ambient)) / o.C_wall
 
 
-@njit(cache=True)
+@njit()
 def _live(out, T, o, duty, alive, ambient, running, open_door, h, t):  # type: ignore[no-untyped-def]
     first, second = np.empty(6), np.empty(6)
     for k in range(len(out)):

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from residuum.kept_loops import njit
 from residuum.simulation.machine import BadSetting, Effect, Fault, Machine
 from residuum.simulation.signals import Array
 
@@ -103,7 +103,7 @@ class TwoTanks(Machine):
         return {name: float(getattr(self.tanks, name)) for name in ("A_1", "A_2", "a_1", "a_2", "k_p")}
 
 
-@njit(cache=True)
+@njit()
 def _rates(h_1, h_2, p, u):  # type: ignore[no-untyped-def]
     fall_1, fall_2 = np.sqrt(2.0 * _GRAVITY * max(h_1, 0.0)), np.sqrt(2.0 * _GRAVITY * max(h_2, 0.0))
     pumped = p.k_p * u * (1.0 - p.beta * u)
@@ -113,7 +113,7 @@ def _rates(h_1, h_2, p, u):  # type: ignore[no-untyped-def]
     return rate_1, rate_2
 
 
-@njit(cache=True)
+@njit()
 def _live(out, h, p, u, Ts):  # type: ignore[no-untyped-def]
     steps = int(np.round(Ts / _STEP))
     for k in range(out.shape[1]):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
+from sklearn.utils import estimator_checks
 from sklearn.utils.validation import check_is_fitted
 
 import residuum as rs
@@ -76,3 +77,27 @@ def test_a_model_watches_columns_of_other_names():
     assert answer["verdict"] in ("healthy", "faulty", "not-assessable") and answer["diagnoser"] != "robust-residual"
     with pytest.raises(rs.BadRecord, match="F_motor"):
         monitor.score(record.rename({"F_motor": "other"}))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "check_no_attributes_set_in_init",
+        "check_parameters_default_constructible",
+        "check_get_params_invariance",
+        "check_set_params",
+        "check_estimator_repr",
+        "check_estimator_cloneable",
+        "check_mixin_order",
+        "check_estimator_tags_renamed",
+        "check_valid_tag_types",
+    ],
+)
+def test_scikit_learns_checks_hold_where_a_sample_need_not_be_a_row_of_numbers(name):
+    """The other checks of `check_estimator` hand over arrays; a monitor's sample is a record."""
+    getattr(estimator_checks, name)("Monitor", rs.Monitor())
+
+
+def test_an_array_is_refused_with_the_way_to_a_record():
+    with pytest.raises(rs.BadRecord, match="from_arrays"):
+        rs.monitor("robust-residual").fit(np.zeros((3, 2)))

@@ -73,6 +73,14 @@ def test_a_class_has_an_example_and_typed_documented_members(name):
         function = member.fget if isinstance(member, property) else member
         assert inspect.getdoc(member), f"{name}.{member_name} says nothing"
         assert is_typed(function), f"{name}.{member_name} is not typed"
+        parameters = [p for p in inspect.signature(function).parameters if p not in ("self", "settings", "options")]
+        unsaid = [p for p in parameters if p not in inspect.getdoc(member)]
+        assert unsaid == [], f"{name}.{member_name} does not say what {unsaid} is"
+
+
+@pytest.mark.parametrize("name", sorted(ERRORS))
+def test_an_error_shows_when_it_comes(name):
+    assert "Traceback" in inspect.getdoc(getattr(rs, name))
 
 
 def test_a_function_without_an_own_example_points_to_one():

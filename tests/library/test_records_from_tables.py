@@ -55,7 +55,7 @@ def test_a_dataset_gives_its_units():
     [
         (pandas.DataFrame({"y": [1.0, 2.0]}), r"is a pandas object; make a record of it with rs\.from_pandas"),
         (xarray.DataArray([1.0, 2.0], dims="time"), r"is an xarray object; make a record of it with rs\.from_xarray"),
-        (np.zeros(5), "is ndarray; must be a Record, a file, or a list"),
+        (np.zeros(5), r"is an array; make a record of it with rs\.from_arrays"),
         ([], "is list; must be a Record"),
     ],
 )

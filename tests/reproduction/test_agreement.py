@@ -1,46 +1,79 @@
-"""The reproduction can say no: what agreed and no longer does is named, and what holds by construction is not counted."""
+"""The report can say no: what agreed and no longer does is named, and what holds by construction is not counted."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
-from reproduction import uncertainty
+from reproduction import drawings, uncertainty
 from reproduction.agreement import lost, recorded, with_parts
+from reproduction.check import Check, at_least, at_most, near, same, within
 from reproduction.item import Item
-from reproduction.report import write_report
+from reproduction.parts import PARTS, run
+from reproduction.report import summary, write_report
 
-GOOD = Item("Fig. 1", "title", "source", "says", True)
+GOOD = Check("gain", "1", "1", True)
+ITEM = Item("Fig. 1", "title", "source", [GOOD, replace(GOOD, name="peak")])
 
 
-def test_an_item_that_no_longer_agrees_or_is_gone_is_lost():
-    before = {"part": ["Fig. 1", "Fig. 2"], "other": ["Fig. 9"]}
-    assert lost(before, {"part": [GOOD, replace(GOOD, where="Fig. 2")]}) == []
-    assert lost(before, {"part": [replace(GOOD, agrees=False)]}) == [("part", "Fig. 1"), ("part", "Fig. 2")]
-    assert with_parts(before, {"part": [GOOD]}) == {"part": ["Fig. 1"], "other": ["Fig. 9"]}
+def test_a_check_that_no_longer_agrees_or_is_gone_is_lost():
+    before = {"part": {"Fig. 1": ["gain", "peak"]}, "other": {"Fig. 9": ["gain"]}}
+    assert lost(before, {"part": [ITEM]}) == []
+    worse = replace(ITEM, checks=[GOOD, replace(GOOD, name="peak", holds=False)])
+    assert lost(before, {"part": [worse]}) == [("part", "Fig. 1", "peak")]
+    assert lost(before, {"part": []}) == [("part", "Fig. 1", "gain"), ("part", "Fig. 1", "peak")]
+    assert with_parts(before, {"part": [worse]})["part"] == {"Fig. 1": ["gain"]}
 
 
 def test_what_holds_by_construction_is_shown_and_not_counted(tmp_path):
-    items = [GOOD, replace(GOOD, agrees=False), replace(GOOD, by_construction=True)]
-    write_report(items, tmp_path / "report.html")
+    constructed = replace(GOOD, by_construction=True)
+    items = [ITEM, replace(ITEM, checks=[replace(GOOD, holds=False)], reason="tried"), replace(ITEM, checks=[constructed])]
+    assert [item.word for item in items] == ["agrees", "differs", "holds by construction"]
+    assert not items[2].agrees and "1 of 3 figures" in summary(items)
+    write_report(items, [("part", "Fig. 1", "gain")], tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
-    assert "1 of 2 items agree" in page and "1 more hold by construction" in page
-    assert replace(GOOD, agrees=False, by_construction=True).word == "differs"
+    assert "Agreed before, and not now: part, Fig. 1, gain" in page and "Reason: tried" in page
 
 
-@pytest.fixture(scope="module")
-def models():
-    return uncertainty.identified(uncertainty.benchmark_record())
+def test_checks_say_what_they_measured():
+    assert near("x", 2.0, 2.1, 0.1).holds and not near("x", 2.0, 2.3, 0.1).holds and not near("x", 2.0, float("nan"), 0.1).holds
+    assert at_most("x", 1.0, 1.0).holds and not at_most("x", float("nan"), 1.0).holds and not at_least("x", 0.9, 1.0).holds
+    assert within("x", 0.5, 0.0, 1.0).holds and not within("x", float("inf"), 0.0, 1.0).holds and not same("x", 2, 3).holds
+    assert "+15 %" in near("x", 2.0, 2.3, 0.1, "s").sentence and "2.3 s" in near("x", 2.0, 2.3, 0.1, "s").sentence
 
 
-def test_a_weight_made_too_small_turns_the_report_red(models):
-    right = uncertainty.weights(models)
-    assert lost(recorded(), {"uncertainty": [uncertainty._responses(models), uncertainty._weights(models, right)]}) == []
+def test_every_figure_and_table_of_chapters_2_to_7_is_in_the_report():
+    places = [where for items in recorded(short=True).values() for where in items]
+    assert set(recorded(short=True)) == set(PARTS)
+    covered = {number for where in places for number in _numbers(where, "Fig.")}
+    assert set(range(38, 88)) <= covered
+    assert {5, 6, 7} <= {number for where in places for number in _numbers(where, "Table")}
+
+
+def _numbers(where, kind):
+    for found in re.finditer(rf"{re.escape(kind)} (\d+)(?:–(\d+))?", where):
+        yield from range(int(found[1]), int(found[2] or found[1]) + 1)
+    if kind == "Fig." and (two := re.match(r"Fig\. (\d+), ", where)):
+        yield int(two[1])
+
+
+@pytest.mark.parametrize("part", ["drawings", "sample_size", "uncertainty", "oven", "gripping_pliers"])
+def test_the_short_report_still_agrees_where_it_did(part):
+    items = run(part, short=True)
+    assert lost(recorded(short=True), {part: items}) == []
+    assert all(item.reason for item in items if item.differs)
+    assert not any(item.word == "holds by construction" for item in items)
+
+
+def test_a_weight_made_too_small_turns_the_report_red(monkeypatch):
+    right = uncertainty.weights()
     small = {name: replace(made, weight=replace(made.weight, num=0.3 * made.weight.num)) for name, made in right.items()}
-    found = {"uncertainty": [uncertainty._responses(models), uncertainty._weights(models, small)]}
-    assert lost(recorded(), found) == [("uncertainty", "Fig. 44–45")]
+    monkeypatch.setattr(uncertainty, "weights", lambda: small)
+    gone = lost(recorded(short=True), {"uncertainty": uncertainty.items(short=True)})
+    assert {where for _, where, _ in gone} >= {"Fig. 45"}
 
 
-def test_a_model_with_a_wrong_gain_turns_the_report_red(models):
-    kernel = models["kernel"]
-    wrong = models | {"kernel": replace(kernel, impulse_response=0.8 * kernel.impulse_response)}
-    assert lost(recorded(), {"uncertainty": [uncertainty._responses(wrong)]})[0] == ("uncertainty", "Fig. 43")
+def test_a_loop_with_the_wrong_sign_turns_the_report_red(monkeypatch):
+    original = drawings.weighted_loop
+    monkeypatch.setattr(drawings, "weighted_loop", lambda plant, *rest: original(replace(plant, num=-plant.num), *rest))
+    assert lost(recorded(short=True), {"drawings": drawings.items(short=True)})[0][1] == "Fig. 40"

@@ -15,12 +15,15 @@ import yaml
 
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.security.access import new_key
+from residuum.service.security.access import ApiKeys, Role
 from residuum.service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 OURS = {name: service for name, service in COMPOSE["services"].items() if service["image"] == "residuum"}
+LASTING = {name: service for name, service in OURS.items() if name != "keys"}
+KEYS = "/var/lib/residuum-keys"
+"""Where the volume with the keys is, in every container that has it."""
 
 
 def test_it_is_valid_by_the_compose_schema():
@@ -39,7 +42,6 @@ def test_what_is_referred_to_is_there():
     for service in COMPOSE["services"].values():
         assert set(service.get("networks", [])) <= set(COMPOSE["networks"])
         assert set(service.get("depends_on", {})) <= set(COMPOSE["services"])
-        assert set(service.get("secrets", [])) <= set(COMPOSE["secrets"])
         for volume in service.get("volumes", []):
             source = volume.split(":")[0]
             assert (ROOT / source).exists() if source.startswith("./") else source in COMPOSE["volumes"]
@@ -75,12 +77,10 @@ def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_pa
     settings = settings.replace("host: gripping-pliers", "host: 127.0.0.1").replace("host: process-plant", "host: 127.0.0.1")
     settings = re.sub("|".join(ports), lambda port: str(ports[port[0]]), settings)  # in one go: ours may hold one of theirs
     (tmp_path / "settings.yaml").write_text(settings)
-    key, digest = new_key()
-    scraper, scraper_digest = new_key()
-    (tmp_path / "api_keys").write_text(f"test engineer {digest}\nprometheus monitor {scraper_digest}\n")
-    environment = dict(OURS["residuum"]["environment"])
-    environment |= {"RESIDUUM_SETTINGS": str(tmp_path / "settings.yaml"), "RESIDUUM_API_KEYS": str(tmp_path / "api_keys")}
+    key = first_start(tmp_path / "keys")
+    environment = {name: value.replace(KEYS, str(tmp_path / "keys")) for name, value in OURS["residuum"]["environment"].items()}
     environment |= {
+        "RESIDUUM_SETTINGS": str(tmp_path / "settings.yaml"),
         "RESIDUUM_DATA": str(tmp_path / "data"),
         "RESIDUUM_DATABASE": "",
         "RESIDUUM_MQTT": "",
@@ -88,14 +88,14 @@ def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_pa
     }
     processes = [
         subprocess.Popen(on_this_machine(service["command"], ports, group), env=environment, stdout=subprocess.DEVNULL)
-        for service in OURS.values()
+        for service in LASTING.values()
     ]
     try:
         sources = wait_for_sources(f"http://127.0.0.1:{ports['8000']}/api/v1/status", key)
         assert len(sources) == 4
         assert all(source["samples"] > 0 for source in sources.values())
         assert all(process.poll() is None for process in processes)
-        assert "residuum_source{" in scrape(f"http://127.0.0.1:{ports['8000']}", scraper)
+        assert "residuum_source{" in scrape(f"http://127.0.0.1:{ports['8000']}", tmp_path / "keys")
     finally:
         for process in processes:
             process.terminate()
@@ -103,12 +103,44 @@ def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_pa
     assert set(status) <= {0, -15}
 
 
-def scrape(service, key):
-    """What Prometheus gets by its settings, with this key in the file that they name."""
+def keys_container(folder):
+    """What the container with the keys says, with its volume in this folder."""
+    words = [word.replace(KEYS, str(folder)) for word in OURS["keys"]["command"]]
+    command = [sys.executable, "-c", "from residuum.service.cli import main; main()", *words[1:]]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout
+
+
+def first_start(folder):
+    """The key that the first start shows."""
+    (key,) = re.findall(r"^ {4}(\S+)$", keys_container(folder), re.MULTILINE)
+    return key
+
+
+def test_keys_are_made_at_the_first_start_and_shown_once(tmp_path):
+    key = first_start(tmp_path / "keys")
+    files = {file.name: file.read_text() for file in (tmp_path / "keys").iterdir()}
+    assert set(files) == {"api_keys", "metrics_key"} and key not in "".join(files.values())
+    assert "none was made" in (again := keys_container(tmp_path / "keys")) and key not in again
+    assert {file.name: file.read_text() for file in (tmp_path / "keys").iterdir()} == files
+    known = ApiKeys(tmp_path / "keys" / "api_keys")
+    assert known.caller(key).role is Role.ENGINEER and known.caller(files["metrics_key"]).role is Role.MONITOR
+
+
+def test_the_stack_finds_the_keys_where_they_are_made():
+    assert OURS["keys"]["command"][-1] == KEYS and f"keys:{KEYS}" in OURS["keys"]["volumes"]
+    assert OURS["residuum"]["environment"]["RESIDUUM_API_KEYS"] == f"{KEYS}/api_keys"
+    assert OURS["residuum"]["depends_on"]["keys"] == {"condition": "service_completed_successfully"}
+    for reader in ("residuum", "prometheus"):
+        assert f"keys:{KEYS}:ro" in COMPOSE["services"][reader]["volumes"]
+    assert f"-o residuum /var/lib/residuum {KEYS}" in (ROOT / "Dockerfile").read_text()  # whose volume it is when it is new
+
+
+def scrape(service, keys):
+    """What Prometheus gets by its settings, with the volume of the keys in this folder."""
     (job,) = yaml.safe_load((ROOT / "deploy" / "prometheus.yml").read_text())["scrape_configs"]
     name, port = job["static_configs"][0]["targets"][0].split(":")
     assert name in OURS and port in OURS[name]["command"]
-    assert Path(job["authorization"]["credentials_file"]).name in COMPOSE["services"]["prometheus"]["secrets"]
+    key = Path(job["authorization"]["credentials_file"].replace(KEYS, str(keys))).read_text()
     headers = {"Authorization": f"{job['authorization']['type']} {key}"}
     with urllib.request.urlopen(urllib.request.Request(service + job["metrics_path"], headers=headers), timeout=30) as answer:
         return answer.read().decode()

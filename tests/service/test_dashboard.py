@@ -8,7 +8,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from residuum.service.metrics import Metrics
 
-DASHBOARD = json.loads((Path(__file__).parents[2] / "deploy" / "grafana" / "residuum.json").read_text())
+DASHBOARD = json.loads((Path(__file__).parents[2] / "deploy" / "grafana" / "dashboards" / "service.json").read_text())
 STATUS = {
     "sources": {"press can": {"samples_per_second": 1.0, "counters": {"lost": 0}}},
     "machines": {"press": {"windows_waiting": 0, "windows_dropped": 0, "scoring_errors": 0}},

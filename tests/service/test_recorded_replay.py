@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from residuum.identification.record_formats import write_record
-from residuum.service.fieldbus.can import open_bus
+from residuum.service.fieldbus.can_bus import open_bus
 from residuum.service.fieldbus.register_trace import read_trace
 from residuum.service.fieldbus.replay import read_can_log, replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings

@@ -44,6 +44,12 @@ def test_a_damaged_bearing_is_heard_in_q3_then_in_q4():
     assert q4 > 1.3 * max(q1, q2)
 
 
+def test_another_pliers_damage_is_heard_a_quadrant_earlier():
+    healthy = np.array(quadrant_rms(pliers().simulate(60.0)))
+    grown = np.array(quadrant_rms(pliers(faults={"plier-bearing": None}, damaged_plier=2).simulate(60.0))) / healthy
+    assert list(np.argsort(grown)[::-1][:2]) == [1, 2]
+
+
 def test_indicators_are_of_the_size_that_the_bench_had():
     kurtosis, rms = [], []
     for faults in ({}, {"plier-bearing": None}):

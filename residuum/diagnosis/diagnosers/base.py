@@ -54,6 +54,10 @@ class Diagnoser(ABC):
     channels: ClassVar[Sequence[Channel]]
     classes: ClassVar[Sequence[str]]
     methods: ClassVar[Sequence[str]] = ("default",)
+    views: ClassVar[Sequence[str]] = ()
+    """Pictures that not every diagnoser has: of a window (`residual`, `decision-regions`) or of its machine (`tracks`)."""
+    quick: ClassVar[bool] = False
+    """Whether some thousand samples are judged within milliseconds, whatever they hold."""
     method: str = "default"
     """Which of `methods` decides the verdict; findings of a diagnoser with two hold what both say."""
 
@@ -64,6 +68,9 @@ class Diagnoser(ABC):
     @abstractmethod
     def score(self, record: Record) -> Finding:
         """Judge one window."""
+
+    def refuse_learning(self, healthy: Sequence[Record]) -> None:  # noqa: B027 - most have nothing to refuse
+        """Raise BadInput where something that is not healthy is probable in windows from which limits are to be learned anew."""
 
     def relearned(self, healthy: Sequence[Record]) -> Self:
         """A diagnoser of the same settings whose limits come from these healthy records; this one stays as it is.
@@ -104,10 +111,11 @@ class Diagnoser(ABC):
         return {}
 
     def describe(self) -> Mapping[str, object]:
-        """What the interface shows of this diagnoser: name, channels with units, classes."""
+        """What the interface shows of this diagnoser: name, channels with units, classes, methods, pictures of its own."""
         return {
             "name": self.name,
             "channels": [vars(channel) for channel in self.channels],
             "classes": list(self.classes),
             "methods": list(self.methods),
+            "views": list(self.views),
         }

@@ -31,7 +31,7 @@ from residuum.identification.units import compatible, convert
 
 Array = npt.NDArray[Any]
 SHAPE = ("rms", "kurtosis", "crest")
-PROMINENT = 6.0  # healthy records, real and made, stay below 5.3; see docs/vibration.md
+PROMINENT = 6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
 PROMINENT_BESIDE_A_CHANGE = 4.5
 PROMINENT_WITHOUT_A_CHANGE = 7.5  # one healthy second of a real rig reaches 6.1 while every level stays as it was
 DEPTH = 0.08  # a line family that modulates the envelope by less is no fault yet, however significant
@@ -97,6 +97,7 @@ class Bearing(Diagnoser):
     """
 
     name: ClassVar[str] = "bearing"
+    quick: ClassVar[bool] = True
     channels: ClassVar[Sequence[Channel]] = (
         Channel("acceleration", "m/s²", "vibration of the bearing's housing; any name"),
         Channel("speed", "rpm", "shaft speed", required=False),
@@ -151,19 +152,9 @@ class Bearing(Diagnoser):
 
         Raises NotIdentifiable when they hold fewer than 4 windows, BadInput when they differ in rate or cannot be used.
         """
-        if labels is not None and len(labels) != len(records):
-            raise BadInput(f"bearing: {len(records)} records but {len(labels)} labels; must be one each")
-        healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
-        rates = {round(record.sampling_rate, 3) for record in healthy}
-        if len(rates) != 1:
-            raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate")
-        healthy = [block for record in healthy for block in blocks_of(record)]
-        signals = [self._acceleration(record)[0] for record in healthy]
-        for record, x in zip(healthy, signals, strict=True):
-            if reason := unusable(x, _SHORTEST):
-                raise BadInput(f"bearing: record {record.source!r} cannot be trained on: {reason}")
+        healthy = _healthy(records, labels)
         rate, frequencies = healthy[0].sampling_rate, self._frequencies(healthy[0])
-        signals = [without_knocks(x, rate, _slowest(frequencies))[0] for x in signals]
+        signals = [without_knocks(self._trainable(record), rate, _slowest(frequencies))[0] for record in healthy]
         window = min(_WINDOW, *(record.duration for record in healthy))
         edges = octave_edges(rate, window)
         parts = [part for x in signals for part in _windows(x, rate, window)]
@@ -171,12 +162,16 @@ class Bearing(Diagnoser):
             raise NotIdentifiable(f"bearing: {len(parts)} healthy windows of {window:g} s; at least {_FEWEST_WINDOWS} are needed")
         shape = HealthyBand.of([_shape(part) for part in parts])
         bands = HealthyBand.of([octave_rms(part, rate, edges) for part in parts])
-        found = [line_evidence(part, rate, frequencies) for part in (*parts, *signals)] if frequencies else []
-        lines = {
-            name: max(evidence[name].prominence for evidence in found if name in evidence) for name in sorted(set().union(*found))
-        }
+        lines = _healthy_prominence([*parts, *signals], rate, frequencies) if frequencies else {}
         self._baseline = _Baseline(rate, window, shape, edges, bands, lines)
         return self
+
+    def _trainable(self, record: Record) -> Array:
+        """The acceleration of a record that may be trained on; BadInput says why another may not."""
+        x, _ = self._acceleration(record)
+        if reason := unusable(x, _SHORTEST):
+            raise BadInput(f"bearing: record {record.source!r} cannot be trained on: {reason}")
+        return x
 
     def score(self, record: Record) -> Finding:
         """Judge one record: its fault lines over the whole of it, its indicators as medians over windows.
@@ -369,6 +364,24 @@ class _Measured:
         usable = baseline.edges[1:] <= top * (1 + 1e-6) if not comparable else np.ones(bands.shape, dtype=bool)
         names = _band_names(baseline.edges)
         return cls(shape, {name: float(value) for name, value, use in zip(names, bands, usable, strict=True) if use}, comparable)
+
+
+def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Record]:
+    """The healthy ones of the records, long ones in blocks; BadInput when they differ in rate."""
+    if labels is not None and len(labels) != len(records):
+        raise BadInput(f"bearing: {len(records)} records but {len(labels)} labels; must be one each")
+    healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
+    rates = {round(record.sampling_rate, 3) for record in healthy}
+    if len(rates) != 1:
+        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate")
+    return [block for record in healthy for block in blocks_of(record)]
+
+
+def _healthy_prominence(parts: list[Array], rate: float, frequencies: BearingFrequencies) -> dict[str, float]:
+    """How prominent each line family is in healthy signals anyway: the largest over them."""
+    found = [line_evidence(part, rate, frequencies) for part in parts]
+    names = sorted(set().union(*found))
+    return {name: max(evidence[name].prominence for evidence in found if name in evidence) for name in names}
 
 
 def _windows(x: Array, rate: float, window: float) -> list[Array]:

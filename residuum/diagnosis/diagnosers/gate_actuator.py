@@ -48,12 +48,12 @@ class GateActuator(Diagnoser):
     class.
 
     A movement that was cut short, stopped, pushed, or ran through a supply sag is `not-assessable`, named in
-    `evidence["event"]`. docs/gate_actuator.md has what was measured on exemplars never seen. Fails when the fault lies
+    `evidence["event"]`. On exemplars never seen: benchmarks/results/gate_actuator.md. Fails when the fault lies
     where the gate only ramps (its first and last decimetres); a notch hides in the tooth errors of a gear that was never
     seen healthy.
 
     With `method` "source" the source's path decides: the support vector machine on F₁ and F₂ of the residual's envelope. Every
-    finding holds what both say; docs/gate_actuator.md has the measurement that makes the other one the default.
+    finding holds what both say; benchmarks/results/gate_actuator.md has the measurement that makes the other one the default.
 
     Parameters
     ----------
@@ -74,6 +74,7 @@ class GateActuator(Diagnoser):
     )
     classes: ClassVar[Sequence[str]] = (PINION_OR_GEAR, RACK, UNKNOWN)
     methods: ClassVar[Sequence[str]] = ("default", "source")
+    views: ClassVar[Sequence[str]] = ("decision-regions",)
 
     def __init__(self, *, constants: ActuatorConstants | None = None) -> None:
         self.constants = constants or ActuatorConstants()

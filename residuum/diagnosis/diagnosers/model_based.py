@@ -13,6 +13,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.diagnosis.model_based.assessment import assess, missing_physics
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.detection import rate_alone
+from residuum.diagnosis.model_based.recalibration import refuse_recalibration
 from residuum.diagnosis.model_based.training import train
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
@@ -35,6 +36,7 @@ class ModelBased(Diagnoser):
     """
 
     name: ClassVar[str] = "model-based"
+    views: ClassVar[Sequence[str]] = ("tracks",)
     channels: ClassVar[Sequence[Channel]] = (
         Channel("inputs", "", "every input of the model, by its name there (unit: the model's)"),
         Channel("outputs", "", "every output of the model that was recorded, by its name there"),
@@ -80,6 +82,15 @@ class ModelBased(Diagnoser):
     def score(self, record: Record) -> Finding:
         """Judge one window."""
         return assess(self.name, self.baseline, record, self.false_alarms_per_day)
+
+    def refuse_learning(self, healthy: Sequence[Record]) -> None:
+        """Raise NothingLearned where a sensor's fault or a new effect is probable in the windows, taken together."""
+        refuse_recalibration(self.baseline, healthy)
+
+    def relearned(self, healthy: Sequence[Record]) -> Self:
+        """The same model learned anew from these windows; NothingLearned where a fault is probable in them."""
+        self.refuse_learning(healthy)
+        return super().relearned(healthy)
 
     def with_settings(self, **settings: object) -> Self:
         """The same baseline at another rate of false alarms."""

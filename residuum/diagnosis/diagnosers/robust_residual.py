@@ -16,7 +16,6 @@ from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS
 from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals
-from residuum.diagnosis.systems.state_space import FloatArray
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
 from residuum.diagnosis.thresholds.threshold import bounds, source_threshold
@@ -25,12 +24,11 @@ from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
+from residuum.identification.linear_models.state_space import FloatArray
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
 
 FALSE_ALARMS_PER_DAY = 0.1
-STRUCTURED_P = 1e-3
-WEIGHT_ORDER = 2  # of W_T, as in the source
 _SHORTEST_ORDER, _LONGEST_ORDER = 100, 400
 _MARGIN = 1.5  # over the largest healthy peak when there are too few to extrapolate from
 _FEWEST_JUDGED = 50  # samples beyond the model's memory that a window must have
@@ -65,6 +63,7 @@ class RobustResidual(Diagnoser):
     )
     classes: ClassVar[Sequence[str]] = ("healthy", *FAULT_KINDS, "stuck-sensor", "plant-change")
     methods: ClassVar[Sequence[str]] = ("default", "source")
+    views: ClassVar[Sequence[str]] = ("residual",)
 
     def __init__(
         self,
@@ -115,7 +114,7 @@ class RobustResidual(Diagnoser):
         self._design, self._generator = design, design.generator
         rate = alarms_per_sample(self.false_alarms_per_day, design.model.sample_time)
         self._threshold = design.bank_threshold(rate)
-        if design.structured_p < STRUCTURED_P:
+        if design.has_structured_error:
             self._threshold = max(self._threshold, _widened(design, rate))
         return self
 
@@ -197,7 +196,7 @@ class RobustResidual(Diagnoser):
         evidence: dict[str, Any] = {
             "judged_samples": int(signals.valid.sum()),
             "false_alarms_per_day": self.false_alarms_per_day,
-            "model_explains_healthy_data": self.design.structured_p >= STRUCTURED_P,
+            "model_explains_healthy_data": not self.design.has_structured_error,
         }
         if alarm is not None:
             evidence["first_alarm_time"] = float(record.time[alarm])
@@ -213,7 +212,7 @@ class RobustResidual(Diagnoser):
 
     def _reason(self, test: ThresholdTest, evidence: dict[str, Any], estimate: FaultEstimate | None) -> str:
         compared = (
-            f"the residual stands {test.largest:.1f} standard deviations out (limit {test.threshold:.1f})"
+            f"the residual reaches {test.largest:.2f} standard deviations (limit {test.threshold:.2f})"
             if self.method == "default"
             else f"the post-filtered residual reaches {test.largest:.3g} {test.unit} (automatic threshold {test.threshold:.3g})"
         )
@@ -221,8 +220,8 @@ class RobustResidual(Diagnoser):
         if not evidence["model_explains_healthy_data"] and self.method == "default":
             said += (
                 f"; the healthy records already carry structured error (p = {self.design.structured_p:.1g}), "
-                "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve` and "
-                "train on what the improved model's prediction leaves over to see smaller faults"
+                "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve`, "
+                "and train `model-based` with the improved model to see smaller faults"
             )
         return said
 
@@ -311,7 +310,7 @@ def _has_died_out(model: IdentifiedModel) -> bool:
 def _describe(estimate: FaultEstimate, evidence: dict[str, Any]) -> str:
     when = f"since {evidence['fault']['onset_time']:.6g} s"
     if evidence["fault"]["present_from_the_start"]:
-        when = "since before this window"
+        when = "since before the window began"
     if estimate.kind == "stuck-sensor":
         return f"the sensor has not moved {when}"
     if estimate.kind == "plant-change":

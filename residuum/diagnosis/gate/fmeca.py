@@ -12,6 +12,8 @@ import yaml
 
 from residuum.identification.errors import BadInput
 
+MACHINE = "gate-actuator"
+"""Whose failure modes the file beside this holds."""
 PROBABILITIES = {"A": "probable", "B": "remote", "C": "extremely remote", "D": "extremely improbable"}
 SEVERITIES = {"I": "catastrophic", "II": "hazardous", "III": "major", "IV": "minor"}
 GATE = Path(__file__).parent / "gate_fmeca.yaml"

@@ -30,7 +30,7 @@ GEAR, PINION = "gear", "pinion"
 NOTCH = "notch_match"
 _OF_EVERY_TURN = (NOTCH, "high_crest", "periodic_pulse")
 _OF_CONTACT_LOSS = _FIXED_IN_A_GEAR = ("high_crest", "periodic_pulse")
-# Chosen on 1500 healthy gears and some with default faults, none of which is judged in docs/gate_actuator.md: by their
+# Chosen on 1500 healthy gears and some with default faults, none of them in benchmarks/results/gate_actuator.md: by their
 # exponential tails 3 in 100 000 healthy movements pass each of these limits, and 1 in 10 000 gears looks like a notch. The
 # largest of the 1500 were 5.0, 17.9 and 7.6; a missing pinion tooth has a periodic pulse of 50 and more, a missing rack tooth
 # a single one of 17 and more, so that strict limits cost nothing.

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import beta
 from sklearn.base import BaseEstimator, clone
-from sklearn.metrics import confusion_matrix
 from sklearn.model_selection import LeaveOneGroupOut, StratifiedKFold, cross_val_predict
 
 from residuum.identification.errors import BadInput
@@ -46,7 +45,8 @@ class Validation:
 
     def confusion(self, labels: Sequence[str]) -> npt.NDArray[np.int_]:
         """Counts, rows predicted and columns true (as the source's Table 7), in the order of `labels`."""
-        return np.asarray(confusion_matrix(self.truth, self.predicted, labels=list(labels))).T
+        rows = [[int(np.sum((self.predicted == said) & (self.truth == true))) for true in labels] for said in labels]
+        return np.asarray(rows, dtype=int)
 
     def interval(
         self, score: Callable[[Labels, Labels], float], confidence: float = 0.95, repeats: int = 1000, seed: int = 0

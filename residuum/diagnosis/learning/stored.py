@@ -7,6 +7,7 @@ import json
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +18,16 @@ import numpy.typing as npt
 import skops.io
 
 from residuum.identification.errors import BadInput
+from residuum.identification.npy_header import npy_header
 
 _FORMAT = "residuum-diagnoser"
 _HEADER = "header.json"
 _LARGEST = 1 << 30  # bytes unpacked; a stored diagnoser is kilobytes, so more is a damaged or hostile file
 _READABLE = "fiub?"
+_UNREADABLE = (
+    zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, RuntimeError, NotImplementedError,
+)  # fmt: skip
+"""What reading a file that is none of ours may raise: encrypted and unknown compression too."""
 
 
 @dataclass(frozen=True)
@@ -111,10 +117,20 @@ def load_stored(path: str | Path, kind: str) -> Stored:
             if sum(info.file_size for info in archive.infolist()) > _LARGEST:
                 raise BadInput(f"{path}: unpacks to more than {_LARGEST >> 20} MiB; is not a stored diagnoser")
             return _read(archive, str(path), kind)
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, EOFError, OSError) as error:
+    except _UNREADABLE as error:
         if isinstance(error, BadInput):
             raise
         raise BadInput(f"{path}: is not a stored diagnoser: {' '.join(str(error).split())[:120]}") from None
+
+
+def stored_kind(path: str | Path) -> str | None:
+    """The kind of a file that `save_stored` wrote; None for any other file."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            header = json.loads(archive.read(_HEADER))
+    except _UNREADABLE:
+        return None
+    return str(header.get("kind")) if isinstance(header, dict) and header.get("format") == _FORMAT else None
 
 
 def _read(archive: zipfile.ZipFile, path: str, kind: str) -> Stored:
@@ -141,13 +157,10 @@ def _to_npy(array: npt.ArrayLike) -> bytes:
 
 def _from_npy(data: bytes, where: str) -> npt.NDArray[Any]:
     """The array in `data`; its header is held against the bytes there are before anything is allocated."""
-    buffer = io.BytesIO(data)
-    if np.lib.format.read_magic(buffer) != (1, 0):
-        raise BadInput(f"{where}: is not a version 1.0 .npy member")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(buffer)
-    if dtype.kind not in _READABLE or fortran or int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - buffer.tell():
-        raise BadInput(f"{where}: header says {dtype} {shape}, which the member does not hold")
-    return np.frombuffer(data, dtype, offset=buffer.tell()).reshape(shape).copy()
+    header = npy_header(data)
+    if header.dtype.kind not in _READABLE or header.fortran_order or header.size != len(data) - header.start:
+        raise BadInput(f"{where}: header says {header.dtype} {header.shape}, which the member does not hold")
+    return np.frombuffer(data, header.dtype, offset=header.start).reshape(header.shape).copy()
 
 
 def _estimator(data: bytes, where: str) -> Any:

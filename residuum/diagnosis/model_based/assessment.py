@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,11 +12,12 @@ import numpy.typing as npt
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.causes import Cause, causes, stuck_at
-from residuum.diagnosis.model_based.detection import deviations, rate_alone
+from residuum.diagnosis.model_based.detection import rate_alone
+from residuum.diagnosis.model_based.filtered_window import Filtered
 from residuum.diagnosis.model_based.healthy_scatter import joint_values
 from residuum.diagnosis.model_based.hypotheses import slopes_of
-from residuum.diagnosis.model_based.sizes import Window, whitened
-from residuum.diagnosis.model_based.window_statistics import statistics
+from residuum.diagnosis.model_based.sizes import Window
+from residuum.diagnosis.model_based.window_statistics import sums_of, whitened
 from residuum.diagnosis.model_based.wording import said
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.blas_threads import one_thread
@@ -32,6 +34,8 @@ _EXCITED = 0.03
 """Share of a healthy window's information on some parameter that a window needs."""
 _FLAT = 0.05
 """Share of a healthy window's smallest span under which an output is taken to stand."""
+_MOVED, _NEAR = 3, 1.0
+"""Times that a window is followed anew with the values that it tells, and standard deviations within which it is not."""
 _FOLLOWED = 0.3
 """Share of a window's readings that the filter must have followed."""
 
@@ -48,7 +52,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
     limit = baseline.calibration.limit(false_alarms_per_day, baseline.usual.seconds)
-    each = deviations(window.judged, baseline.groups, baseline.calibration.inflation * novelty(baseline, window))
+    each = deviations(baseline, window)
     energies = baseline.energies.deviations(window.sums)
     standing = _standing(baseline, window)
     largest = max(float(np.max(each)), float(np.max(energies)), 0.0 if standing is None else 2.0 * limit)
@@ -56,7 +60,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         return Finding.not_assessable(name, "the machine stands still or hardly moves: nothing can be compared with the model")
     faulty = largest > limit
     found = causes(baseline, window) if faulty else []
-    told = [_told(baseline, record, cause) for cause in found]
+    told = [_told(baseline, window, record, cause) for cause in found]
     evidence: dict[str, Any] = {
         "causes": told,
         "parameters": parameters(baseline, window),
@@ -75,18 +79,28 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
 def followed(baseline: Baseline, record: Record) -> Window:
     """The window in the baseline's terms; NotAssessable when it cannot be judged, BadRecord when a channel is absent."""
     experiment = _experiment(baseline, record)
-    tracking = baseline.tracking
-    filtered = tracking.run(experiment)
+    tracking, conditions = baseline.tracking, baseline.beside.conditions(record)
+    values, moved = baseline.usual_values(conditions)
+    filtered = tracking.run(experiment, values)
+    if not filtered.follows:
+        values, moved = dict(tracking.model.values), np.zeros_like(moved)
+        filtered = tracking.run(experiment, values)
     if not filtered.follows:
         raise NotAssessable("the model's filter cannot follow the window: it diverges")
     if filtered.judged_share < _FOLLOWED:
         raise NotAssessable("the model's filter loses the machine at standstill for most of the window")
+    return _judged(baseline, filtered, conditions, values, moved)
+
+
+def _judged(baseline: Baseline, filtered: Filtered, conditions: Array, values: Mapping[str, float], moved: Array) -> Window:
+    """The window along a track that was followed with these values, `moved` in size from the model's."""
+    tracking, scatter = baseline.tracking, baseline.scatter
     signals = baseline.signals.of(filtered, tracking.states(filtered))
     slopes = slopes_of(filtered, tracking, baseline.hypotheses, signals)
-    sums = statistics(filtered, slopes, baseline.colours)
-    rows = whitened(filtered, filtered.normalised, list(baseline.colours))
-    white = whitened(filtered, slopes, list(baseline.colours))
-    return Window(filtered, slopes, rows, white, sums, baseline.scatter.judged(sums), baseline.scatter.weights(sums))
+    rows = whitened(filtered, filtered.normalised, baseline.colours)
+    white = whitened(filtered, slopes, baseline.colours)
+    sums, mean = sums_of(filtered, rows, white, conditions), scatter.mean(conditions) - moved / scatter.scale
+    return Window(filtered, signals, rows, white, sums, scatter.judged(sums, mean), scatter.weights(sums), mean, values)
 
 
 def _experiment(baseline: Baseline, record: Record) -> Experiment:
@@ -135,32 +149,54 @@ def not_excited(baseline: Baseline, window: Window) -> bool:
     return bool(np.max(told) < _EXCITED)
 
 
-def novelty(baseline: Baseline, window: Window) -> Array:
-    """How much more a window tells of each hypothesis than any healthy one did, shape (hypotheses,), at least 1.
-
-    What no healthy window could show, none has vouched for: its scatter is taken to be as much larger.
-    """
-    ratio = np.diag(window.sums.A) / np.maximum(baseline.usual.shown, 1e-300)
-    return np.array([max(1.0, float(np.max(ratio[list(g.sizes)]))) for g in baseline.groups])
+def deviations(baseline: Baseline, window: Window) -> Array:
+    """Each hypothesis' rarity as a normal deviation, shape (hypotheses,)."""
+    return baseline.calibration.deviations(window.judged, np.diag(window.sums.A), baseline.groups)
 
 
 def parameters(baseline: Baseline, window: Window) -> dict[str, Any]:
-    """Every value as this window tells it, all at once, with its healthy band."""
+    """Every value as this window tells it, all at once, with its healthy band.
+
+    A window that tells them far from where it was followed is followed anew with what it told: to first order alone a wear would
+    be told the smaller, the further it has gone, and its limit too late.
+    """
+    for _ in range(_MOVED):
+        further = _further(baseline, window)
+        if further is None:
+            break
+        window = further
     shift, std = joint_values(window.judged, baseline.free_sizes)
     model, found = baseline.tracking.model, {}
-    mean = (baseline.scatter.mean * baseline.scatter.scale)[baseline.free_sizes] if baseline.free else np.zeros(0)
+    mean = (window.mean * baseline.scatter.scale)[baseline.free_sizes]
     for k, name in enumerate(baseline.free):
         at = model.values[name]
         found[name] = {
-            "value": at + mean[k] + shift[k],
+            "value": window.values[name] + mean[k] + shift[k],
             "std": std[k],
             "unit": model.all_parameters[name].unit,
             "healthy": {
-                "low": at + mean[k] + baseline.usual.together_low[k],
-                "high": at + mean[k] + baseline.usual.together_high[k],
+                "low": at + baseline.usual.together_low[k],
+                "high": at + baseline.usual.together_high[k],
             },
         }
     return found
+
+
+def _further(baseline: Baseline, window: Window) -> Window | None:
+    """The window followed with the values that it tells; None where these are near enough, or the filter cannot follow."""
+    at, scatter, model = baseline.free_sizes, baseline.scatter, baseline.tracking.model
+    shift, std = joint_values(window.judged, at)
+    here = np.array([window.values[name] for name in baseline.free])
+    told = here + (window.mean * scatter.scale)[at] + shift
+    if np.all(np.abs(told - here) <= _NEAR * std):
+        return None
+    known = [model.all_parameters[name] for name in baseline.free]
+    there = np.clip(told, [p.lower for p in known], [p.upper for p in known])
+    values = {**window.values, **dict(zip(baseline.free, there.tolist(), strict=True))}
+    filtered = baseline.tracking.run(window.filtered.experiment, values)
+    moved = np.zeros(len(scatter.scale))
+    moved[at] = there - [model.values[name] for name in baseline.free]
+    return _judged(baseline, filtered, window.sums.conditions, values, moved) if filtered.follows else None
 
 
 def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
@@ -174,15 +210,17 @@ def missing_physics(baseline: Baseline) -> list[dict[str, Any]]:
     return found
 
 
-def _told(baseline: Baseline, record: Record, cause: Cause) -> dict[str, Any]:
-    """A cause as the interface gives it."""
+def _told(baseline: Baseline, window: Window, record: Record, cause: Cause) -> dict[str, Any]:
+    """A cause as the interface gives it: its size is the usual one, which need not be the model's, and the change beyond it."""
     value, low, high = cause.value, None, None
     if cause.size is not None and value is not None:
         low, high = float(baseline.usual.low[cause.size]), float(baseline.usual.high[cause.size])
+        value += float(window.mean[cause.size] * baseline.scatter.scale[cause.size])
         acts_on = cause.columns[0].acts_on
         if acts_on.startswith("parameter:"):
-            now = baseline.tracking.model.values[acts_on.removeprefix("parameter:")]
-            value, low, high = now + value, now + low, now + high
+            name = acts_on.removeprefix("parameter:")
+            now = baseline.tracking.model.values[name]
+            value, low, high = window.values[name] + value, now + low, now + high
     onset = record.t0 + cause.onset * record.sample_time
     since = f" since {onset:.6g} s" if cause.onset else ""
     size: dict[str, Any] | None = None

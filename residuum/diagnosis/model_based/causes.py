@@ -16,8 +16,10 @@ import numpy.typing as npt
 
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.detection import chi_square, log_energy
+from residuum.diagnosis.model_based.filter_causes import filter_causes
 from residuum.diagnosis.model_based.hypotheses import Column, Hypothesis
-from residuum.diagnosis.model_based.reading_faults import Run, lost_readings, stuck
+from residuum.diagnosis.model_based.reading_faults import Run, lost_readings, stands, stuck
+from residuum.diagnosis.model_based.settled_sizes import settled
 from residuum.diagnosis.model_based.sizes import Sized, Window, refined, with_onset
 
 Array = npt.NDArray[np.float64]
@@ -31,17 +33,21 @@ _NEAR = 0.5
 """Share of the largest first-order rise from which on a hypothesis is re-estimated."""
 TOLD_APART = 3.0
 """Log-likelihood by which one must lie ahead of another to be told from it: a factor of twenty."""
+_OF_EVIDENCE = 0.02
+"""… and by this share of its own: no model is exact, and what a large change leaves over decides between causes at random."""
 _OF_NOISE = 0.5
 """Share of the samples that a growth of noise is told by: what has any structure is told by its structure."""
 _EXPLAINED = 0.7
 """Share of what all sizes together explain with which a single cause is preferred to an unknown one: no model is exact."""
+_BY_CHANCE = 4.0
+"""Standard deviations of chance that the energy which the first cause leaves over must pass, to be more than that."""
 _BEYOND = 3.0
 """Half-widths of a bound by which a size may lie outside before the hypothesis is dropped, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One hypothesis with its probability, its size (its first column's), and what it cannot be told from."""
+    """One hypothesis with its probability, its size (its first column's; `sizes` are all), and what it cannot be told from."""
 
     kind: str
     name: str
@@ -55,6 +61,7 @@ class Cause:
     probability: float = 0.0
     alike: tuple[str, ...] = ()
     columns: tuple[Column, ...] = field(default=())
+    sizes: tuple[float, ...] = ()
 
     @property
     def label(self) -> str:
@@ -65,7 +72,41 @@ class Cause:
 def causes(baseline: Baseline, window: Window) -> list[Cause]:
     """All causes that come near, the likeliest first, with those that none can be told from named."""
     found = [*_from_readings(baseline, window), *_from_sizes(baseline, window), _unknown(baseline, window)]
-    return _posterior(found, baseline)
+    ranked = _posterior(found, baseline)
+    if ranked and _asks_the_filter(baseline, window, ranked[0]):
+        found = [cause for cause in found if (cause.kind, cause.name) != ("sensor", "noise")]
+        ranked = _posterior([*found, *_from_filters(baseline, window)], baseline)
+    first = {ranked[0].label, *ranked[0].alike} if ranked else set()
+    return [_settled(baseline, window, cause) if cause.label in first else cause for cause in ranked]
+
+
+def _asks_the_filter(baseline: Baseline, window: Window, first: Cause) -> bool:
+    """Whether no structure explains the window: then noise, a random load and a second body are given filters of their own."""
+    if first.kind == "unknown" or (first.kind, first.name) == ("sensor", "noise"):
+        return True
+    usual = 0.5 * float(np.sum(window.sums.count * np.exp(baseline.energies.mean)))
+    beyond = -window.likelihood(window.rows, baseline.scatter.scale) - usual
+    by_chance = _BY_CHANCE * float(np.sqrt(0.5 * _samples(window)))
+    return first.value is not None and beyond - first.evidence > max((1.0 - _EXPLAINED) * beyond, by_chance)
+
+
+def _from_filters(baseline: Baseline, window: Window) -> list[Cause]:
+    penalty = 0.5 * np.log(max(_samples(window), 2.0))
+    return [
+        Cause(c.kind, c.name, c.place, c.gain - penalty * c.sizes, c.value, c.std, c.unit)
+        for c in filter_causes(baseline, window)
+    ]
+
+
+def _settled(baseline: Baseline, window: Window, cause: Cause) -> Cause:
+    """The cause with its size told where it is; as it was where it has none, or where the filter cannot follow it there."""
+    if cause.size is None:
+        return cause
+    h = next(h for h, g in zip(baseline.hypotheses, baseline.groups, strict=True) if g.sizes[0] == cause.size)
+    found = settled(baseline, window, h, np.array(cause.sizes), cause.onset)
+    if found is None:
+        return cause
+    return replace(cause, value=float(found[0][0]), std=float(found[1][0]), sizes=tuple(found[0].tolist()))
 
 
 def _samples(window: Window) -> float:
@@ -85,23 +126,22 @@ def _from_sizes(baseline: Baseline, window: Window) -> list[Cause]:
         size = refined(baseline, window, h, group.sizes, steps=4 if rank < refined_first else 0)
         if rank < refined_first:
             size = with_onset(baseline, window, h, size)
-        if _possible(baseline, h, size):
+        if _possible(window, h, size):
             found.append(_cause(h, size, group.sizes[0], size.gain - penalty * len(group.sizes)))
     return found
 
 
 def _cause(h: Hypothesis, s: Sized, size: int, evidence: float) -> Cause:
-    return Cause(
-        h.kind, h.name, h.place, evidence, float(s.value[0]), float(s.std[0]), h.columns[0].unit, s.onset, size, columns=h.columns
-    )
+    value, std, sizes = float(s.value[0]), float(s.std[0]), tuple(s.value.tolist())
+    return Cause(h.kind, h.name, h.place, evidence, value, std, h.columns[0].unit, s.onset, size, columns=h.columns, sizes=sizes)
 
 
-def _possible(baseline: Baseline, h: Hypothesis, s: Sized) -> bool:
+def _possible(window: Window, h: Hypothesis, s: Sized) -> bool:
     """Within its bounds, or not clearly outside: a friction that drives is none."""
     for column, value, std in zip(h.columns, s.value, s.std, strict=True):
         now = 0.0
         if column.acts_on.startswith("parameter:"):
-            now = baseline.tracking.model.values[column.acts_on.removeprefix("parameter:")]
+            now = window.values[column.acts_on.removeprefix("parameter:")]
         if not column.lower - _BEYOND * std <= now + value <= column.upper + _BEYOND * std:
             return False
     return True
@@ -138,8 +178,8 @@ def energies_left(baseline: Baseline, window: Window) -> Array:
     """Energy of each output's whitened innovations less what all sizes, weighted by what is usual, explain, shape (outputs,)."""
     scatter = baseline.scatter
     g = (window.white.T @ window.rows) * scatter.scale
-    about = g - (window.sums.A * scatter.scale[:, None] * scatter.scale) @ scatter.mean
-    likely = scatter.mean + window.weights @ about
+    about = g - (window.sums.A * scatter.scale[:, None] * scatter.scale) @ window.mean
+    likely = window.mean + window.weights @ about
     rest = (window.rows - window.white @ (scatter.scale * likely)).reshape(len(baseline.colours), -1)
     return np.asarray(np.sum(rest**2, axis=1))
 
@@ -147,7 +187,10 @@ def energies_left(baseline: Baseline, window: Window) -> Array:
 def stuck_at(baseline: Baseline, window: Window, output: int) -> Run | None:
     """The run in which an output's reading stands although the machine moved; None where it does not."""
     filtered = window.filtered
-    y, expected = filtered.experiment.Y[:, output], without_reading(baseline, window, output)
+    y = filtered.experiment.Y[:, output]
+    if not stands(y, int(baseline.usual.runs[output])):
+        return None
+    expected = without_reading(baseline, window, output)
     noise = float(np.sqrt(np.nanmedian(filtered.V[:, output])))
     floor = max(noise, 0.02 * float(baseline.usual.spans[output]))
     return stuck(y, expected, floor, int(baseline.usual.runs[output]))
@@ -198,8 +241,9 @@ def _posterior(found: Sequence[Cause], baseline: Baseline) -> list[Cause]:
     for key in ranked:
         if key in taken:
             continue
+        apart = max(TOLD_APART, _OF_EVIDENCE * best[key].evidence)
         group = [
-            other for other in ranked if other not in taken and best[key].evidence - best[other].evidence < TOLD_APART
+            other for other in ranked if other not in taken and best[key].evidence - best[other].evidence < apart
             and best[key].kind != "unknown" and (other == key or best[other].kind != "unknown")
         ] or [key]  # fmt: skip
         taken |= set(group)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.physics import Experiment, Noise, PhysicalModel, Simulator
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.model import missing_name
 from residuum.identification.physics.simulate.filter_sensitivities import one_step_slopes
 from residuum.identification.physics.simulate.kalman_recursions import kalman_filter
@@ -24,13 +24,32 @@ _AWAY, _LONG = 5.0, 5
 
 
 @dataclass(frozen=True, eq=False)
+class FilterNoise:
+    """What the filter assumes of chance.
+
+    What a balance lacks is taken to be white, not a walk: a walk would follow every lasting change of the machine, and nothing
+    of it would be left in the innovations.
+
+    Attributes
+    ----------
+    output_variance : array, shape (outputs,)
+        Of each reading.
+    process : array, shape (states, states)
+        Covariance that a sample adds to the states.
+    """
+
+    output_variance: Array
+    process: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Filtered:
     """One window along the filter's track.
 
     Attributes
     ----------
-    before, after : array, shape (n, NZ)
-        States, then walking terms, before and after each sample was used.
+    before, after : array, shape (n, NX)
+        States before and after each sample was used.
     P, F, H, e, V : arrays
         As `kalman_filter` gives them.
     G, C : arrays, shapes (n, NX, columns) and (n, NY, columns)
@@ -51,7 +70,8 @@ class Filtered:
     @property
     def follows(self) -> bool:
         """Whether the filter stayed with the record to its end."""
-        return bool(np.all(np.isfinite(self.V[np.isfinite(self.experiment.Y)])) and np.all(np.isfinite(self.after)))
+        V = self.V[np.isfinite(self.experiment.Y)]
+        return bool(np.all(np.isfinite(V)) and np.all(V > 0.0) and np.all(np.isfinite(self.after)))
 
     @property
     def normalised(self) -> Array:
@@ -87,7 +107,7 @@ class TrackingFilter:
     ----------
     model : PhysicalModel
         With the values that the window is held against.
-    noise : Noise
+    noise : FilterNoise
     scales : array, shape (states,)
         Size of each state: the doubt of its first value.
     substeps : int
@@ -99,7 +119,7 @@ class TrackingFilter:
         `parameter:name` of each parameter of the model, `balance:name` of each balance, `input:name` of each recorded input.
     """
 
-    def __init__(self, model: PhysicalModel, noise: Noise, scales: Array, substeps: int) -> None:
+    def __init__(self, model: PhysicalModel, noise: FilterNoise, scales: Array, substeps: int) -> None:
         self.model, self.noise, self.scales, self.substeps = model, noise, scales, substeps
         open_model, offsets = model, {}
         for name, signal in model.inputs.items():
@@ -112,16 +132,14 @@ class TrackingFilter:
         names |= {f"input:{name}": parameter for name, parameter in offsets.items()}
         self.columns = tuple(names)
         self._slopes = self.simulator.columns(list(names.values()))
-        self.walks = [name for name in model.balances if noise.walk.get(name, 0.0) > 0]
-        self._walking = self.simulator.columns([missing_name(name) for name in self.walks])
-        states = self.simulator.columns([f"initial:{name}" for name in self.simulator.states])
-        self._filtered = np.concatenate([states, self._walking])
+        self._walking = self.simulator.columns([])
+        self._filtered = self.simulator.columns([f"initial:{name}" for name in self.simulator.states])
 
     def with_values(self, values: Mapping[str, float]) -> TrackingFilter:
         """The same filter of the model with other values."""
         return TrackingFilter(self.model.with_values(values), self.noise, self.scales, self.substeps)
 
-    def with_noise(self, noise: Noise) -> TrackingFilter:
+    def with_noise(self, noise: FilterNoise) -> TrackingFilter:
         """The same filter with other noise."""
         return TrackingFilter(self.model, noise, self.scales, self.substeps)
 
@@ -163,11 +181,8 @@ class TrackingFilter:
 
     def _from(self, experiment: Experiment, p: Array) -> tuple[Array, ...]:
         """The filter's arrays from the window's first readings on."""
-        walk = np.array([self.noise.walk[name] for name in self.walks])
-        Ts, duration = experiment.sample_time, experiment.sample_time * experiment.n
-        P0 = np.diag(np.concatenate([self.scales**2, 10.0 * walk * duration]))
-        Q = np.diag(np.concatenate([(_TRACE * self.scales) ** 2, walk * Ts]))
-        z0 = np.concatenate([self.start(experiment), np.zeros(len(walk))])
+        Ts, P0, z0 = experiment.sample_time, np.diag(self.scales**2), self.start(experiment)
+        Q = np.diag((_TRACE * self.scales) ** 2) + self.noise.process
         U, Y = np.ascontiguousarray(experiment.U), np.ascontiguousarray(experiment.Y)
         q, r = self.simulator.kernel.system, self.noise.output_variance
         return tuple(kalman_filter(q, U, Y, p, z0, P0, Q, r, self._filtered, Ts, self.substeps, experiment.hold))

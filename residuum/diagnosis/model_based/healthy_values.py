@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.model_based.filtered_window import Filtered, TrackingFilter, largest_substeps
+from residuum.diagnosis.model_based.filtered_window import Filtered, FilterNoise, TrackingFilter, largest_substeps
+from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.nelder_mead import nelder_mead
-from residuum.identification.physics import Experiment, Noise, PhysicalModel, Simulator
-from residuum.identification.physics.estimate.least_squares import covariance_of, damped, solve_scaled
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.physics.estimation.least_squares import covariance_of, damped, solve_scaled
 from residuum.identification.physics.simulate.filter_sensitivities import innovation_slopes
 from residuum.identification.physics.simulate.kalman import first_noise
 
@@ -23,6 +24,12 @@ _TUNED_ON = 6
 """Windows that the noise is tuned on."""
 _TUNED_SAMPLES = 6000
 _EVALUATIONS = 70
+_STARTING = 1e-3
+"""Process noise of each state a sample that a first track is made with, in its scale."""
+_LACKING = 0.03
+"""Share of a balance's largest term that its noise begins with."""
+_SCATTERED = 0.3
+"""Relative scatter from window to window that values are granted while the noise is tuned."""
 _SETTLED = 0.01
 """Rise of the log-likelihood at which the climb stops."""
 _OPEN = 0.5
@@ -48,21 +55,33 @@ class HealthyValues:
     log_likelihood: float
 
 
-def healthy_values(model: PhysicalModel, experiments: Sequence[Experiment], free: Sequence[str]) -> HealthyValues:
-    """Climb the innovations' likelihood by the values named `free`, in turn with the noise.
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """A window's log-likelihood with its own values integrated out, its normal matrix and gradient by their mean."""
+
+    likelihood: float
+    H: Array
+    g: Array
+
+
+def healthy_values(
+    model: PhysicalModel, experiments: Sequence[Experiment], free: Sequence[str], start: TrackingFilter | None = None
+) -> HealthyValues:
+    """Climb the innovations' likelihood by the values named `free`, in turn with the noise; with a filter to `start` from its
+    noise stays.
 
     Raises
     ------
     NotIdentifiable
         The filter diverges on a window at the values of the file.
     """
-    tracking = _first(model, experiments)
-    noise, best = tracking.noise, -np.inf
-    for _ in range(_ROUNDS):
-        tracking = _rescaled(tracking, experiments)
-        tracking = tracking.with_noise(tuned(tracking, experiments, noise))
+    tracking = _first(model, experiments) if start is None else _like(start, model, experiments)
+    best = -np.inf
+    for _ in range(_ROUNDS if start is None else 1):
+        if start is None:
+            tracking = _rescaled(tracking, experiments)
+            tracking = tracking.with_noise(tuned(tracking, experiments, free))
         tracking, windows, likelihood = _climb(tracking, experiments, free)
-        noise = tracking.noise
         if likelihood < best + 0.5:
             break
         best = likelihood
@@ -96,21 +115,32 @@ def _measured(values: HealthyValues) -> npt.NDArray[np.bool_]:
 
 
 def _first(model: PhysicalModel, experiments: Sequence[Experiment]) -> TrackingFilter:
-    noise = first_noise(model, experiments)
+    variance = first_noise(model, experiments).output_variance
     unmeasured = ~np.any([e.measured for e in experiments], axis=0)
-    noise = Noise(np.where(unmeasured, 1.0, noise.output_variance), noise.walk)
     spread = np.array([float(np.nanmax(np.abs(e.Y))) for e in experiments])
-    states = len(Simulator(model).states)
-    tracking = TrackingFilter(model, noise, np.full(states, float(np.max(spread)) or 1.0), 1)
+    scales = np.full(len(Simulator(model).states), float(np.max(spread)) or 1.0)
+    noise = FilterNoise(np.where(unmeasured, 1.0, variance), np.diag((_STARTING * scales) ** 2))
+    tracking = TrackingFilter(model, noise, scales, 1)
     starts = [tracking.start(e) for e in experiments]
     steps = largest_substeps(model, experiments[:3], starts[:3])
     tracking = TrackingFilter(model, noise, tracking.scales, steps)
+    _refuse_diverging(tracking, experiments)
+    return tracking
+
+
+def _like(start: TrackingFilter, model: PhysicalModel, experiments: Sequence[Experiment]) -> TrackingFilter:
+    """A filter of another model of the same states with this one's noise."""
+    tracking = TrackingFilter(model, start.noise, start.scales, start.substeps)
+    _refuse_diverging(tracking, experiments)
+    return tracking
+
+
+def _refuse_diverging(tracking: TrackingFilter, experiments: Sequence[Experiment]) -> None:
     if any(not tracking.run(e, slopes=False).follows for e in experiments):
         raise NotIdentifiable(
-            f"model {model.name!r}: its filter diverges on the healthy windows with the values of the file; "
+            f"model {tracking.model.name!r}: its filter diverges on the healthy windows with the values of the file; "
             "estimate them first (`residuum estimate`)"
         )
-    return tracking
 
 
 def _rescaled(tracking: TrackingFilter, experiments: Sequence[Experiment]) -> TrackingFilter:
@@ -121,31 +151,79 @@ def _rescaled(tracking: TrackingFilter, experiments: Sequence[Experiment]) -> Tr
     return TrackingFilter(tracking.model, tracking.noise, scales, tracking.substeps)
 
 
-def tuned(tracking: TrackingFilter, experiments: Sequence[Experiment], start: Noise) -> Noise:
-    """The noise that makes the innovations of some windows likeliest, from `start`."""
+def tuned(tracking: TrackingFilter, experiments: Sequence[Experiment], free: Sequence[str]) -> FilterNoise:
+    """The noise that makes the innovations of some windows likeliest, each with values of its own.
+
+    What lasts over a window is a value that differs from window to window, no noise: the likelihood is that of the innovations
+    whose values scatter by `_SCATTERED` of their size, marginal over them (to first order).
+    """
     every = max(1, len(experiments) // _TUNED_ON)
     chosen = list(experiments[::every])[:_TUNED_ON]
     length = max(50, _TUNED_SAMPLES // len(chosen))
     parts = [e.window(0, min(e.n, length)) for e in chosen]
-    balances = list(start.walk)
+    ways = _ways(tracking, parts[0])
     measured = np.any([e.measured for e in experiments], axis=0)
+    prior = scatter_of(tracking.model, free) ** 2
+    start = tracking.noise.output_variance
 
-    def noise(exponents: Array) -> Noise:
-        walk = {b: start.walk[b] * float(np.exp(v)) for b, v in zip(balances, exponents, strict=False)}
+    def noise(exponents: Array) -> FilterNoise:
         factors = np.ones(len(measured))
-        factors[measured] = np.exp(exponents[len(balances) :])
-        return Noise(start.output_variance * factors, walk)
+        factors[measured] = np.exp(exponents[len(ways) :])
+        process = np.zeros_like(tracking.noise.process)
+        for way, exponent in zip(ways, exponents, strict=False):
+            process = process + way * float(np.exp(exponent))
+        return FilterNoise(start * factors, process)
 
     def cost(exponents: Array) -> float:
         if np.max(np.abs(exponents)) > 25:
             return 1e12
         trial = tracking.with_noise(noise(exponents))
-        total = sum(trial.run(e, slopes=False).log_likelihood for e in parts)
+        total = sum(_marginal(trial.run(e), trial, free, prior).likelihood for e in parts)
         return -total if np.isfinite(total) else 1e12
 
-    size = len(balances) + int(measured.sum())
+    size = len(ways) + int(measured.sum())
     simplex = np.vstack([np.zeros(size), 2.0 * np.eye(size)])
     return noise(nelder_mead(cost, simplex, _EVALUATIONS))
+
+
+def scatter_of(model: PhysicalModel, free: Sequence[str]) -> Array:
+    """Standard deviation from window to window that values are granted while noise and colour are learned."""
+    theta = np.array([model.values[name] for name in free])
+    return np.where(theta != 0.0, _SCATTERED * np.abs(theta), 1.0)
+
+
+def value_columns(model: PhysicalModel, listed: Sequence[Hypothesis]) -> tuple[list[int], Array]:
+    """Which sizes of the hypotheses are values of the model, and the scatter that they are granted."""
+    columns = [c.acts_on for h in listed for c in h.columns]
+    found = [k for k, acts_on in enumerate(columns) if acts_on.startswith("parameter:")]
+    return found, scatter_of(model, [columns[k].removeprefix("parameter:") for k in found])
+
+
+def _ways(tracking: TrackingFilter, experiment: Experiment) -> list[Array]:
+    """What a share of each balance's terms, new in each sample, adds to the states' covariance."""
+    filtered = tracking.run(experiment)
+    look = tracking.simulator.look(experiment, tracking.states(filtered))
+    found = []
+    for name, balance in tracking.model.balances.items():
+        G = filtered.G[:-1, :, tracking.columns.index(f"balance:{name}")]
+        largest = max((float(np.sqrt(np.mean(look[f"{name}.{term}"] ** 2))) for term in balance.terms), default=1.0)
+        way = G.T @ G / len(G) * (_LACKING * (largest or 1.0)) ** 2
+        if np.isfinite(way).all() and np.any(way > 0.0):
+            found.append(way)
+    return found
+
+
+def _marginal(filtered: Filtered, tracking: TrackingFilter, free: Sequence[str], prior: Array) -> Marginal:
+    """A window's likelihood when its values scatter with variance `prior` about the filter's, to first order."""
+    if not filtered.follows:
+        return Marginal(-np.inf, np.zeros((len(free), len(free))), np.zeros(len(free)))
+    H, g = _normal(filtered, tracking, free)
+    root = np.sqrt(prior)
+    inner = np.eye(len(root)) + root[:, None] * H * root
+    solved = np.linalg.solve(inner, root[:, None] * np.column_stack([H, g]))
+    likelihood = filtered.log_likelihood + 0.5 * float((root * g) @ solved[:, -1]) - 0.5 * float(np.linalg.slogdet(inner)[1])
+    left = np.column_stack([H, g]) - H @ (root[:, None] * solved)
+    return Marginal(likelihood, 0.5 * (left[:, :-1] + left[:, :-1].T), left[:, -1])
 
 
 def _normal(filtered: Filtered, tracking: TrackingFilter, free: Sequence[str]) -> tuple[Array, Array]:
@@ -160,26 +238,28 @@ def _normal(filtered: Filtered, tracking: TrackingFilter, free: Sequence[str]) -
 def _climb(
     tracking: TrackingFilter, experiments: Sequence[Experiment], free: Sequence[str]
 ) -> tuple[TrackingFilter, list[Filtered], float]:
-    """Damped Gauss–Newton steps of the free values."""
+    """Damped Gauss–Newton steps of the free values, which scatter from window to window."""
+    prior = scatter_of(tracking.model, free) ** 2
     parameters = tracking.model.all_parameters
     lower, upper = np.array([parameters[n].lower for n in free]), np.array([parameters[n].upper for n in free])
     theta = np.array([parameters[n].value for n in free])
     windows = [tracking.run(e) for e in experiments]
-    likelihood, damping = sum(w.log_likelihood for w in windows), 1e-3
+    parts = [_marginal(w, tracking, free, prior) for w in windows]
+    likelihood, damping = sum(part.likelihood for part in parts), 1e-3
     for _ in range(_STEPS if free else 0):
-        parts = [_normal(w, tracking, free) for w in windows]
-        H, g = np.sum([h for h, _ in parts], axis=0), np.sum([b for _, b in parts], axis=0)
+        H, g = np.sum([part.H for part in parts], axis=0), np.sum([part.g for part in parts], axis=0)
         for _ in range(_ATTEMPTS):
             trial = np.clip(theta + solve_scaled(damped(H, damping), g[:, None])[:, 0], lower, upper)
             values = dict(zip(free, trial.tolist(), strict=True))
             there = [tracking.run(e, values) for e in experiments]
-            risen = sum(w.log_likelihood for w in there) - likelihood
+            trials = [_marginal(w, tracking, free, prior) for w in there]
+            risen = sum(part.likelihood for part in trials) - likelihood
             if risen > 0.0:
                 break
             damping *= 10.0
         else:
             break
-        theta, windows, likelihood, damping = trial, there, likelihood + risen, max(damping / 10.0, 1e-9)
+        theta, windows, parts, likelihood, damping = trial, there, trials, likelihood + risen, max(damping / 10.0, 1e-9)
         if risen < _SETTLED:
             break
     return tracking.with_values(dict(zip(free, theta.tolist(), strict=True))), windows, float(likelihood)

@@ -205,7 +205,7 @@ class Signals:
             return terms[id(h), column.signal.partition(":")[2]]
         if h.kind == "sensor" and column.signal != "one":
             reading = expected_reading(filtered, list(self.model.outputs).index(h.place))
-            return reading if column.signal == "reading" else -np.gradient(reading, e.sample_time)
+            return reading if column.signal == "reading" else -_rate(reading, e.sample_time)
         if h.kind == "actuator" and column.signal != "one":
             u = e.U[:, list(self.model.inputs).index(h.place)]
             return u if column.signal == "input" else beyond_limit(u)
@@ -218,6 +218,11 @@ def beyond_limit(u: Array, share: float = 0.75) -> Array:
     lost = np.maximum(np.abs(u) - limit, 0.0)
     largest = float(np.max(lost))
     return np.asarray(-np.sign(u) * lost / largest) if largest > 0.0 else np.zeros(len(u))
+
+
+def _rate(reading: Array, sample_time: float) -> Array:
+    """Rate at which an expected reading came to where it is; the next one would know this sample's innovation already."""
+    return np.concatenate([[0.0], np.diff(reading)]) / sample_time
 
 
 def expected_reading(filtered: Filtered, output: int) -> Array:

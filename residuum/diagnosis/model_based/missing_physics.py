@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.model_based.healthy_values import HealthyValues, healthy_values
+from residuum.diagnosis.model_based.healthy_values import HealthyValues, healthy_values, value_columns
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, Signals, hypotheses, slopes_of
 from residuum.diagnosis.model_based.window_statistics import colours, statistics
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.physics.effects import EFFECTS
-from residuum.identification.physics.estimate.least_squares import solve_scaled
+from residuum.identification.physics.estimation.least_squares import solve_scaled
 
 Array = npt.NDArray[np.float64]
 
@@ -44,17 +44,25 @@ def with_missing_physics(
             try:
                 model = _with(values.tracking.model, candidate[0], candidate[1])
                 sizes = [f"{model.effects[-1].label}.{name}" for name in EFFECTS[candidate[0].name].sizes]
-                trial = healthy_values(model, experiments, [*values.free, *sizes])
+                trial = healthy_values(model, experiments, [*values.free, *sizes], values.tracking)
             except BadInput:
                 continue
             gain = trial.log_likelihood - values.log_likelihood
             if gain > _WORTH and not _at_bound(trial.tracking.model, sizes):
-                values = trial
+                values = _settled(trial, experiments)
                 found.append(StandIn(model.effects[-1].label, gain))
                 break
         else:
             break
     return values, found
+
+
+def _settled(values: HealthyValues, experiments: Sequence[Experiment]) -> HealthyValues:
+    """Noise and values estimated anew: what the effect now explains was noise before."""
+    try:
+        return healthy_values(values.tracking.model, experiments, values.free)
+    except BadInput:
+        return values
 
 
 def _with(model: PhysicalModel, h: Hypothesis, sizes: Array) -> PhysicalModel:
@@ -78,7 +86,7 @@ def _promising(values: HealthyValues) -> list[tuple[Hypothesis, Array]]:
     listed = [h for h in hypotheses(tracking.model, tracking, windows) if h.shape or h.kind in ("parameter", "effect")]
     signals = Signals(tracking.model, listed)
     J = [slopes_of(w, tracking, listed, signals.of(w, tracking.states(w))) for w in windows]
-    colour = colours(windows)
+    colour = colours(windows, J, *value_columns(tracking.model, listed))
     sums = [statistics(w, j, colour) for w, j in zip(windows, J, strict=True)]
     A, g = np.sum([s.A for s in sums], axis=0), np.sum([s.g for s in sums], axis=0)
     starts = np.concatenate([[0], np.cumsum([len(h.columns) for h in listed])])

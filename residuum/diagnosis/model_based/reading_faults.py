@@ -44,15 +44,20 @@ def longest_run(y: Array) -> Run:
     return Run(int(begins[k]), int(ends[k] - begins[k]) + 1, float(y[begins[k]]))
 
 
+def stands(y: Array, healthy_run: int) -> bool:
+    """Whether some run of equal readings is longer than healthy windows had."""
+    return longest_run(y).length >= max(_FEWEST, _TIMES * healthy_run)
+
+
 def stuck(y: Array, expected: Array, noise: float, healthy_run: int) -> Run | None:
     """The run in which a reading stands although it was expected to move; None where there is none.
 
     `expected` are the readings that were expected without this sensor, `noise` the standard deviation of what is left of them
     when healthy, `healthy_run` the longest run of equal readings of healthy windows.
     """
-    run = longest_run(y)
-    if run.length < max(_FEWEST, _TIMES * healthy_run):
+    if not stands(y, healthy_run):
         return None
+    run = longest_run(y)
     there = expected[run.first : run.first + run.length]
     return run if np.isfinite(there).all() and np.ptp(there) > _MOVES * noise else None
 

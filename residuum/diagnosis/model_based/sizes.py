@@ -12,9 +12,9 @@ from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.filtered_window import Filtered, TrackingFilter
 from residuum.diagnosis.model_based.healthy_scatter import Judged, joint_values
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, slopes_of
-from residuum.diagnosis.model_based.window_statistics import Colour, WindowStatistics
+from residuum.diagnosis.model_based.window_statistics import WindowStatistics, whitened
 from residuum.identification.physics import Experiment
-from residuum.identification.physics.estimate.least_squares import solve_scaled
+from residuum.identification.physics.estimation.least_squares import solve_scaled
 
 Array = npt.NDArray[np.float64]
 
@@ -30,18 +30,24 @@ _FARTHEST = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A window in the baseline's terms: its track, slopes, whitened rows, sums, and what they say beside what is usual."""
+    """A window in the baseline's terms: track, signals, whitened rows and slopes, sums, and what they say.
+
+    It is followed with the model's `values`; `mean` are the usual sizes about those, in the scatter's units.
+    """
 
     filtered: Filtered
-    slopes: Array
+    signals: Array
     rows: Array
     white: Array
     sums: WindowStatistics
     judged: Judged
     weights: Array
+    mean: Array
+    values: Mapping[str, float]
 
-    def likelihood(self, rows: Array, scale: Array, mean: Array) -> float:
-        """Log-likelihood of whitened rows under Σ = 1 + J S Jᵀ (constants left out); scale and mean are the scatter's."""
+    def likelihood(self, rows: Array, scale: Array) -> float:
+        """Log-likelihood of whitened rows under Σ = 1 + J S Jᵀ (constants left out); scale is the scatter's."""
+        mean = self.mean
         g = (self.white.T @ rows) * scale - (self.sums.A * scale[:, None] * scale) @ mean
         about = rows - self.white @ (scale * mean)
         return float(-0.5 * (about @ about - g @ self.weights @ g))
@@ -57,17 +63,6 @@ class Sized:
     gain: float
 
 
-def whitened(filtered: Filtered, values: Array, colour: list[Colour] | tuple[Colour, ...]) -> Array:
-    """Values (n, outputs, …) whitened output by output and laid one output after the other, shape (n·outputs, …)."""
-    parts = []
-    for o, white in enumerate(colour):
-        there = np.isfinite(filtered.e[:, o])
-        shape = (-1,) + (1,) * (values.ndim - 2)
-        kept = there.reshape(shape)
-        parts.append(np.where(kept, white.whiten(np.where(kept, values[:, o], 0.0)), 0.0))
-    return np.concatenate(parts)
-
-
 def refined(baseline: Baseline, window: Window, h: Hypothesis, sizes: tuple[int, ...], *, steps: int = STEPS) -> Sized:
     """The size with which the hypothesis makes the window likeliest: first to first order, then re-estimated at each new size.
 
@@ -76,9 +71,9 @@ def refined(baseline: Baseline, window: Window, h: Hypothesis, sizes: tuple[int,
     """
     scatter, at = baseline.scatter, list(sizes)
     value, std = joint_values(window.judged, at)
-    start = window.likelihood(window.rows, scatter.scale, scatter.mean)
+    start = window.likelihood(window.rows, scatter.scale)
     gain = 0.5 * float(value / window.judged.scale[at] @ window.judged.score[at])
-    if not _can_be_moved(h):
+    if not can_be_moved(h):
         return Sized(value, std, 0, gain)
     found, moved, height = Sized(value, std, 0, gain), np.zeros(len(at)), 0.0
     for _ in range(steps):
@@ -90,7 +85,7 @@ def refined(baseline: Baseline, window: Window, h: Hypothesis, sizes: tuple[int,
         value = solve_scaled(information, score[:, None])[:, 0]
         std = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         if np.all(np.abs(value) < 3.0 * std):  # near enough for the rest to be linear
-            return Sized(_inside(baseline, h, moved + value), std, 0, height + 0.5 * float(value @ score))
+            return Sized(inside(window, h, moved + value), std, 0, height + 0.5 * float(value @ score))
         found = Sized(moved, std, 0, height)
     return found
 
@@ -108,15 +103,14 @@ class _Step:
 def _risen(baseline: Baseline, window: Window, h: Hypothesis, moved: Array, step: Array, least: float) -> _Step | None:
     """The step, or a part of it, with which the window becomes likelier than `least`; None where none does."""
     for part in (1.0, 0.4, 0.1):
-        target = _inside(baseline, h, moved + part * step)
-        there = moved_window(baseline, window.filtered.experiment, h, target)
+        target = inside(window, h, moved + part * step)
+        there = moved_window(baseline, window, h, target)
         if there is None:
             continue
         filtered, C = there
-        rows = whitened(filtered, filtered.normalised, list(baseline.colours))
-        likelihood = window.likelihood(rows, baseline.scatter.scale, baseline.scatter.mean) - _determinant(
-            filtered, window.filtered
-        )
+        rows = whitened(filtered, filtered.normalised, baseline.colours)
+        likelihood = window.likelihood(rows, baseline.scatter.scale) - _determinant(filtered, window.filtered)
+        likelihood -= _stretched(baseline, window, h, float(target[0]))
         if likelihood > least:
             return _Step(target, rows, C, likelihood)
     return None
@@ -127,15 +121,24 @@ def _determinant(there: Filtered, here: Filtered) -> float:
     return 0.5 * float(np.sum(np.log(there.V[used] / here.V[used])))
 
 
-def _can_be_moved(h: Hypothesis) -> bool:
+def _stretched(baseline: Baseline, window: Window, h: Hypothesis, value: float) -> float:
+    """Logarithm of how much wider a gain spreads its sensor's readings: shrunk ones have small innovations of any cause."""
+    if h.kind != "sensor" or h.columns[0].signal != "reading":
+        return 0.0
+    output = list(baseline.tracking.model.outputs).index(h.place)
+    return float(window.sums.count[output]) * float(np.log1p(value))
+
+
+def can_be_moved(h: Hypothesis) -> bool:
+    """Whether a window can be followed as if the hypothesis were so."""
     return not h.shape and h.kind != "disturbance" and h.columns[0].signal in ("one", "reading", "input")
 
 
-def _inside(baseline: Baseline, h: Hypothesis, value: Array) -> Array:
+def inside(window: Window, h: Hypothesis, value: Array) -> Array:
     """Within the bounds of a parameter; a gain that is not lost altogether."""
     column = h.columns[0]
     if column.acts_on.startswith("parameter:"):
-        now = baseline.tracking.model.values[column.acts_on.removeprefix("parameter:")]
+        now = window.values[column.acts_on.removeprefix("parameter:")]
         far = _FARTHEST * abs(now) if now else np.inf  # a step too long would leave what the filter can follow
         return np.clip(value, max(column.lower - now, -far), min(column.upper - now, far / (1.0 - _FARTHEST)))
     if column.signal in ("reading", "input"):
@@ -143,45 +146,48 @@ def _inside(baseline: Baseline, h: Hypothesis, value: Array) -> Array:
     return value
 
 
-def moved_window(baseline: Baseline, experiment: Experiment, h: Hypothesis, value: Array) -> tuple[Filtered, Array] | None:
+def per_unit(h: Hypothesis, value: float) -> float:
+    """What a gain has become: signals along the moved track are so many times those that a unit of it acts on."""
+    return 1.0 + value if h.kind in ("sensor", "actuator") and h.columns[0].signal in ("reading", "input") else 1.0
+
+
+def moved_window(baseline: Baseline, window: Window, h: Hypothesis, value: Array) -> tuple[Filtered, Array] | None:
     """The window followed as if the hypothesis were so, and the slopes (whitened, laid end to end) by its size there."""
-    tracking = baseline.tracking
-    e, values = _supposed(tracking, experiment, h, float(value[0]))
+    tracking, experiment = baseline.tracking, window.filtered.experiment
+    e, values = supposed(tracking, window, h, float(value[0]))
     filtered = tracking.run(e, values)
     if not filtered.follows:
         return None
     signal = np.ones((e.n, 1))
     if h.columns[0].signal == "reading":
         signal = filtered.predicted[:, [list(tracking.model.outputs).index(h.place)]]
-        signal = np.nan_to_num(signal)
+        signal = np.nan_to_num(signal) / per_unit(h, float(value[0]))
     elif h.columns[0].signal == "input":
         signal = experiment.U[:, [list(tracking.model.inputs).index(h.place)]]
     J = slopes_of(filtered, tracking, [h], np.ascontiguousarray(signal))
-    return filtered, whitened(filtered, J, list(baseline.colours))
+    return filtered, whitened(filtered, J, baseline.colours)
 
 
-def _supposed(
-    tracking: TrackingFilter, e: Experiment, h: Hypothesis, value: float
-) -> tuple[Experiment, Mapping[str, float] | None]:
-    """The window with the reading or the input corrected, or the values of the model to follow it with."""
-    column = h.columns[0]
+def supposed(tracking: TrackingFilter, window: Window, h: Hypothesis, value: float) -> tuple[Experiment, Mapping[str, float]]:
+    """The window with the reading or the input corrected, and the values of the model to follow it with."""
+    column, e = h.columns[0], window.filtered.experiment
     if column.acts_on.startswith("parameter:"):
         name = column.acts_on.removeprefix("parameter:")
-        return e, {name: tracking.model.values[name] + value}
+        return e, {**window.values, name: window.values[name] + value}
     if h.kind == "sensor":
         Y, o = e.Y.copy(), list(tracking.model.outputs).index(h.place)
         Y[:, o] = Y[:, o] - value if column.signal == "one" else Y[:, o] / (1.0 + value)
-        return replace(e, Y=Y), None
+        return replace(e, Y=Y), window.values
     if h.kind == "actuator":
         U, i = e.U.copy(), list(tracking.model.inputs).index(h.place)
         U[:, i] = U[:, i] + value if column.signal == "one" else U[:, i] * (1.0 + value)
-        return replace(e, U=U), None
-    return e, None
+        return replace(e, U=U), window.values
+    return e, window.values
 
 
 def _beside(window: Window, baseline: Baseline, C: Array, rows: Array) -> tuple[Array, Array]:
     """Information and score of columns C, shape (rows, k), on whitened rows, weighted by what is usual."""
-    scale, mean = baseline.scatter.scale, baseline.scatter.mean
+    scale, mean = baseline.scatter.scale, window.mean
     J0 = window.white
     about = rows - J0 @ (scale * mean)
     cross, g = (C.T @ J0) * scale, (J0.T @ about) * scale
@@ -199,7 +205,7 @@ def with_onset(baseline: Baseline, window: Window, h: Hypothesis, sized: Sized) 
     for part in range(_PARTS):
         masked[edges[part] :, part * k : (part + 1) * k] = signals[edges[part] :]
     alone = [Hypothesis(h.kind, h.name, h.place, h.columns, h.shape)] * _PARTS
-    C = whitened(window.filtered, slopes_of(window.filtered, baseline.tracking, alone, masked), list(baseline.colours))
+    C = whitened(window.filtered, slopes_of(window.filtered, baseline.tracking, alone, masked), baseline.colours)
     information, score = _beside(window, baseline, C, window.rows)
     gains, found = [], []
     for part in range(_PARTS):
@@ -218,6 +224,5 @@ def with_onset(baseline: Baseline, window: Window, h: Hypothesis, sized: Sized) 
 
 def _own_signals(baseline: Baseline, window: Window, h: Hypothesis) -> Array:
     """The hypothesis' signals along the window, shape (n, columns)."""
-    signals = baseline.signals.of(window.filtered, baseline.tracking.states(window.filtered))
     group = baseline.groups[list(baseline.hypotheses).index(h)]
-    return signals[:, list(group.sizes)]
+    return window.signals[:, list(group.sizes)]

@@ -10,13 +10,23 @@ import numpy.typing as npt
 from scipy import stats
 
 from residuum.diagnosis.model_based.baseline import Baseline, Usual
+from residuum.diagnosis.model_based.beside import Beside
 from residuum.diagnosis.model_based.detection import Energies, calibrated, groups_of
-from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter, healthy_scatter, joint_values
-from residuum.diagnosis.model_based.healthy_values import HealthyValues, Undetermined, healthy_values, refuse_undetermined
+from residuum.diagnosis.model_based.filtered_window import Filtered, TrackingFilter
+from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter, each_alone, healthy_scatter, joint_values, unit_of_each
+from residuum.diagnosis.model_based.healthy_values import (
+    HealthyValues,
+    Undetermined,
+    healthy_values,
+    refuse_undetermined,
+    value_columns,
+)
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, Signals, hypotheses, slopes_of
+from residuum.diagnosis.model_based.left_open import largest_sizes, left_open
 from residuum.diagnosis.model_based.missing_physics import with_missing_physics
 from residuum.diagnosis.model_based.reading_faults import longest_run
-from residuum.diagnosis.model_based.window_statistics import WindowStatistics, colours, statistics
+from residuum.diagnosis.model_based.usual_values import usual_values
+from residuum.diagnosis.model_based.window_statistics import Colour, WindowStatistics, colours, statistics
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match
@@ -28,6 +38,8 @@ FEWEST_WINDOWS = 6
 _WINDOWS = 20
 """Windows that few long records are cut into."""
 _FEWEST_SAMPLES = 60
+_CENTRED = 1
+"""Times that values are moved to the middle of what the windows tell once the colour of the innovations is known."""
 _BAND = 0.975
 _TIMED_ON, _TIMED = 6, 10.0
 """Windows by which it is asked how inputs move between samples, and the rise of the log-likelihood that changes it."""
@@ -48,6 +60,7 @@ def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: 
         Records do not fit the model or each other, or are too short.
     """
     windows = windows_of(records)
+    beside = Beside.of(model, windows)
     model, experiments = match(model, windows)
     experiments = _alike(experiments)
     free = tuple(model.free)
@@ -67,19 +80,22 @@ def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: 
             values = healthy_values(_held(model, refused.parameters), experiments, free)
             model = _held(model, refused.parameters)
     values, stand_ins = with_missing_physics(values, experiments, free)
-    tracking, filtered = values.tracking, values.windows
-    listed = [h for h in hypotheses(tracking.model, tracking, filtered) if _kept(h, values.free)]
-    colour = colours(filtered)
-    signals = Signals(tracking.model, listed)
-    J = [slopes_of(w, tracking, listed, signals.of(w, tracking.states(w))) for w in filtered]
-    sums = [statistics(w, j, colour) for w, j in zip(filtered, J, strict=True)]
+    listed = [h for h in hypotheses(values.tracking.model, values.tracking, values.windows) if _kept(h, values.free)]
+    conditions = [beside.conditions(r) for r in windows]
+    tracking, colour, sums = _summed(values.tracking, values.windows, listed, conditions)
+    for _ in range(_CENTRED):
+        tracking, filtered = _centred(tracking, experiments, listed, sums)
+        tracking, colour, sums = _summed(tracking, filtered, listed, conditions)
     listed, sums = _visible(listed, sums, _sizes_of_reading(tracking.model, experiments))
     groups = groups_of([len(h.columns) for h in listed])
-    scatter, energies = healthy_scatter(sums), Energies.of(sums)
-    calibration = calibrated(sums, scatter, groups, energies)
     at = {c.acts_on: g.sizes[0] for g, h in zip(groups, listed, strict=True) for c in h.columns[:1]}
     seen = tuple(name for name in values.free if f"parameter:{name}" in at)
-    usual = _usual(experiments, sums, scatter, [at[f"parameter:{name}"] for name in seen])
+    sizes = [at[f"parameter:{name}"] for name in seen]
+    filtered, colour, sums = _at_usual_values(tracking, experiments, listed, healthy_scatter(sums, sizes), conditions)
+    scatter, energies = healthy_scatter(sums, sizes), Energies.of(sums)
+    calibration = calibrated(sums, scatter, sizes, groups)
+    open_ = left_open(sums, scatter, listed, largest_sizes(tracking, filtered, listed))
+    usual = _usual(experiments, sums, scatter, sizes)
     return Baseline(
         tracking,
         seen,
@@ -89,12 +105,61 @@ def train(model: PhysicalModel, records: Sequence[Record], *, fix_undetermined: 
         scatter,
         calibration,
         energies,
+        open_,
         usual,
+        beside,
         experiments[0].sample_time,
         experiments[0].hold,
         np.all([e.measured for e in experiments], axis=0),
         [record.source for record in records],
     )
+
+
+def _summed(
+    tracking: TrackingFilter, filtered: Sequence[Filtered], listed: Sequence[Hypothesis], conditions: Sequence[Array]
+) -> tuple[TrackingFilter, list[Colour], list[WindowStatistics]]:
+    """The filter, the colour of its innovations, and the sums of each window."""
+    signals = Signals(tracking.model, listed)
+    J = [slopes_of(w, tracking, listed, signals.of(w, tracking.states(w))) for w in filtered]
+    colour = colours(filtered, J, *value_columns(tracking.model, listed))
+    return tracking, colour, [statistics(w, j, colour, x) for w, j, x in zip(filtered, J, conditions, strict=True)]
+
+
+def _centred(
+    tracking: TrackingFilter, experiments: Sequence[Experiment], listed: Sequence[Hypothesis], sums: Sequence[WindowStatistics]
+) -> tuple[TrackingFilter, list[Filtered]]:
+    """The filter with each value at the middle of what the windows by themselves tell, where it can follow them all."""
+    at, scatter = value_columns(tracking.model, listed)
+    columns = [c for h in listed for c in h.columns]
+    middle = np.median(each_alone([w.scaled(unit_of_each(sums)) for w in sums], at), axis=0) * unit_of_each(sums)[at]
+    values = {}
+    for k, shift, most in zip(at, middle, scatter, strict=True):
+        name = columns[k].acts_on.removeprefix("parameter:")
+        there = tracking.model.values[name] + float(np.clip(shift, -most, most))
+        values[name] = float(np.clip(there, columns[k].lower, columns[k].upper))
+    moved = tracking.with_values(values)
+    filtered = [moved.run(e) for e in experiments]
+    if all(w.follows for w in filtered):
+        return moved, filtered
+    return tracking, [tracking.run(e) for e in experiments]
+
+
+def _at_usual_values(
+    tracking: TrackingFilter,
+    experiments: Sequence[Experiment],
+    listed: Sequence[Hypothesis],
+    scatter: HealthyScatter,
+    conditions: Sequence[Array],
+) -> tuple[list[Filtered], list[Colour], list[WindowStatistics]]:
+    """Each window along the track that its usual values give, the colour, and its sums, told about the model's values."""
+    groups = groups_of([len(h.columns) for h in listed])
+    usual = [usual_values(tracking.model, listed, groups, scatter, x) for x in conditions]
+    filtered = [tracking.run(e, values) for e, (values, _) in zip(experiments, usual, strict=True)]
+    if not all(w.follows for w in filtered):
+        usual = [({}, np.zeros_like(moved)) for _, moved in usual]
+        filtered = [tracking.run(e) for e in experiments]
+    _, colour, sums = _summed(tracking, filtered, listed, conditions)
+    return filtered, colour, [s.about(-moved) for s, (_, moved) in zip(sums, usual, strict=True)]
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:
@@ -187,6 +252,7 @@ def _usual(
     experiments: Sequence[Experiment], sums: Sequence[WindowStatistics], scatter: HealthyScatter, free: Sequence[int]
 ) -> Usual:
     judged = [scatter.judged(s) for s in sums]
+    usual = np.array([scatter.mean(s.conditions) * scatter.scale for s in sums])
     d = np.array([np.maximum(np.diag(j.information), 1e-300) for j in judged])
     single = np.array([j.score for j in judged]) / d * scatter.scale
     together = np.array([joint_values(j, free)[0] for j in judged]).reshape(len(judged), len(free))
@@ -195,13 +261,12 @@ def _usual(
     return Usual(
         experiments[0].sample_time * float(np.median([e.n for e in experiments])),
         np.min([np.diag(s.A) for s in sums], axis=0),
-        np.max([np.diag(s.A) for s in sums], axis=0),
         spans.min(axis=0),
         spans.max(axis=0),
         np.min([np.ptp(e.U, axis=0) for e in experiments], axis=0),
         runs.max(axis=0),
-        *_band(single),
-        *_band(together),
+        *_band(single + usual),
+        *_band(together + usual[:, list(free)]),
     )
 
 

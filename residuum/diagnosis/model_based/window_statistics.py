@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from residuum.diagnosis.model_based.filtered_window import Filtered
 from residuum.identification.errors import NotIdentifiable
@@ -16,6 +15,7 @@ from residuum.identification.linear_models.autoregression import fit_autoregress
 Array = npt.NDArray[np.float64]
 
 _HIGHEST_ORDER = 12
+_PASSES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +30,28 @@ class WindowStatistics:
         Jᵀ r.
     energy, count : array, shape (outputs,)
         Sum of r² and number of readings of each output.
+    conditions : array, shape (c,)
+        What was recorded beside, in standard deviations of the healthy windows about their mean.
     """
 
     A: Array
     g: Array
     energy: Array
     count: Array
+    conditions: Array
 
     def scaled(self, sizes: Array) -> WindowStatistics:
         """The sums with the sizes in other units: each is so many of `sizes`."""
-        return WindowStatistics(self.A * sizes[:, None] * sizes, self.g * sizes, self.energy, self.count)
+        return WindowStatistics(self.A * sizes[:, None] * sizes, self.g * sizes, self.energy, self.count, self.conditions)
 
     def of(self, columns: Sequence[int] | npt.NDArray[np.int64]) -> WindowStatistics:
         """Those of some sizes alone."""
         at = np.asarray(columns, dtype=np.int64)
-        return WindowStatistics(self.A[np.ix_(at, at)], self.g[at], self.energy, self.count)
+        return WindowStatistics(self.A[np.ix_(at, at)], self.g[at], self.energy, self.count, self.conditions)
 
     def about(self, mean: Array) -> WindowStatistics:
         """The sums with innovations less what sizes of `mean` explain (the energies as they were)."""
-        return WindowStatistics(self.A, self.g - self.A @ mean, self.energy, self.count)
+        return WindowStatistics(self.A, self.g - self.A @ mean, self.energy, self.count, self.conditions)
 
 
 @dataclass(frozen=True)
@@ -62,40 +65,62 @@ class Colour:
         """Values (n, …) through the filter A(q)/σ; where they are missing nothing is added."""
         if len(self.polynomial) == 1:
             return np.asarray(values / self.std)
-        return np.asarray(scipy.signal.lfilter(self.polynomial, [1.0], values, axis=0) / self.std)
+        found = values / self.std
+        for lag, a in enumerate(self.polynomial[1:], start=1):
+            found[lag:] += (a / self.std) * values[:-lag]
+        return np.asarray(found)
 
 
-def colours(windows: Sequence[Filtered], sizes: Sequence[Array] | None = None) -> list[Colour]:
+def colours(windows: Sequence[Filtered], J: Sequence[Array], values: Sequence[int], scatter: Array) -> list[Colour]:
     """Colour of each output's innovations over all windows, no product taken across two of them.
 
-    `sizes`: what the causes explain of each window's normalised innovations, to be taken away first.
+    What a window's own values explain is taken away first: the innovations of a window whose resistance is a little higher
+    stand off zero, and a colour learned from them would whiten away every lasting change.
+
+    Parameters
+    ----------
+    J : sequence of array, shape (n, outputs, m)
+        Slopes of each window.
+    values : sequence of int
+        Sizes that may differ from window to window, with the standard deviations `scatter`.
     """
-    outputs = windows[0].e.shape[1]
-    rows = [w.normalised - (0.0 if sizes is None else sizes[k]) for k, w in enumerate(windows)]
-    found = []
-    for o in range(outputs):
-        joined = np.concatenate([part for r in rows for part in (r[:, o], [np.nan])])
-        try:
-            polynomial, variance = fit_autoregression(joined, _HIGHEST_ORDER)
-            found.append(Colour(tuple(polynomial.tolist()), float(np.sqrt(variance))))
-        except NotIdentifiable:
-            found.append(Colour())
+    found = [Colour()] * windows[0].e.shape[1]
+    for _ in range(_PASSES):
+        rest = []
+        for w, slopes in zip(windows, J, strict=True):
+            sums = statistics(w, slopes[:, :, list(values)], found).scaled(scatter)
+            own = scatter * np.linalg.solve(np.eye(len(scatter)) + sums.A, sums.g)
+            rest.append(w.normalised - slopes[:, :, list(values)] @ own)
+        found = [_colour(np.concatenate([part for r in rest for part in (r[:, o], [np.nan])])) for o in range(len(found))]
     return found
 
 
-def statistics(filtered: Filtered, J: Array, colour: Sequence[Colour], rows: slice = slice(None)) -> WindowStatistics:
-    """Sums of one window (of some of its rows: the innovations are whitened over all of it)."""
-    m = J.shape[2]
-    A, g = np.zeros((m, m)), np.zeros(m)
-    energy, count = np.zeros(J.shape[1]), np.zeros(J.shape[1])
+def _colour(joined: Array) -> Colour:
+    try:
+        polynomial, variance = fit_autoregression(joined, _HIGHEST_ORDER)
+    except NotIdentifiable:
+        return Colour()
+    return Colour(tuple(polynomial.tolist()), float(np.sqrt(variance)))
+
+
+def statistics(filtered: Filtered, J: Array, colour: Sequence[Colour], conditions: Array | None = None) -> WindowStatistics:
+    """Sums of one window."""
+    return sums_of(filtered, whitened(filtered, filtered.normalised, colour), whitened(filtered, J, colour), conditions)
+
+
+def sums_of(filtered: Filtered, rows: Array, slopes: Array, conditions: Array | None = None) -> WindowStatistics:
+    """Sums over whitened innovations and slopes, as `whitened` lays them."""
+    there = np.isfinite(filtered.e)
+    energy = np.sum(rows.reshape(there.shape[1], -1) ** 2, axis=1)
+    beside = np.zeros(0) if conditions is None else conditions
+    return WindowStatistics(slopes.T @ slopes, slopes.T @ rows, energy, there.sum(axis=0).astype(float), beside)
+
+
+def whitened(filtered: Filtered, values: Array, colour: Sequence[Colour]) -> Array:
+    """Values (n, outputs, …) whitened output by output and laid one output after the other, shape (n·outputs, …)."""
+    parts = []
     for o, white in enumerate(colour):
-        r = filtered.normalised[:, o]
-        there = np.isfinite(r)
-        if not there.any():
-            continue
-        r = np.where(there, white.whiten(np.where(there, r, 0.0)), 0.0)[rows]
-        slopes = white.whiten(J[:, o])[rows]
-        A += slopes.T @ slopes
-        g += slopes.T @ r
-        energy[o], count[o] = r @ r, np.count_nonzero(there[rows])
-    return WindowStatistics(A, g, energy, count)
+        there = np.isfinite(filtered.e[:, o])
+        kept = there.reshape((-1,) + (1,) * (values.ndim - 2))
+        parts.append(np.where(kept, white.whiten(np.where(kept, values[:, o], 0.0)), 0.0))
+    return np.concatenate(parts)

@@ -50,6 +50,8 @@ def said(cause: Cause, value: float | None, low: float | None, high: float | Non
         return f"sensor {_SENSOR[cause.name].format(**words)}{since}"
     if cause.kind == "actuator":
         return f"actuator {_ACTUATOR[cause.name].format(**words)}{since}"
+    if cause.name == "rough-load":
+        return f"a load that changes at random by {size} from sample to sample acts on the {cause.place}{since}"
     if cause.kind == "disturbance":
         return f"a load of {size} acts on the {cause.place}{since}"
     where = f" of the {cause.place}" if cause.place else ""

@@ -10,7 +10,7 @@ from scipy import linalg, stats
 
 from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS, FaultContext
 from residuum.diagnosis.residuals.residual_generator import ResidualGenerator
-from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.identification.linear_models.state_space import FloatArray
 
 STUCK, PLANT_CHANGE = "stuck-sensor", "plant-change"
 _INDISTINCT = 3.0  # log likelihood units within which two kinds are not told apart

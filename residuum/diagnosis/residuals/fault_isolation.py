@@ -27,7 +27,7 @@ def isolation_classifier(C: float = 10.0) -> Pipeline:
 
     Its probabilities come true on exemplars that were not trained as long as the faults are of the sizes that were trained: the
     expected calibration error is about 0.02 then, and neither temperature nor sigmoid scaling lowers it. A classifier that was
-    shown gross faults alone calls small ones healthy, and is wrong to (docs/gate_actuator.md has the reliability tables).
+    shown gross faults alone calls small ones healthy, and is wrong to (benchmarks/results/gate_actuator.md).
     """
     return make_pipeline(StandardScaler(), LogisticRegression(C=C, max_iter=2000))
 

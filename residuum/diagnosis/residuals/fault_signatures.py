@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.diagnosis.residuals.residual_generator import ResidualGenerator
-from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.identification.linear_models.state_space import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.signal import firwin
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
 Node = tuple[Array, Array]  # real and imaginary part, apart: the inner loops then run over contiguous numbers
@@ -85,7 +86,7 @@ def length_of_third(n: int) -> int:
     return (n - TAPS_OF_THIRDS) // 3 + 1
 
 
-@numba.njit(fastmath=_RELAXED, cache=True)
+@njit(fastmath=_RELAXED)
 def _rotated(real: Array, imag: Array, first: int, count: int, out_r: Array, out_i: Array) -> None:
     """y(first + 2q) j^q for q = 0 … count−1."""
     for q in range(0, count, 4):
@@ -98,7 +99,7 @@ def _rotated(real: Array, imag: Array, first: int, count: int, out_r: Array, out
         out_r[q], out_i[q] = imag[first + 2 * q], -real[first + 2 * q]
 
 
-@numba.njit(fastmath=_RELAXED, cache=True)
+@njit(fastmath=_RELAXED)
 def _add_moments(real: Array, imag: Array, start: int, m: int, count: int, out: Array) -> None:
     """Add Σ|c|², Σ|c|⁴ of outputs start … start+m−1 (of count) to the segments they fall in."""
     segments = out.shape[0]
@@ -114,7 +115,7 @@ def _add_moments(real: Array, imag: Array, start: int, m: int, count: int, out: 
         out[segment, 1] += fourth
 
 
-@numba.njit(fastmath=_RELAXED, cache=True)
+@njit(fastmath=_RELAXED)
 def _halves(yr: Array, yi: Array, p: Array, segments: int) -> tuple[Array, Array, Array, Array, Array]:
     """Even taps act on u(q) = y(2q) j^q, odd ones on w(q) = y(2q+1) j^q e^{jπ/4}; the halves differ in signs only."""
     count = (yr.shape[0] - 17) // 2 + 1
@@ -147,7 +148,7 @@ def _halves(yr: Array, yi: Array, p: Array, segments: int) -> tuple[Array, Array
     return lr, li, hr, hi, moments
 
 
-@numba.njit(fastmath=_RELAXED, cache=True)
+@njit(fastmath=_RELAXED)
 def _sums_by_phase(y: Array, first: int, p: Array, m: int, v: Array, even: Array, odd: Array) -> None:
     """Σ p₃(n) y(first + 3k + 24 − n) over the taps n ≡ r (mod 6) in even[r] and n ≡ r + 3 in odd[r], r = 0, 1, 2."""
     for r in range(3):
@@ -162,7 +163,7 @@ def _sums_by_phase(y: Array, first: int, p: Array, m: int, v: Array, even: Array
         odd[2, k] = p[5] * v[1, k + 6] + p[11] * v[1, k + 4] + p[17] * v[1, k + 2] + p[23] * v[1, k]
 
 
-@numba.njit(fastmath=_RELAXED, cache=True)
+@njit(fastmath=_RELAXED)
 def _moments_of_thirds(yr: Array, yi: Array, p: Array, segments: int) -> Array:
     """Σ_r e^{∓jπr/3} over the sums by phase; taps n and n + 3 meet opposite signs in the outer thirds."""
     count = (yr.shape[0] - 25) // 3 + 1

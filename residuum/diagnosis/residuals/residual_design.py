@@ -18,13 +18,13 @@ from residuum.diagnosis.residuals.approximate_fault_detection import (
     approximate_fault_detection,
     noise_path,
 )
+from residuum.diagnosis.residuals.classical_filters import Given, classical_filter
 from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
 from residuum.diagnosis.residuals.residual_evaluation import EVALUATIONS, evaluate
 from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.systems.coprime import left_coprime
-from residuum.diagnosis.systems.state_space import FloatArray, StateSpace
 from residuum.diagnosis.systems.system_norms import peak_gain
 from residuum.diagnosis.thresholds.hazard_tail import HazardTail
 from residuum.diagnosis.thresholds.healthy_reference import block_peaks
@@ -32,12 +32,16 @@ from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.state_space import FloatArray, StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 
+STRUCTURED_P = 1e-3
+"""Of a right model, one healthy record in so many shows structured error."""
 KIND, VERSION = "residual-design", 1
 _SWAPPED = 0.3  # of explained variance by which the reverse direction must win
 _RATE_TOLERANCE = 1e-3
+ROBUST = "robust"
 _NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
 _SETTLED = 1000  # samples of the post-filter's impulse response
 
@@ -62,6 +66,8 @@ class ResidualDesign:
         γ of (4.7).
     fault : "sensor" or "actuator"
         G_f the filter is most sensitive to.
+    method : str
+        What made the post-filter: `robust` (Algorithm 5) or a classical method.
     input_mean, output_mean : float
         Operating point.
     input_bound, noise_bound : float
@@ -79,12 +85,18 @@ class ResidualDesign:
     W_T: TransferFunction | None = None
     gamma: float = 0.1
     fault: FaultKind = "sensor"
+    method: str = ROBUST
     input_mean: float = 0.0
     output_mean: float = 0.0
     input_bound: float = float("inf")
     noise_bound: float = float("inf")
     peaks: dict[str, FloatArray] = field(default_factory=dict)
     structured_p: float = 1.0
+
+    @property
+    def has_structured_error(self) -> bool:
+        """Whether the healthy record says that a part of the plant is missing: `structured_p` below `STRUCTURED_P`."""
+        return self.structured_p < STRUCTURED_P
 
     @property
     def generator(self) -> ResidualGenerator:
@@ -218,7 +230,7 @@ class ResidualDesign:
             raise BadInput(f"{path}: is not a residual design: {error}") from None
 
 
-_NUMBERS = ("gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
+_NUMBERS = ("method", "gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
 
 
 @one_thread_if_small(LARGEST)
@@ -229,8 +241,11 @@ def design_residual(
     *,
     fault: FaultKind = "sensor",
     gamma: float = 0.1,
+    method: str = ROBUST,
 ) -> ResidualDesign:
     """Design the detector of an identified model; Algorithm 5 of the source, then all that healthy records teach.
+
+    `method` other than "robust" takes the post-filter from `classical_filters`: observer, kalman, parity or h-infinity.
 
     Without healthy records the noise is what the model says (white of variance σ², or its H), and the bounds and the
     calibrated threshold are not known.
@@ -238,15 +253,24 @@ def design_residual(
     Raises
     ------
     BadModel
-        W_T is unstable or improper, γ ≤ 0.
+        W_T is unstable or improper, γ ≤ 0; for a classical method an unstable model.
+    BadInput
+        No such method.
     BadRecord, BadUnit
         A healthy record of another rate, unit or channel, or with input and output swapped.
     """
-    factors = left_coprime(StateSpace.from_transfer_function(model.transfer_function()))
-    post_filter = approximate_fault_detection(factors, W_T, fault=fault, gamma=gamma)
+    plant = StateSpace.from_transfer_function(model.transfer_function())
+    factors = left_coprime(plant)
+    if method == ROBUST:
+        post_filter = approximate_fault_detection(factors, W_T, fault=fault, gamma=gamma)
+    else:
+        inputs = [record.in_unit(model.input_name, model.input_unit) for record in healthy]
+        size = float(np.nanvar(np.concatenate(inputs))) if inputs else 1.0
+        post_filter = classical_filter(method, Given.of(plant, factors, W_T, size, model.noise_variance, fault))
+        gamma = post_filter.gamma
     noise = model_noise(model)
     bare = ResidualDesign(model=model, post_filter=post_filter, noise=noise, W_T=W_T, gamma=gamma, fault=fault,
-                          output_mean=model.offset)  # fmt: skip
+                          output_mean=model.offset, method=method)  # fmt: skip
     return with_healthy_records(bare, healthy) if healthy else bare
 
 

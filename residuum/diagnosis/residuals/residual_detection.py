@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
-from residuum.diagnosis.residuals.residual_design import ResidualDesign
+from residuum.diagnosis.residuals.residual_design import ROBUST, ResidualDesign
 from residuum.diagnosis.residuals.residual_evaluation import CUSUM_REFERENCE, evaluate
 from residuum.diagnosis.residuals.residual_generator import BoolArray, ResidualSignals
-from residuum.diagnosis.systems.state_space import FloatArray
 from residuum.diagnosis.thresholds.cusum import cusum
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.thresholds.threshold import (
@@ -25,6 +24,7 @@ from residuum.diagnosis.thresholds.threshold import (
     source_threshold,
 )
 from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.state_space import FloatArray
 from residuum.identification.record import Record
 
 _AROUND = 4096  # samples before and after the alarm on which the fault is estimated
@@ -75,7 +75,8 @@ def detect(
     Parameters
     ----------
     evaluation : "point", "rms", "cusum", "glr" or None
-        None: `glr` for `posterior` and `calibrated`; `source` and `peak` hold for `point` alone.
+        None: `glr` for `posterior` and `calibrated`, `point` for a classical method, whose filter the others do not use;
+        `source` and `peak` hold for `point` alone.
     noise_bound : float or None
         ē of the `source` and `peak` thresholds; None: the largest healthy residual, or 4 σ without healthy records.
 
@@ -95,7 +96,8 @@ def detect(
     if not signals.valid.any():
         memory = design.generator.warm_up
         raise BadInput(f"record {record.source!r}: no stretch without a gap is longer than the model's memory, {memory} samples")
-    chosen = evaluation or DEFAULT_EVALUATION[threshold]
+    own = DEFAULT_EVALUATION[threshold] if design.method == ROBUST else "point"
+    chosen = evaluation or own
     limit = _threshold(
         design, u, threshold, chosen, alarms_per_sample(false_alarms_per_day, design.model.sample_time), noise_bound
     )

@@ -9,8 +9,8 @@ import numpy as np
 
 from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.residuals.residual_generator import ResidualSignals
-from residuum.diagnosis.systems.state_space import FloatArray
 from residuum.diagnosis.thresholds.cusum import cusum
+from residuum.identification.linear_models.state_space import FloatArray
 
 RMS_WINDOW = 50
 CUSUM_REFERENCE = 0.5

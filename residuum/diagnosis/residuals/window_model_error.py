@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from residuum.kept_loops import njit
 
 STEP, RAMP, TEMPLATE = 0, 1, 2
 
 
-@numba.njit(cache=True)
+@njit()
 def _last(ring, now, count):  # type: ignore[no-untyped-def]
     """The `count` values of a ring that end at position `now`, oldest first."""
     size = len(ring)
@@ -22,7 +23,7 @@ def _last(ring, now, count):  # type: ignore[no-untyped-def]
     return values
 
 
-@numba.njit(cache=True, fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _square_norm(root, w, total, enough):  # type: ignore[no-untyped-def]
     """total + ‖Bᵀ w‖², or a part of it that is `enough`: the largest directions come first, so that it soon is."""
     for j in range(root.shape[0]):
@@ -35,7 +36,7 @@ def _square_norm(root, w, total, enough):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True)
+@njit()
 def model_error(template, white_input, now, count, delay, root, level, enough, shape):  # type: ignore[no-untyped-def]
     """v (Σ p)² + ‖Bᵀ w‖², Σ_g = B Bᵀ, over the `count` samples that end at ring position `now`, or a part of it that is `enough`.
 
@@ -62,7 +63,7 @@ def model_error(template, white_input, now, count, delay, root, level, enough, s
     return _square_norm(root, w, level * sum_p * sum_p, enough)
 
 
-@numba.njit(cache=True)
+@njit()
 def mean_square(white_input, now, count, delay, root):  # type: ignore[no-untyped-def]
     """Mean of φᵀ Σ_g φ over (at most eight points of) the window."""
     points, m = min(count, 8), root.shape[1]

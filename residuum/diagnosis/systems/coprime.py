@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from residuum.diagnosis.systems.state_space import FloatArray, StateSpace
 from residuum.identification.errors import BadModel
+from residuum.identification.linear_models.state_space import FloatArray, StateSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.identification.linear_models.state_space import FloatArray
+from residuum.kept_loops import njit
 
 
 class FirFilter:
@@ -38,7 +38,7 @@ class FirFilter:
 _BLOCK = 1024  # outputs that stay in the first cache while the taps pass over them
 
 
-@numba.njit(cache=True)
+@njit()
 def _convolve(taps, past):  # type: ignore[no-untyped-def]
     """Eight taps a pass: the output is then loaded and stored an eighth as often, and added to in the same order."""
     m = len(taps)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from residuum.diagnosis.systems.state_space import StateSpace
 from residuum.identification.errors import BadModel
+from residuum.identification.linear_models.state_space import StateSpace
 
 
 def co_outer_factor(system: StateSpace) -> StateSpace:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from residuum.diagnosis.systems.state_space import FloatArray, StateSpace
 from residuum.identification.errors import BadModel
+from residuum.identification.linear_models.state_space import FloatArray, StateSpace
 
 _LONGEST = 1 << 20
 _ROWS = 1024  # samples of an impulse response that are worked out at once

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.systems.state_space import FloatArray
+from residuum.identification.linear_models.state_space import FloatArray
+from residuum.kept_loops import njit
 
 
 class CusumOutput(NamedTuple):
@@ -45,7 +45,7 @@ def cusum(x: npt.ArrayLike, valid: npt.ArrayLike, reference: float, threshold: f
     return output
 
 
-@numba.njit(cache=True)
+@njit()
 def _cusum(x, valid, reference, threshold, statistic, alarm, since):  # type: ignore[no-untyped-def]
     up = down = 0.0
     risen = fallen = 0

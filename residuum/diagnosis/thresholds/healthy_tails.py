@@ -9,8 +9,8 @@ import numpy as np
 
 from residuum.diagnosis.residuals.innovation_size import shape_without
 from residuum.diagnosis.residuals.noise_model import GAUSSIAN_SHAPE, NoiseModel, fit_noise_model
-from residuum.diagnosis.systems.state_space import FloatArray
 from residuum.diagnosis.thresholds.hazard_tail import differing_tail
+from residuum.identification.linear_models.state_space import FloatArray
 
 
 def with_healthy_tail(noise: NoiseModel, residuals: Sequence[FloatArray]) -> NoiseModel:

@@ -117,7 +117,8 @@ def _evidence(
     x: Array, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int
 ) -> dict[str, LineEvidence]:
     centres = {name: [variant * f for variant in _VARIANTS[name]] for name, f in lines.items()}
-    slowest, fastest = min(min(c) for c in centres.values()), max(max(c) for c in centres.values())
+    all_centres = [f for variants in centres.values() for f in variants]
+    slowest, fastest = min(all_centres), max(all_centres)
     if fastest * (1 + TOLERANCE) > rate / 8:
         raise BadInput(
             f"bearing: lines up to {fastest:.4g} Hz need a sampling rate above {8 * fastest:.4g} Hz; it is {rate:g} Hz"
@@ -127,8 +128,7 @@ def _evidence(
     control = _is_control(grid, frequencies)
     if control.sum() < _FEWEST_CONTROLS:
         raise BadInput("bearing: the fault lines leave too few frequencies between them to compare with; are they right?")
-    bands = [band for band in division(rate) if band == (0.0, rate / 2) or band[1] - band[0] >= 2 * fastest]
-    flattened = [band for band in bands if band[1] - band[0] >= rate / 2 / _FEWEST_FLATTENED * (1 - 1e-9)]
+    bands, flattened = _bands(rate, fastest)
     spectra = averaged_spectra(x, rate, bands, length, HARMONICS * float(grid[-1]), flattened)
     bands += flattened
     floored = [
@@ -139,13 +139,18 @@ def _evidence(
     prominence = _prominence(scores, scores, control)
     found = {}
     for name, variants in centres.items():
-        cleaned = prominence
+        cleaned = prominence.copy()
         if max(prominence[:, int(np.abs(grid - f).argmin())].max() for f in variants) > _WORTH_CLEANING:
-            cleaned = prominence.copy()
             for f in variants:
                 _clean(cleaned, floored, scores, grid, control, f, frequencies)
         found[name] = _best(variants, grid, bands, cleaned, scores, depths)
     return found
+
+
+def _bands(rate: float, fastest: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """(bands that can carry lines up to `fastest`, those of them wide enough to be flattened)."""
+    bands = [band for band in division(rate) if band == (0.0, rate / 2) or band[1] - band[0] >= 2 * fastest]
+    return bands, [band for band in bands if band[1] - band[0] >= rate / 2 / _FEWEST_FLATTENED * (1 - 1e-9)]
 
 
 def _prominence(scores: Array, of_controls: Array, control: Array) -> Array:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
@@ -25,6 +24,7 @@ from residuum.diagnosis.residuals.filter_bank import (
 )
 from residuum.diagnosis.vibration.long_transform import LONG, length_for_long, long_rfft
 from residuum.identification.errors import BadInput
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
 FEWEST = 32  # samples of a band's envelope: its kurtosis then scatters by 2/√32 = 0.35
@@ -268,7 +268,7 @@ def _by_fft(x: Array, deepest: int, segments: int) -> list[Row]:
         return rows + [row for found in pool.map(of_level, _divisions(deepest)) for row in found]
 
 
-@numba.njit(fastmath={"contract", "nsz", "reassoc"}, cache=True, nogil=True)
+@njit(fastmath={"contract", "nsz", "reassoc"})
 def _moments_of_rows(c: Array, count: int, segments: int) -> Array:
     """Σ|c|² and Σ|c|⁴ of the first `count` samples of each row, by time segment, shape (rows, segments, 2)."""
     moments = np.zeros((c.shape[0], segments, 2))
@@ -289,7 +289,7 @@ def _divisions(deepest: int) -> Iterator[tuple[float, int]]:
         yield level + np.log2(3), 3 << level
 
 
-@numba.njit(fastmath={"contract", "nsz", "reassoc"}, cache=True, nogil=True)
+@njit(fastmath={"contract", "nsz", "reassoc"})
 def _moments_of_signal(x: Array, segments: int) -> Array:
     """Σ x² and Σ x⁴ in each equal time segment, shape (segments, 2)."""
     n, moments = x.shape[0], np.zeros((segments, 2))

@@ -11,10 +11,11 @@ from __future__ import annotations
 import os
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
 LONG = 1 << 18  # samples: below, one transform fits the cache
@@ -58,7 +59,7 @@ def long_rfft(x: Array, padded: int, *, gain: float = 1.0, single: bool = False)
     return lines
 
 
-@numba.njit(fastmath={"contract", "nsz"}, cache=True, nogil=True)
+@njit(fastmath={"contract", "nsz"})
 def _turn(parts: Array, n: int) -> None:
     """Multiply element (k₁, n₂) by e^{−2πi k₁ n₂/n}."""
     real, imag = np.empty(_SPAN), np.empty(_SPAN)
@@ -74,7 +75,7 @@ def _turn(parts: Array, n: int) -> None:
                 parts[row, start + j] = complex(value.real * a - value.imag * b, value.real * b + value.imag * a)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit()
 def _in_order(parts: Array, gain: float, lines: Array) -> None:
     """Line k₁ + 32 k₂ from element (k₁, k₂), where k₁ > 16 from its mirror; columns in blocks, for the cache."""
     columns = parts.shape[1]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
 _LEAST_SPAN = 1e-30  # of values; its square still is a number
@@ -60,6 +61,10 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
     'mains hum: 82 % of the power lies at 50 Hz and its odd harmonics'
     """
     signal: Array = np.asarray(x, dtype=float)
+    return _drift(signal) or _power_elsewhere(signal, sampling_rate, shaft)
+
+
+def _drift(signal: Array) -> str | None:
     blocks = np.array([block.mean() for block in np.array_split(signal, 16)])
     about = signal - np.repeat(blocks, [block.shape[0] for block in np.array_split(signal, 16)])
     one_way = np.ptp(blocks) > 0 and abs(np.corrcoef(blocks, np.arange(16))[0, 1]) > _ONE_WAY
@@ -67,6 +72,11 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
         return (
             f"the sensor drifts: its mean moves by {np.ptp(blocks):.3g} within the window, against {about.std():.3g} of vibration"
         )
+    return None
+
+
+def _power_elsewhere(signal: Array, sampling_rate: float, shaft: float | None) -> str | None:
+    """Most of the power below 10 Hz, or in the lines of the mains."""
     n = signal.shape[0]
     power = np.abs(fft.rfft((signal - signal.mean()) * np.hanning(n))) ** 2
     total, df = float(power.sum()), sampling_rate / n
@@ -122,7 +132,7 @@ def _piled_up(x: Array) -> int:
     return at_rail if at_rail > int((below >= high - width * (1 + 1e-9)).sum()) else 0
 
 
-@numba.njit(cache=True)
+@njit()
 def _longest_run(x: Array) -> int:
     longest, run = 1, 1
     for k in range(1, x.shape[0]):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
 
@@ -56,7 +57,7 @@ def _ratio(numerator: float, denominator: float) -> float:
     return float(numerator / denominator) if denominator > 0 else float("nan")
 
 
-@numba.njit(fastmath={"reassoc", "contract"}, cache=True)
+@njit(fastmath={"reassoc", "contract"})
 def _first_pass(x: Array) -> tuple[float, float, float, float]:
     total, square, absolute, peak = 0.0, 0.0, 0.0, 0.0
     for k in range(x.shape[0]):
@@ -69,7 +70,7 @@ def _first_pass(x: Array) -> tuple[float, float, float, float]:
     return total / n, square / n, absolute / n, peak
 
 
-@numba.njit(fastmath={"reassoc", "contract"}, cache=True)
+@njit(fastmath={"reassoc", "contract"})
 def _central_moments(x: Array, mean: float) -> tuple[float, float]:
     second, fourth = 0.0, 0.0
     for k in range(x.shape[0]):

@@ -11,20 +11,20 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.coarse_reading import reading_variances
 from residuum.identification.discrepancy.deadline import in_time
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
-from residuum.identification.discrepancy.whitened_least_squares import SCORING, NormalEquations
+from residuum.identification.discrepancy.policy.likelihood import (
+    CLIMBED,
+    CLOSE,
+    HARDEST_DAMPING,
+    MOST_STRETCHED,
+    OPTIMISM,
+    SAME_WAY,
+    SMALL_STEP,
+)
+from residuum.identification.discrepancy.policy.noise import SCORING
+from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 
 FloatArray = npt.NDArray[np.float64]
-
-_HARDEST = 1e4
-_DONE = 0.02
-"""Stop when a step gains less log-likelihood than this, or promises half of it."""
-_SMALL = 0.01
-"""A step is small that promises less log-likelihood than this for every innovation: it moves none far, and weights stay."""
-_SAME_WAY, _MOST_STRETCHED = 0.9, 16.0
-"""Cosine of the angle between two steps from which on they point the same way; the most by which a step is stretched."""
-_OPTIMISM, CLOSE = 3.0, 20.0
-"""A climb that lies behind its rival by more than this many promised steps, and this much, is not followed further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +121,11 @@ class Ascent:
             in_time()
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             promised = equations.decrement()
-            if here.log_likelihood + _OPTIMISM * promised + CLOSE < rival or (stretch == 1.0 and promised < 0.5 * _DONE):
+            if here.log_likelihood + OPTIMISM * promised + CLOSE < rival or (stretch == 1.0 and promised < 0.5 * CLIMBED):
                 break
             before, first = here, damping
-            scoring = SCORING if promised < _SMALL * here.pointwise.size else 1.0
-            while damping < _HARDEST:
+            scoring = SCORING if promised < SMALL_STEP * here.pointwise.size else 1.0
+            while damping < HARDEST_DAMPING:
                 trial = self._trial(here, equations, damping, stretch * scoring)
                 if not refused or self.log_likelihood(*trial) > here.log_likelihood:  # where one was refused, the next may be
                     there = self.point(*trial)
@@ -135,12 +135,12 @@ class Ascent:
                         break
                 damping = damping if stretch * scoring > 1.0 else damping * 8.0
                 refused, stretch, scoring = True, 1.0, 1.0
-            done, plain = here.log_likelihood - before.log_likelihood < _DONE, stretch == 1.0
+            done, plain = here.log_likelihood - before.log_likelihood < CLIMBED, stretch == 1.0
             if done and plain:
                 break
             step = (here.p - before.p)[self.index] / np.where(before.p[self.index] == 0.0, 1.0, before.p[self.index])
             on = on + 1 if _same_way(step, last) and not done else 0
-            stretch, last = (min(2.0 * stretch, _MOST_STRETCHED) if on > 1 else 1.0), step
+            stretch, last = (min(2.0 * stretch, MOST_STRETCHED) if on > 1 else 1.0), step
         return here
 
     def _trial(
@@ -167,4 +167,4 @@ class Ascent:
 
 def _same_way(step: FloatArray, last: FloatArray) -> bool:
     """Whether two steps of the parameters, relative to their values, point the same way."""
-    return bool(step @ last > _SAME_WAY * np.linalg.norm(step) * np.linalg.norm(last) > 0.0)
+    return bool(step @ last > SAME_WAY * np.linalg.norm(step) * np.linalg.norm(last) > 0.0)

@@ -8,15 +8,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.records import FEWEST_IN_A_SPECTRUM, FINEST, SHORTENED
 from residuum.identification.physics import Experiment
 
 FloatArray = npt.NDArray[np.float64]
-
-
-FINEST = 1e-2
-"""Share of a signal's power that may lie above the Nyquist frequency of blocks; of an output's, its flat noise floor not
-counted."""
-_LONGEST = 3
 
 
 def averaged(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
@@ -28,9 +23,9 @@ def averaged(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
 
     Of experiments that together have more than three times `most` samples the liveliest stretches are taken.
     """
-    experiments = liveliest(experiments, _LONGEST * most)
+    experiments = liveliest(experiments, SHORTENED * most)
     total = sum(e.n for e in experiments)
-    block = max(1, min(-(-total // most), min(e.n for e in experiments) // 64))
+    block = max(1, min(-(-total // most), min(e.n for e in experiments) // FEWEST_IN_A_SPECTRUM))
     while block > 1 and any(_too_coarse(e, block) for e in experiments):
         block -= 1
     return [replace(e, block=block) for e in experiments]
@@ -39,7 +34,11 @@ def averaged(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
 def liveliest(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
     """The stretches over which the outputs vary most, of at most so many samples together."""
     total = sum(e.n for e in experiments)
-    return [_liveliest(e, max(64, e.n * most // total)) for e in experiments] if total > most else list(experiments)
+    return (
+        [_liveliest(e, max(FEWEST_IN_A_SPECTRUM, e.n * most // total)) for e in experiments]
+        if total > most
+        else list(experiments)
+    )
 
 
 def _too_coarse(experiment: Experiment, block: int) -> bool:
@@ -51,7 +50,7 @@ def _too_coarse(experiment: Experiment, block: int) -> bool:
 def _above(signal: FloatArray, block: int, *, floor: bool) -> float:
     """Share of a signal's power above the Nyquist frequency of blocks, without a flat noise floor if there is to be one."""
     known = signal[np.isfinite(signal)]
-    if known.size < 64:
+    if known.size < FEWEST_IN_A_SPECTRUM:
         return 0.0
     power = np.abs(np.fft.rfft((known - known.mean()) * np.hanning(known.size))) ** 2
     total = float(power.sum())

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.locate import Axis
+from residuum.identification.discrepancy.policy.answers import STANDSTILL_SPEED
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
@@ -48,7 +49,7 @@ def direction_of_movement(axes: Sequence[Axis]) -> FloatArray | None:
     velocity = next((axis.values for axis in axes if axis.kind == "velocity"), None)
     if velocity is None or not np.any(np.isfinite(velocity)):
         return None
-    return np.asarray(np.where(np.abs(velocity) > 0.02 * np.nanmax(np.abs(velocity)), np.sign(velocity), 0.0))
+    return np.asarray(np.where(np.abs(velocity) > STANDSTILL_SPEED * np.nanmax(np.abs(velocity)), np.sign(velocity), 0.0))
 
 
 def _roles(model: PhysicalModel) -> Mapping[str, str]:

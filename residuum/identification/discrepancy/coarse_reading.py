@@ -7,14 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.records import COARSE_EVENNESS, COARSE_REPEATS
 from residuum.identification.physics import Experiment
 
 FloatArray = npt.NDArray[np.float64]
-
-_MOSTLY = 0.5
-"""Share of the samples that repeat the one before."""
-_EVEN = 1e-3
-"""Part of a step by which a change may differ from a whole number of steps."""
 
 
 def reading_variances(experiments: Sequence[Experiment]) -> FloatArray:
@@ -31,7 +27,7 @@ def _step(changes: FloatArray) -> float:
     """The smallest change, if most samples do not change and the others by whole numbers of it; else 0."""
     known = np.abs(changes[np.isfinite(changes)])
     moving = known[known > 0.0]
-    if not moving.size or moving.size > (1.0 - _MOSTLY) * known.size:
+    if not moving.size or moving.size > (1.0 - COARSE_REPEATS) * known.size:
         return 0.0
     steps = moving / np.min(moving)
-    return float(np.min(moving)) if np.max(np.abs(steps - np.round(steps))) < _EVEN else 0.0
+    return float(np.min(moving)) if np.max(np.abs(steps - np.round(steps))) < COARSE_EVENNESS else 0.0

@@ -9,14 +9,18 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovation_sums import first_predictors, whitened, within
+from residuum.identification.discrepancy.innovation_sums import whitened
+from residuum.identification.discrepancy.noise_poles import first_predictors, within
+from residuum.identification.discrepancy.policy.noise import (
+    LARGEST_REFLECTION,
+    MEMORY_OF_ALL,
+    MEMORY_OF_THE_LONGEST,
+    SHORTEST_MEMORY,
+)
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
-
-_STABLE = 1.0 - 1e-12
-"""Largest reflection coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ class ColouredNoise:
         """Rows of the scaled predictors of the first p samples (Levinson's recursion), and the logarithms of how far their errors
         spread, over the innovations.
         """
-        rows, spreads = first_predictors(self.a, _STABLE)
+        rows, spreads = first_predictors(self.a, LARGEST_REFLECTION)
         return np.asarray(rows), np.asarray(spreads)
 
     def simulate(self, n: int, rng: np.random.Generator) -> FloatArray:
@@ -136,12 +140,12 @@ def longest_memory(samples: int, longest: int) -> float:
 
     What is slower cannot be told from an error of the model, and must not be called noise.
     """
-    return min(samples / 30.0, longest / 5.0)
+    return min(samples / MEMORY_OF_ALL, longest / MEMORY_OF_THE_LONGEST)
 
 
 def pole_radius(memory: float) -> float:
     """Largest pole of noise that forgets over `memory` samples."""
-    return float(np.exp(-1.0 / max(memory, 2.0)))
+    return float(np.exp(-1.0 / max(memory, SHORTEST_MEMORY)))
 
 
 def forgetting(a: FloatArray, memory: float) -> FloatArray:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from residuum.identification.discrepancy.structures import Structure, refit
+from residuum.identification.discrepancy.policy.records import DRIFTING_LOAD_WINDOWS
+from residuum.identification.discrepancy.structure_fits import refit
+from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment
 from residuum.identification.physics.effects.load.drifting_load import DriftingLoad
-
-_FEWEST_WINDOWS = 8
-"""Experiments from which on a load of each one's own is a drift; of fewer it could not be told from a constant one."""
 
 
 def likeliest_drifting_load(base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
@@ -18,7 +17,7 @@ def likeliest_drifting_load(base: Structure, experiments: Sequence[Experiment]) 
     In a window a slow load is a force and its slope. Noise, however integrated, does not know how the plant answers to a force:
     beside that noise alone a weight that somebody put on passes for an effect that has a mean in every window.
     """
-    if len(experiments) < _FEWEST_WINDOWS:
+    if len(experiments) < DRIFTING_LOAD_WINDOWS:
         return None
     model, effect = base.model, DriftingLoad()
     there = [name for name in model.balances if effect.fits(model.site(name, effect))]

@@ -8,16 +8,12 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.acceptance import ALIKE, OUT_OF_BOUNDS, TEMPERING_BLOCKS
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics.effects import EFFECTS
 
 FloatArray = npt.NDArray[np.float64]
-Key = TypeVar("Key")
-
-ALIKE = 4.0
-"""Structures whose log evidence differs by less than this cannot be told apart by the experiment."""
-BLOCKS = 100
-OUT_OF_BOUNDS = float(np.log(100.0))
+K = TypeVar("K")
 
 
 def tempered_gain(better: Structure, worse: Structure) -> float:
@@ -39,12 +35,12 @@ def tempered(d: FloatArray) -> float:
     gain = float(d.sum())
     if gain == 0.0:
         return 0.0
-    sums = np.array([part.sum() for part in np.array_split(d, min(BLOCKS, d.size))])
+    sums = np.array([part.sum() for part in np.array_split(d, min(TEMPERING_BLOCKS, d.size))])
     variance = float(np.sum((sums - sums.mean()) ** 2))
     return gain * min(1.0, 2.0 * abs(gain) / max(variance, 1e-300))
 
 
-def preferred(structures: Mapping[Key, Structure], base: Structure) -> Key | None:
+def preferred(structures: Mapping[K, Structure], base: Structure) -> K | None:
     """The structure with the largest Schwarz criterion among those that exceed the base's; None when none does.
 
     Of structures within `ALIKE` of the largest, at what the gain is worth, the one with the fewest parameters is preferred.
@@ -60,7 +56,7 @@ def preferred(structures: Mapping[Key, Structure], base: Structure) -> Key | Non
     return min(alike, key=lambda key: (len(structures[key].parameters), -score[key]))
 
 
-def relative_evidence(structures: Mapping[Key, Structure], base: Structure) -> tuple[dict[Key, float], float]:
+def relative_evidence(structures: Mapping[K, Structure], base: Structure) -> tuple[dict[K, float], float]:
     """Log evidence of each structure, and of the base, relative to the preferred one (0): tempered gains less prices.
 
     Gains are tempered pairwise, against the preferred structure, so that the order of two structures is never reversed;
@@ -68,14 +64,14 @@ def relative_evidence(structures: Mapping[Key, Structure], base: Structure) -> t
     """
     best = preferred(structures, base)
     winner = base if best is None else structures[best]
-    values: dict[Key, float] = {}
+    values: dict[K, float] = {}
     for key, structure in structures.items():
         highest = -OUT_OF_BOUNDS if key != best and _is_no_estimate(key, structure) else 0.0
         values[key] = 0.0 if key == best else min(_behind(winner, structure), highest)
     return values, 0.0 if best is None else _behind(winner, base)
 
 
-def _is_no_estimate(key: Key, structure: Structure) -> bool:
+def _is_no_estimate(key: K, structure: Structure) -> bool:
     """Whether the effect was estimated on a bound, or no output feels its first parameter, which is what it does."""
     label = "@".join(map(str, key)) if isinstance(key, tuple) else str(key)
     effect = EFFECTS.get(label.partition("@")[0])

@@ -8,25 +8,21 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.evidence import ALIKE
 from residuum.identification.discrepancy.feedback import feeds_back
-from residuum.identification.discrepancy.growth import Search
 from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
+from residuum.identification.discrepancy.policy.acceptance import ALIKE
+from residuum.identification.discrepancy.policy.noise import NOISE_ALONE, NOTHING_LEFT, SLOW
+from residuum.identification.discrepancy.policy.records import FINER_FALL, FINER_WINDOWS, TIMING_GAIN, TIMING_TURNS
 from residuum.identification.discrepancy.search import Tell, search
-from residuum.identification.discrepancy.structures import NOISE_ALONE, Structure, fit_structure, times_its_innovations
-from residuum.identification.discrepancy.trials import NOTHING_LEFT, SHIFTS, SLOW
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.structures import Structure, times_its_innovations
+from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, find_effect
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 Turned = tuple[list[Experiment], Structure]
 """Experiments with the other input timing, and the base on them."""
-_FINER, _FAR_LESS = 4, 0.3
-"""How many times shorter windows are tried where the usual ones leave a slow error; and the share of it, in units of what its own
-past cannot predict, to which it has to fall for them to be believed.
-"""
-_TURNS, _PLAINLY = 2, 20.0
-"""Times that the input timing is turned at most, and log-likelihood that asks for it where no shift was found."""
 
 
 def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | None:
@@ -44,13 +40,7 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     best, turned = found.best, turned_timing(experiments)
     if any(e.hold.any() for e in turned) and feeds_back(best.model, experiments, _errors(best, experiments)):
         return None
-    tried = [(_without(best, found.timing), -ALIKE)] if found.timing else []
-    if late:
-        others = [key for key in found.accepted if key not in late]
-        tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
-    elif doubtful:
-        tried += [(best.model, _PLAINLY)]
-    for model, more in tried:
+    for model, more in _asked_of_the_other_timing(found, late, doubtful):
         complete = fit_structure(model, turned, found.base.initial, drifting=best.drifting)
         if complete is not None and complete.log_likelihood > best.log_likelihood - best.penalty(complete) + more:
             base = fit_structure(_without(found.base, found.timing), turned, found.base.initial)
@@ -58,16 +48,29 @@ def at_turned_timing(found: Search, experiments: list[Experiment]) -> Turned | N
     return None
 
 
-def _shifts(found: Search) -> list[tuple[str, str]]:
+def _asked_of_the_other_timing(found: Search, late: Sequence[Key], doubtful: bool) -> list[tuple[PhysicalModel, float]]:
+    """Models that may do with fewer effects at the other timing, and the log-likelihood that each has to exceed."""
+    best = found.best
+    tried = [(_without(best, found.timing), -ALIKE)] if found.timing else []
+    if late:
+        others = [key for key in found.accepted if key not in late]
+        tried += [(_without(best, others), ALIKE), (best.model, ALIKE)]
+    elif doubtful:
+        tried += [(best.model, TIMING_GAIN)]
+    return tried
+
+
+def _shifts(found: Search) -> list[Key]:
     """The shifts in time that were accepted as physics."""
-    return [key for key in found.accepted if key[0] in SHIFTS]
+    return [key for key in found.accepted if find_effect(key[0]).shifts]
 
 
 def _may_be_late(found: Search) -> bool:
     """Whether more than noise is left, or a shift in time that was not accepted would do plainly better."""
     tried = found.alternatives[len(found.accepted) :]
-    shifts = [s.log_likelihood for looked in tried for (id, _), s in looked.items() if id in SHIFTS]
-    return times_its_innovations(found.best) > NOISE_ALONE or max(shifts, default=-np.inf) > found.best.log_likelihood + _PLAINLY
+    shifts = [s.log_likelihood for looked in tried for (id, _), s in looked.items() if find_effect(id).shifts]
+    better = max(shifts, default=-np.inf) > found.best.log_likelihood + TIMING_GAIN
+    return times_its_innovations(found.best) > NOISE_ALONE or better
 
 
 def _errors(structure: Structure, experiments: Sequence[Experiment]) -> list[FloatArray]:
@@ -76,11 +79,11 @@ def _errors(structure: Structure, experiments: Sequence[Experiment]) -> list[Flo
     return simulator.run_each(experiments, structure.initial, simulator.p(), substeps=structure.substeps).errors_of_each
 
 
-def _without(structure: Structure, keys: Sequence[tuple[str, str]]) -> PhysicalModel:
+def _without(structure: Structure, keys: Sequence[Key]) -> PhysicalModel:
     """A structure's model without those of these effects that it has."""
     model = structure.model
     for use in model.effects:
-        model = model.without_effect(use.label) if (use.id, use.target) in keys else model
+        model = model.without_effect(use.label) if use.key in keys else model
     return model
 
 
@@ -129,7 +132,7 @@ def searched(
         def astray(found: Search) -> bool:
             return times_its_innovations(found.best) > limit
 
-        for _ in range(_TURNS):
+        for _ in range(TIMING_TURNS):
             timing = _Timing(experiments)
             found = search(base, experiments, nominal=model, effects=wanted, leave=astray, late=timing.late, tell=told)
             again = timing.turned(found)
@@ -145,9 +148,9 @@ def searched(
     left = times_its_innovations(found.best)
     if cut and left > SLOW:
         tell(0.6, "estimating the model over shorter windows")
-        finely, finely_base = experiments_and_base(model, records, mapping, _FINER)
+        finely, finely_base = experiments_and_base(model, records, mapping, FINER_WINDOWS)
         other, finely = found_on(finely_base, finely, 0.65, 0.9)
-        if times_its_innovations(other.best) < _FAR_LESS * left:
-            return other, finely, _FINER
+        if times_its_innovations(other.best) < FINER_FALL * left:
+            return other, finely, FINER_WINDOWS
         found, experiments = found_on(base, usual, 0.9, 1.0)
     return found, experiments, 1

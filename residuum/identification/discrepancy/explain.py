@@ -9,29 +9,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.discrepancy.block_cutting import blocks_of
+from residuum.identification.discrepancy.candidate import Candidate
 from residuum.identification.discrepancy.compare import compare
+from residuum.identification.discrepancy.completeness import at_the_noise, is_incomplete
 from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
-from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.held_out_blocks import Remaining, blocks_on_track, remaining_on
+from residuum.identification.discrepancy.held_out_blocks import Blocks
 from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
 from residuum.identification.discrepancy.input_timing import experiments_and_base
-from residuum.identification.discrepancy.judgement import Candidate, Judgement, at_the_noise, is_incomplete, judge
+from residuum.identification.discrepancy.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
+from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, MOST_HELD
 from residuum.identification.discrepancy.proposals import informed
+from residuum.identification.discrepancy.remaining import Remaining, remaining_on
 from residuum.identification.discrepancy.search import Tell, untold
-from residuum.identification.discrepancy.share import ShareSearch, search_by_share
+from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.share_judgement import as_search, does_better, judged, with_shares
+from residuum.identification.discrepancy.share_search import ShareSearch, search_by_share
 from residuum.identification.discrepancy.structures import times_each_its_innovations
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, match
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect, match
 from residuum.identification.record import Record
-
-_EXACT_SHARE = 0.4
-"""Part of the time in which an exact structure has to be found."""
-_MOST_HELD = 2
-"""Values that are doubted at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,37 +136,22 @@ def explain(
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
     model, whole = _informed(model, records, mapping, wanted)
-    searched_, shares = None, None
-    try:
-        with within(None if seconds is None else _EXACT_SHARE * seconds):
-            searched_ = _exact(model, records, mapping, wanted, tell)
-    except OutOfTime:
-        tell(0.5, "out of time for an exact structure")
-    structured = searched_ is not None and _is_structured(searched_.found, records, mapping)
-    if searched_ is None or structured or _leaves_more_than_noise(searched_.found):
+    exact, shares = _exact_in_time(model, records, mapping, wanted, seconds, tell), None
+    structured = exact is not None and _is_structured(exact.found, records, mapping)
+    if exact is None or structured or _leaves_more_than_noise(exact.found):
         tell(0.5, "what takes away most on blocks kept aside")
         with within(None if seconds is None else seconds - (time.perf_counter() - began)):
             shares = search_by_share(model, whole, wanted, learned=learned)
-    blocks = blocks_on_track(model, whole) if shares is None else shares.blocks
-    doubted = searched_.doubted if searched_ is not None else []
-    by_share = searched_ is None or _is_inexact(searched_.found, shares)
-    if searched_ is None or by_share:
-        experiments, base = experiments_and_base(model, records, mapping)
-        finer, doubted = 1, []
-        count = len(candidates(model, wanted))
-        found = Search(base, base, count) if shares is None else as_search(shares, base, experiments, count)
-    else:
-        found, experiments, finer = searched_.found, searched_.experiments, searched_.finer
+    blocks = blocks_of(model, whole) if shares is None else shares.blocks
+    by_share = exact is None or _is_inexact(exact.found, shares)
+    last = _taken_by_share(model, records, mapping, wanted, shares) if exact is None or by_share else exact
+    found, experiments = last.found, last.experiments
     tell(0.75, "drawing what no effect explains")
     free = free_term(found.best, experiments)
     if by_share:
         judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0) if shares is None else judged(shares, found)
     else:
-        judgement = judge(found, free, incomplete=is_incomplete(found, experiments))
-        if blocks is not None:
-            judgement = replace(judgement, candidates=with_shares(judgement.candidates, found, blocks))
-    if judgement.verdict == "adequate" and structured:
-        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
+        judgement = _judged_as_exact(last, free, blocks, structured)
     tell(0.85, "what could not have been seen, and the next experiment")
     return Explanation(
         verdict=judgement.verdict,
@@ -179,8 +164,8 @@ def explain(
         next_experiment=next_experiments(found, judgement.candidates, experiments),
         search=found,
         experiments=experiments,
-        finer=finer,
-        held=held_values(model, doubted, found.best),
+        finer=last.finer,
+        held=held_values(model, last.doubted, found.best),
         by_share=by_share,
         remaining=None if blocks is None else remaining_on(found.best.model, blocks),
         seconds=time.perf_counter() - began,
@@ -192,7 +177,7 @@ def _informed(
 ) -> tuple[PhysicalModel, list[Experiment]]:
     """The model with columns of the records that may be forgotten inputs, and the whole records as its experiments."""
     _, whole = match(model, records, mapping)
-    if wanted is not None and "forgotten-input" not in wanted:
+    if wanted is not None and not any(find_effect(id).takes_columns for id in wanted):
         return model, whole
     knowing = informed(model, whole)
     return knowing, whole if knowing is model else match(knowing, records, mapping)[1]
@@ -200,7 +185,7 @@ def _informed(
 
 @dataclass(frozen=True, eq=False)
 class _Exact:
-    """What the search for an exact structure found, the experiments, how fine they are cut, and fixed values that are doubted."""
+    """What a search found, exactly or by share, the experiments, how fine they are cut, and the fixed values that are doubted."""
 
     found: Search
     experiments: list[Experiment]
@@ -208,12 +193,53 @@ class _Exact:
     doubted: list[list[str]]
 
 
+def _exact_in_time(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str] | None,
+    seconds: float | None,
+    tell: Tell,
+) -> _Exact | None:
+    """What the search for an exact structure found in its part of the time; None where it is not done by then."""
+    try:
+        with within(None if seconds is None else EXACT_TIME * seconds):
+            return _exact(model, records, mapping, wanted, tell)
+    except OutOfTime:
+        tell(0.5, "out of time for an exact structure")
+        return None
+
+
+def _taken_by_share(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str] | None,
+    shares: ShareSearch | None,
+) -> _Exact:
+    """What was accepted by its share in the place of an exact structure; nothing where no blocks could be cut."""
+    experiments, base = experiments_and_base(model, records, mapping)
+    count = len(candidates(model, wanted))
+    found = Search(base, base, count) if shares is None else as_search(shares, base, experiments, count)
+    return _Exact(found, experiments, 1, [])
+
+
+def _judged_as_exact(exact: _Exact, free: FreeTerm | None, blocks: Blocks | None, structured: bool) -> Judgement:
+    """The judgement on an exact structure, with shares; never `adequate` where `compare` finds what is left `structured`."""
+    judgement = judge(exact.found, free, incomplete=is_incomplete(exact.found, exact.experiments))
+    if blocks is not None:
+        judgement = replace(judgement, candidates=with_shares(judgement.candidates, exact.found, blocks))
+    if judgement.verdict == "adequate" and structured:
+        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
+    return judgement
+
+
 def _exact(
     model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None, tell: Tell
 ) -> _Exact:
     doubted: list[list[str]] = []
     found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
-    while len(doubted) < _MOST_HELD and (names := wrongly_held(found, experiments)):
+    while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])
         found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))

@@ -8,13 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.locate import Axis
+from residuum.identification.discrepancy.policy.noise import SIGNAL_MEMORIES
 from residuum.identification.linear_models.recursive_filter import all_pole
 
 FloatArray = npt.NDArray[np.float64]
 Shape = Callable[[FloatArray], FloatArray]
-
-_MEMORY = (0.0, 0.8, 0.97)
-"""Poles of first-order lags: an error inside a machine reaches its outputs through the machine's own dynamics."""
 
 
 def _step(z: FloatArray) -> FloatArray:
@@ -43,7 +41,7 @@ def features(axes: Sequence[Axis]) -> FloatArray:
     for axis in axes:
         largest = float(np.nanmax(np.abs(axis.values), initial=0.0))
         scaled = np.nan_to_num(axis.values) / (largest or 1.0)  # what rests has columns too: it may move in another record
-        columns += [_lagged(shape(scaled), pole) for shape in _SHAPES.get(axis.kind, ()) for pole in _MEMORY]
+        columns += [_lagged(shape(scaled), pole) for shape in _SHAPES.get(axis.kind, ()) for pole in SIGNAL_MEMORIES]
     return np.stack(columns, axis=1)
 
 

@@ -13,16 +13,19 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovations import ORDER, fit_noises
+from residuum.identification.discrepancy.innovations import fit_noises
+from residuum.identification.discrepancy.policy.noise import NOISE_ORDER
+from residuum.identification.discrepancy.policy.records import (
+    ANSWER_CERTAIN,
+    ANSWER_LAGS,
+    ANSWER_SAMPLES,
+    ANSWER_SHARE,
+    NORMAL_MEDIAN,
+    OUTLYING_INNOVATION,
+)
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 
 FloatArray = npt.NDArray[np.float64]
-
-_LAGS, _ENOUGH = 3, 6_000
-"""Samples after which a controller answers at most, and of how many that is asked."""
-_SHARE, _CERTAIN = 0.05, 30.0
-"""Share of an input's innovations that answers an output's, and that share times their number, from which on it is feedback."""
-_OUTLYING, _NORMAL_MEDIAN = 4.0, 0.6745
 
 
 def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residuals: Sequence[FloatArray]) -> bool:
@@ -30,11 +33,11 @@ def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residual
 
     What an output feels at once (a current its voltage) may correlate with it for other reasons; there only later answers count.
     """
-    at_once, most = _felt_at_once(model, experiments[0]), -(-_ENOUGH // len(experiments))
+    at_once, most = _felt_at_once(model, experiments[0]), -(-ANSWER_SAMPLES // len(experiments))
     inputs = _innovations([e.U[:most] for e in experiments])
     for o, e in enumerate(_innovations([r[:most] for r in residuals])):
         for u in inputs:
-            for lag in range(1 if at_once[o] else 0, _LAGS):
+            for lag in range(1 if at_once[o] else 0, ANSWER_LAGS):
                 if e is not None and u is not None and _answers(e[: len(e) - lag], u[lag:]):
                     return True
     return False
@@ -51,13 +54,13 @@ def _felt_at_once(model: PhysicalModel, experiment: Experiment) -> npt.NDArray[n
 def _innovations(signals: Sequence[FloatArray]) -> list[FloatArray | None]:
     """What the past of each signal does not predict of it, in units of its spread, outliers drawn in; None if that is nothing."""
     found: list[FloatArray | None] = []
-    for o, noise in enumerate(fit_noises(signals, ORDER)):
+    for o, noise in enumerate(fit_noises(signals, NOISE_ORDER)):
         if noise is None:
             found.append(None)
             continue
         e = np.concatenate([noise.whiten(np.ascontiguousarray(v[:, o])) for v in signals])
-        spread = np.nanmedian(np.abs(e)) / _NORMAL_MEDIAN if e.size else 0.0
-        found.append(np.clip(e / spread, -_OUTLYING, _OUTLYING) if spread > 0.0 else None)
+        spread = np.nanmedian(np.abs(e)) / NORMAL_MEDIAN if e.size else 0.0
+        found.append(np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None)
     return found
 
 
@@ -66,4 +69,4 @@ def _answers(e: FloatArray, u: FloatArray) -> bool:
     if not known.any():
         return False
     share = np.mean(e[known] * u[known]) ** 2 / (np.mean(e[known] ** 2) * np.mean(u[known] ** 2))
-    return bool(share > _SHARE and share * known.sum() > _CERTAIN)
+    return bool(share > ANSWER_SHARE and share * known.sum() > ANSWER_CERTAIN)

@@ -15,30 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.evidence import tempered
+from residuum.identification.discrepancy.first_order import first_order_fit
 from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
-from residuum.identification.discrepancy.score_test import first_order_fit
+from residuum.identification.discrepancy.policy.answers import FACTOR_KNOTS, FREE_TERM_KNOTS
+from residuum.identification.discrepancy.policy.likelihood import FREE_TERM_RIDGE
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 
 FloatArray = npt.NDArray[np.float64]
-
-KNOTS: Mapping[str, tuple[int, ...]] = {
-    "velocity": (9, 25),
-    "position": (9, 33),
-    "current": (9,),
-    "temperature": (9,),
-    "level": (9,),
-    "time": (17,),
-}
-"""Axes of the free term, and how many hat functions are tried on each."""
-_ALIKE = 1e-5
-"""Share of the largest scaled curvature up to which a term is what the parameters do (a voltage linear in the current, a
-resistance): their responses differ by how they are computed alone.
-"""
-CHANGES = 5
-"""Hat functions by which an effect that was found may change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +68,12 @@ def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTe
         balance, axis, knots, terms = term
         columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
         by_parameters = [np.concatenate([J, c], axis=2) for J, c in zip(structure.by_parameters, columns, strict=True)]
-        step, pointwise, rest = first_order_fit(structure, structure.residuals, by_parameters, structure.by_states, ridge=_ALIKE)
+        step, pointwise, rest = first_order_fit(
+            structure, structure.residuals, by_parameters, structure.by_states, ridge=FREE_TERM_RIDGE
+        )
         price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
         d = pointwise - structure.pointwise
-        unit = model.balances[balance].unit if axis in KNOTS else ""  # a factor has none
+        unit = model.balances[balance].unit if axis in FREE_TERM_KNOTS else ""  # a factor has none
         value, power = step[len(structure.parameters) :], scaled_power(rest, structure.noises)
         return FreeTerm(balance, axis, unit, knots, value, power, float(d.sum()) - price, tempered(d) - price)
 
@@ -111,12 +99,12 @@ def _terms(
     for name, balance in structure.model.balances.items():
         signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(experiments, responses, strict=True)]
         times = [e.sample_time * np.arange(e.n, dtype=float) for e in experiments]
-        axes = {axis: [s[axis] for s in signals] for axis in KNOTS if axis in signals[0]} | {"time": times}
+        axes = {axis: [s[axis] for s in signals] for axis in FREE_TERM_KNOTS if axis in signals[0]} | {"time": times}
         for axis, values in axes.items():
             joined = np.concatenate(values)
             if not np.ptp(joined) > 0:
                 continue
-            for count in KNOTS[axis]:
+            for count in FREE_TERM_KNOTS[axis]:
                 knots = np.linspace(joined.min(), joined.max(), count)
                 yield name, axis, knots, [_hats(v, knots) for v in values]
         yield from _changing(structure.model, name, signals, times)
@@ -136,7 +124,7 @@ def _changing(
         for axis, values in axes.items():
             joined = np.concatenate(values)
             if np.ptp(joined) > 0:
-                knots = np.linspace(joined.min(), joined.max(), CHANGES)
+                knots = np.linspace(joined.min(), joined.max(), FACTOR_KNOTS)
                 terms = [_hats(v, knots) * s[name][:, None] for v, s in zip(values, signals, strict=True)]
                 yield balance, f"{axis} (factor of {use.id})", knots, terms
 

@@ -10,19 +10,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.discrepancy.policy.likelihood import AGAIN_STEPS, STATES_ALONE
+from residuum.identification.discrepancy.policy.records import FEWEST_TO_SPLIT, STANDSTILL, TRAINING_SHARE
+from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, Settings, Simulator, estimate
+from residuum.identification.physics import Experiment, Simulator, estimate
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
-
-TRAINING_SHARE = 0.7
-_STATES_ONLY = Settings(iterations=20, tolerance=1e-4)
-_STILL = 0.2
-"""Part of a channel's standard deviation in the record under which it stands still in a part of it."""
-_FEWEST = 60
-"""Samples that a record must have for a part of it to be kept aside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +61,7 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     with np.errstate(invalid="ignore"):
         for values in record.channels.values():
             whole, part = np.nanstd(values), np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0
-            if whole > 0.0 and part < _STILL * whole:
+            if whole > 0.0 and part < STANDSTILL * whole:
                 return False
     return True
 
@@ -82,7 +78,7 @@ def split_experiments(
         kept = [k for k in range(len(experiments)) if k % 3 != left_out]
         aside = list(range(left_out, len(experiments), 3))
         return [experiments[k] for k in kept], [(experiments[k], 0) for k in aside], kept, aside
-    kept = [k for k, e in enumerate(experiments) if e.n >= _FEWEST]
+    kept = [k for k, e in enumerate(experiments) if e.n >= FEWEST_TO_SPLIT]
     long = [experiments[k] for k in kept]
     firsts = [int(TRAINING_SHARE * e.n) for e in long]
     if end:
@@ -107,7 +103,7 @@ def held_out_rmse(
     simulator, experiments = Simulator(structure.model), [e for e, _ in testing]
     seen = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
     try:
-        start = estimate(structure.model, seen, free=(), initial=initial, settings=_STATES_ONLY)
+        start = estimate(structure.model, seen, free=(), initial=initial, settings=STATES_ALONE)
     except NotIdentifiable:
         return np.full(len(structure.model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
@@ -125,7 +121,7 @@ def cross_checked(structure: Structure, experiments: Sequence[Experiment], *, en
         training, testing = _in_sequence(experiments, kept)
         kept = aside = list(range(len(experiments)))
     initial = [structure.initial[k] for k in kept]
-    again = fit_structure(structure.model, training, initial, iterations=4, second_start=False)
+    again = fit_structure(structure.model, training, initial, iterations=AGAIN_STEPS, second_start=False)
     return None if again is None else held_out_rmse(again, testing, [structure.initial[k] for k in aside])
 
 

@@ -1,9 +1,8 @@
-"""Blocks kept aside: stretches of the records that a model follows from where the measurements show the machine to be.
+"""Blocks kept aside: parts of the records that judge a model which has not seen them.
 
 A likelihood of single samples believes that one structure is exact. The world never is one of our structures; then the scatter
-between blocks of time, not the number of samples, is what a difference of two models has to stand above. Every second stretch
-estimates, the others judge. Each begins at the smoothed states, so that nothing but the model's own terms can explain what
-happens in it: free first states would imitate whatever is missing.
+between blocks of time, not the number of samples, is what a difference of two models has to stand above. Every second block
+estimates, the others judge, and then the other way round.
 
 References
 ----------
@@ -14,58 +13,67 @@ M. C. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425 (a model is wrong by
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.deadline import in_time
-from residuum.identification.discrepancy.track import Track, joined_spare
+from residuum.identification.discrepancy.policy.blocks import DOMINANT, ESTIMATED, ESTIMATED_ON_ALL, LOOKED_AT
+from residuum.identification.discrepancy.track import Track
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
-from residuum.identification.physics.simulate.kalman import Filter, first_noise, noise_floor
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
 
 FloatArray = npt.NDArray[np.float64]
 
-_BLOCKS = (60, 30, 15)
-"""Stretches that the records are cut into: fewer, hence longer, where the shorter ones do not show the model's error."""
-_SHORTEST, _LONGEST = 20, 600
-"""Samples of a stretch."""
-_MOSTLY = 0.5
-"""Part of an output's power that one block may hold."""
-_SHOWN = 10.0
-"""Times the measurement noise that an error over a stretch has to stand to be judged."""
-_REFIT, _LOOK = 15, 6
-"""Gauss–Newton steps of a candidate that is judged, and of one of its starts."""
-_MOST, _GLANCED = 12_000, 3_000
-"""Samples of all stretches, and of those on which a start is looked at."""
+
+Spans = list[tuple[int, int, int]]
+"""Begin and end of pieces of an experiment, and the block that each belongs to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """What estimates, and what judges: `spans` are the pieces of each experiment in `test`, each of one of so many `blocks`.
+
+    Where the first states are not known (a whole run), `train` and `test` are the same runs with other samples measured, and the
+    states that were estimated go with the parameters.
+    """
+
+    train: list[Experiment]
+    test: list[Experiment]
+    spans: list[Spans]
+    blocks: int
+
+    @property
+    def whole(self) -> bool:
+        """Whether the first states are estimated."""
+        return not self.train[0].known
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model estimated on a fold, its first states there, and the weighted sum of squares that it leaves."""
+
+    model: PhysicalModel
+    initial: list[FloatArray]
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Stretches of the experiments that begin on the track of `model`: those that `train`, and those that `test`."""
+    """Blocks of the experiments: two folds, in each of which the other half judges.
 
-    model: PhysicalModel
-    train: list[Experiment]
-    test: list[Experiment]
+    `looked` is what a first look estimates on: whole runs with every sample, or some of the first fold's stretches. `base` is the
+    model estimated on that. `track` is what the model's filter saw, `states` (n, states) an experiment where the machine went: as
+    the model is simulated where it follows the records, else as the filter saw it. `noise` is each output's measurement noise.
+    """
+
+    base: Fitted
+    looked: Fold
+    folds: tuple[Fold, Fold]
     track: Track
+    states: list[FloatArray]
     noise: FloatArray
-
-    @property
-    def samples(self) -> int:
-        """Length of a stretch."""
-        return self.test[0].n
-
-    @property
-    def few(self) -> Blocks:
-        """The same with some of the training blocks alone, evenly spread."""
-        total = sum(part.n for part in self.train)
-        return replace(self, train=self.train[:: max(1, round(total / _GLANCED))])
-
-    @property
-    def turned(self) -> Blocks:
-        """The same with what trains and what tests exchanged."""
-        return replace(self, train=self.test, test=self.train)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +93,8 @@ class Errors:
         return np.sqrt(np.divide(self.power.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
 
     def beside(self, other: Errors) -> Errors:
-        """These blocks, and then the other's."""
-        return Errors(np.concatenate([self.power, other.power]), np.concatenate([self.count, other.count]))
+        """Those of the pieces that judged here, and of the other's."""
+        return Errors(self.power + other.power, self.count + other.count)
 
     def stands_out(self, noise: FloatArray, times: float) -> bool:
         """Whether an output's error is so many times its measurement noise."""
@@ -107,129 +115,97 @@ class Errors:
     def limits(self) -> FloatArray:
         """Of each output the power above which a block is no more than one of many, shape (outputs,)."""
         largest = np.sort(self.power, axis=0)[::-1]
-        alone = largest[0] > _MOSTLY * largest.sum(axis=0)
+        alone = largest[0] > DOMINANT * largest.sum(axis=0)
         return np.where(alone, largest[min(1, len(largest) - 1)], np.inf)
 
 
-def blocks_on_track(model: PhysicalModel, experiments: Sequence[Experiment]) -> Blocks | None:
-    """The experiments in blocks that begin on the model's track; None where the filter diverges or the records are too short.
-
-    The stretches are as short as show the model's error: at least `_SHOWN` times the noise of an output.
-    """
-    kalman, simulator = Filter(model, first_noise(model, list(experiments))), Simulator(model)
-    found = [kalman.run(e, simulator.x0(e.known)) for e in experiments]
-    if not all(np.all(np.isfinite(s.X)) for s in found):
+def estimated(
+    model: PhysicalModel, experiments: Sequence[Experiment], settings: Settings, initial: Sequence[FloatArray] | None = None
+) -> Estimate | None:
+    """The estimate; None where the model diverges, nothing can be estimated, or the estimate is too stiff for the integrator."""
+    try:
+        found = estimate(model, experiments, settings=settings, initial=initial)
+    except (NotIdentifiable, BadInput, NotImplementedError):
         return None
-    lacks = {
-        b: np.concatenate([s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for s in found]) for b in model.balances
-    }
-    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
-    spare = joined_spare(experiments)
-    along = Track(replace(experiments[0], U=U, Y=Y, known={}, spare=spare), np.concatenate([s.X for s in found]), lacks)
-    noise, total = np.nan_to_num(noise_floor(Y)), sum(e.n for e in experiments)
-    blocks = None
-    for count in _BLOCKS:
-        samples = int(np.clip(total // count, _SHORTEST, _LONGEST))
-        parts = _stretches(simulator.states, experiments, [s.X for s in found], samples)
-        if len(parts) < 6:
-            break
-        parts = _thinned(parts, max(1, total // _MOST))
-        blocks = Blocks(model, parts[::2], parts[1::2], along, noise)
-        trained = fitted(model, blocks)
-        errors = None if trained is None else errors_on(trained[0], blocks)
-        if errors is None or errors.stands_out(noise, _SHOWN) or samples == _LONGEST:
-            break
-    return blocks
+    simulator = Simulator(found.model)
+    return found if simulator.resolves(experiments, found.initial, simulator.p(), found.substeps) else None
 
 
-def _stretches(states: Sequence[str], experiments: Sequence[Experiment], X: Sequence[FloatArray], n: int) -> list[Experiment]:
-    parts = []
-    for e, along in zip(experiments, X, strict=True):
-        for part in windows(e, min(n, e.n)):
-            row = round((part.t0 - e.t0) / e.sample_time)
-            if 2 * part.n > n:
-                parts.append(replace(part, known=dict(zip(states, along[row].tolist(), strict=False)), block=1))
-    return parts
-
-
-def _thinned(parts: list[Experiment], every: int) -> list[Experiment]:
-    """Neighbours in pairs, of which one trains and the other tests, one pair of so many."""
-    return [part for k, part in enumerate(parts) if (k // 2) % every == 0] if len(parts) > 30 else parts
-
-
-def _measured(parts: Sequence[Experiment]) -> FloatArray:
-    return np.concatenate([part.Y for part in parts])
-
-
-def errors_on(model: PhysicalModel, blocks: Blocks) -> Errors | None:
-    """The model's errors on the blocks kept aside, its effects' own states settled at each begin; None where it diverges."""
-    simulator, test = Simulator(model), blocks.test
-    initial, p = [simulator.x0(part.known) for part in test], simulator.p()
+def errors_on(found: Fitted, fold: Fold) -> Errors | None:
+    """The model's errors on the blocks that judge, its effects' own states settled at each begin; None where it diverges."""
+    simulator, test = Simulator(found.model), fold.test
+    initial, p = found.initial if fold.whole else [simulator.x0(part.known) for part in test], simulator.p()
     try:
         steps = simulator.substeps_each(test, initial, p)
         residuals = simulator.run_each(test, initial, p, substeps=steps).errors_of_each
     except NotIdentifiable:
         return None
-    known = [np.isfinite(part.Y) for part in blocks.test]
-    if not all(np.all(np.isfinite(r[there])) for r, there in zip(residuals, known, strict=True)):
-        return None
-    power = np.array([np.nansum(r**2, axis=0) for r in residuals])
-    return Errors(power, np.array([there.sum(axis=0) for there in known], dtype=float))
+    power, count = np.zeros((2, fold.blocks, len(found.model.outputs)))
+    for e, r, spans in zip(test, residuals, fold.spans, strict=True):
+        for begin, end, block in spans:
+            known, error = np.isfinite(e.Y[begin:end]), r[begin:end]
+            if not np.all(np.isfinite(error[known])):
+                return None
+            power[block] += np.nansum(error**2, axis=0)
+            count[block] += known.sum(axis=0)
+    return Errors(power, count)
 
 
-def fitted(model: PhysicalModel, blocks: Blocks, *, look: bool = False) -> tuple[PhysicalModel, float] | None:
-    """The model at its least simulation error on the training blocks, with that error's weighted sum of squares.
+def fitted(model: PhysicalModel, fold: Fold, *, look: bool = False, initial: Sequence[FloatArray] | None = None) -> Fitted | None:
+    """The model at its least simulation error on what estimates; None where it diverges. A first `look` takes fewer steps.
 
-    None where it diverges. A first `look` takes fewer steps.
+    Of a whole run the first states are sought from `initial` on, where they are known roughly.
     """
     in_time()
-    if not model.free:
-        return model, np.inf
-    settings = Settings(iterations=_LOOK if look else _REFIT, tolerance=1e-3)
-    try:
-        found = estimate(model, blocks.train, settings=settings)
-    except (NotIdentifiable, BadInput, NotImplementedError):
+    if not model.free and not fold.whole:
+        return Fitted(model, [], np.inf)
+    found = estimated(model, fold.train, LOOKED_AT if look else ESTIMATED, initial)
+    if found is None:
         return None
-    residuals: FloatArray = np.concatenate(found.residuals)
-    spread = np.array([np.std(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in _measured(blocks.train).T])
+    residuals, Y = np.concatenate(found.residuals), np.concatenate([part.Y for part in fold.train])
+    spread = np.array([np.std(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in Y.T])
     weights = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
-    return found.model, float(np.nansum((residuals * weights) ** 2))
+    return Fitted(found.model, found.initial, float(np.nansum((residuals * weights) ** 2)))
 
 
-def cross_judged(model: PhysicalModel, blocks: Blocks) -> tuple[PhysicalModel, Errors] | None:
-    """The model estimated on the training blocks and tested on the others, and the other way round: its errors on all of them.
+def cross_judged(found: Fitted | None, blocks: Blocks) -> tuple[Fitted, Errors] | None:
+    """The model estimated on either half of the blocks and judged on the other, from where a first look `found` it: its errors on
+    all of them.
 
     Every block is judged once by a model that has not seen it; None where one of the two diverges.
     """
-    first = fitted(model, blocks)
-    second = None if first is None else fitted(first[0], blocks.turned)
+    if found is None:
+        return None
+    first, second = (fitted(found.model, fold, initial=found.initial if fold.whole else None) for fold in blocks.folds)
     if first is None or second is None:
         return None
-    errors, others = errors_on(first[0], blocks), errors_on(second[0], blocks.turned)
-    return None if errors is None or others is None else (first[0], errors.beside(others))
+    errors, others = errors_on(first, blocks.folds[0]), errors_on(second, blocks.folds[1])
+    return None if errors is None or others is None else (found, errors.beside(others))
 
 
-@dataclass(frozen=True)
-class Remaining:
-    """What a model leaves on the blocks kept aside.
-
-    `share` of the power of the model that the blocks were cut with, `times_noise` the largest RMS error over its measurement
-    noise, and the stretch of time `where` (from, to) [s] in which most of it lies.
-    """
-
-    share: float
-    times_noise: float
-    where: tuple[float, float]
+def looked_at(model: PhysicalModel, blocks: Blocks) -> Fitted | None:
+    """A model with effects more than the blocks' own, estimated on what a first look takes; None where it diverges."""
+    whole = blocks.looked.whole
+    return fitted(model, blocks.looked, look=True, initial=_first_states(blocks.base, model) if whole else None)
 
 
-def remaining_on(model: PhysicalModel, blocks: Blocks) -> Remaining | None:
-    """What the model, estimated on the training blocks, leaves on the others; None where it diverges."""
-    base, trained = cross_judged(blocks.model, blocks), cross_judged(model, blocks)
-    if base is None or trained is None:
+def estimated_on_all(blocks: Blocks) -> Estimate | None:
+    """The blocks' model estimated on all of them together; None where it diverges or has nothing free."""
+    base, whole = blocks.base, blocks.looked.whole
+    experiments = blocks.looked.train if whole else [part for fold in blocks.folds for part in fold.test]
+    if not base.model.free:
         return None
-    after = trained[1]
-    power = after.relative(base[1])
-    worst = [*blocks.test, *blocks.train][int(np.argmax(power))]
-    times = after.rms / np.where(blocks.noise > 0, blocks.noise, np.nan)
-    largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
-    return Remaining(float(power.sum()), largest, (worst.t0, worst.t0 + worst.n * worst.sample_time))
+    return estimated(base.model, experiments, ESTIMATED_ON_ALL, base.initial if whole else None)
+
+
+def _first_states(base: Fitted, model: PhysicalModel) -> list[FloatArray]:
+    """The base's first states in the order of a model with other effects, whose own states begin where its kernel sets them."""
+    states, simulator = Simulator(base.model).states, Simulator(model)
+    found = []
+    for known in base.initial:
+        x = simulator.x0({})
+        for name, value in zip(states, known.tolist(), strict=True):
+            if name in simulator.states:
+                x[simulator.states.index(name)] = value
+        found.append(x)
+    return found

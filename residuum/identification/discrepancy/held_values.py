@@ -11,17 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.evidence import ALIKE
-from residuum.identification.discrepancy.growth import Search, evidence_asked
+from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ALIKE, HELD_REACH, HELD_STANDARD_DEVIATIONS
+from residuum.identification.discrepancy.policy.noise import NOISE_ALONE
+from residuum.identification.discrepancy.search_state import Search, evidence_asked
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import NO_RIVAL, NOISE_ALONE, Rival, Structure, refit, times_its_innovations
-from residuum.identification.discrepancy.trials import ACCEPT, schwarz, simulates_no_worse
+from residuum.identification.discrepancy.structure_comparison import schwarz, simulates_no_worse
+from residuum.identification.discrepancy.structure_fits import refit
+from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, times_its_innovations
 from residuum.identification.physics import Experiment, PhysicalModel
-
-_REACH = 0.3
-"""Part of a held value by which it may be wrong: what lies farther off is another machine, or another effect."""
-_PLAINLY = 5.0
-"""Standard deviations by which it has to be."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ def freed(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
     known = dict(model.parameters)
     for name in names:
         p = known[name]
-        low, high = sorted(((1.0 - _REACH) * p.value, (1.0 + _REACH) * p.value))
+        low, high = sorted(((1.0 - HELD_REACH) * p.value, (1.0 + HELD_REACH) * p.value))
         known[name] = replace(p, fixed=False, lower=max(low, p.lower), upper=min(high, p.upper))
     return replace(model, parameters=known)
 
@@ -72,7 +69,7 @@ def _with_free(before: Structure, name: str, found: Search, experiments: Sequenc
     if free is None or schwarz(free, found.base) < mark or name in free.at_bound or not simulates_no_worse(free, before):
         return None
     k, held = free.parameters.index(name), before.model.parameters[name].value
-    plain = np.isfinite(free.std[k]) and abs(free.model.values[name] - held) > _PLAINLY * free.std[k]
+    plain = np.isfinite(free.std[k]) and abs(free.model.values[name] - held) > HELD_STANDARD_DEVIATIONS * free.std[k]
     return (schwarz(free, found.base), name) if plain else None
 
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.structures import Structure, visible
+from residuum.identification.discrepancy.structure_fits import visible
+from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, Simulator
 
 FloatArray = npt.NDArray[np.float64]

@@ -7,29 +7,25 @@ They run without the interpreter's lock, so that candidates are judged side by s
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
+
+from residuum.identification.discrepancy.noise_poles import within
+from residuum.identification.discrepancy.policy.noise import (
+    FREEDOM,
+    INNOVATION_STRETCH,
+    LEAST_SPREAD,
+    LOG_DENSITY_AT_ZERO,
+    MEDIAN_SQUARE,
+    NORMAL_VARIANCE,
+    SCALINGS,
+    ZERO_INNOVATION,
+)
+from residuum.kept_loops import njit
 
 _FAST = {"reassoc", "contract", "arcp"}  # sums in any order; missing samples stay NaN
-FREEDOM = 5.0
-"""Degrees of freedom of the innovations: loses 7 % of a normal noise's information."""
-_SCALINGS = 12
-_STRETCH = 1024
-_LOW = 0.53
-"""Median of e²/s² for t-distributed e of scale s."""
-_ZERO, _SPREAD = 1e-12, 1.0 / 30.0
-"""Part of their mean square up to which innovations are zero; and least part that their squared scale is of that where most are,
-and of what coarse steps hide.
-"""
-NORMAL = FREEDOM / (FREEDOM - 2.0)
-"""Variance of t-distributed innovations over their squared scale."""
-_AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
-"""Log density of t-distributed innovations of scale one at zero."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def whitened(rows, a):
     """A(z) x of each row x without the first p samples, shape (rows, n − p); NaN where one of its samples is missing."""
     order, count, n = a.shape[0], rows.shape[0], rows.shape[1]
@@ -39,12 +35,12 @@ def whitened(rows, a):
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def whiten(x, a, e):
     """e(t) = x(t) + Σ aᵢ x(t − i) from the sample p on, lag by lag in stretches that stay in the cache."""
     order = a.shape[0]
-    for begin in range(0, e.shape[0], _STRETCH):
-        end = min(begin + _STRETCH, e.shape[0])
+    for begin in range(0, e.shape[0], INNOVATION_STRETCH):
+        end = min(begin + INNOVATION_STRETCH, e.shape[0])
         there = e[begin:end]
         there[:] = x[begin + order : end + order]
         for lag in range(order):
@@ -53,7 +49,7 @@ def whiten(x, a, e):
                 there[t] += factor * past[t]
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def innovate(x, a, first, e):
     """`whiten` with the first p samples too, each by its own predictor, a row of `first`, from those before it."""
     for k in range(min(a.shape[0], x.shape[0])):
@@ -64,7 +60,7 @@ def innovate(x, a, first, e):
         whiten(x, a, e[a.shape[0] :])
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, own, own_gradient):
     """Add those of output o of several experiments, laid out as in `scale_of`: Σ w·φφᵀ and Σ w·φ·e, e and φ the innovations of
     r (n, outputs), of the columns of J (n, outputs, q), common to all, and of Z (n, outputs, m), each experiment's own; w the
@@ -86,7 +82,7 @@ def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, ow
             w[t] = (FREEDOM + 1.0) / (FREEDOM + e[t] * e[t] / variance) / variance if complete else 0.0
             e[t] = e[t] if complete else 0.0
         if n and w[0] != 0.0:
-            w[0] = 1.0 / (NORMAL * variance)
+            w[0] = 1.0 / (NORMAL_VARIANCE * variance)
         for i in range(q + m):
             x[:n] = J[begin : begin + n, o, i] if i < q else Z[begin : begin + n, o, i - q]
             innovate(x[:n], a, first, phi[i, :n])
@@ -109,7 +105,7 @@ def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, ow
                     own[k, j - q, i - q] = own[k, i - q, j - q]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def after_step(r, J, Z, starts, step, own):
     """r − J·step − Z·z, z the row of `own` of the experiment, laid out as in `scale_of`."""
     rest = r.copy()
@@ -123,7 +119,7 @@ def after_step(r, J, Z, starts, step, own):
     return rest
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def add_lag_products(v, a, variance, G, g):
     """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, φ = v(t−1) … v(t−p), w the t weight of the innovation (1 for
     variance 0, 0 where a sample is missing).
@@ -153,7 +149,7 @@ def add_lag_products(v, a, variance, G, g):
     return rows
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def product(x, y, count):
     """Σ x·y over the first `count` samples."""
     sum_ = 0.0
@@ -162,7 +158,7 @@ def product(x, y, count):
     return sum_
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=_FAST)
+@njit(error_model="numpy", fastmath=_FAST)
 def squared_scale(e, near, floor):
     """Maximum-likelihood squared scale of t-distributed innovations (none missing), sought from `near` on (0: anywhere).
 
@@ -173,13 +169,13 @@ def squared_scale(e, near, floor):
     square = e * e
     mean, zeros = np.mean(square), 0
     for one in square:
-        zeros += one <= _ZERO * mean
-    least = max(_SPREAD * max(mean if 2 * zeros > n else 0.0, floor), 1e-300)
+        zeros += one <= ZERO_INNOVATION * mean
+    least = max(LEAST_SPREAD * max(mean if 2 * zeros > n else 0.0, floor), 1e-300)
     variance = near
     if near == 0.0:
-        variance = max(np.median(square) / _LOW, 1e-24 * mean)
+        variance = max(np.median(square) / MEDIAN_SQUARE, 1e-24 * mean)
     variance = max(variance, least)
-    for _ in range(_SCALINGS):
+    for _ in range(SCALINGS):
         sum_ = 0.0
         for t in range(n):
             sum_ += (FREEDOM + 1.0) * square[t] / (FREEDOM + square[t] / variance)
@@ -189,7 +185,7 @@ def squared_scale(e, near, floor):
     return variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def scale_of(x, starts, a, near, floor):
     """`squared_scale` of the innovations A(z) x of several signals, signal j being x[starts[j]] … x[starts[j + 1] − 1]."""
     e, count = np.empty(x.shape[0]), 0
@@ -204,7 +200,7 @@ def scale_of(x, starts, a, near, floor):
     return squared_scale(e[:count], near, floor)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def reweighted(x, starts, a, variance, turns, floor):
     """Coefficients and squared scale after so many turns of reweighted least squares, signals laid out as in `scale_of`.
 
@@ -229,7 +225,7 @@ def reweighted(x, starts, a, variance, turns, floor):
     return a, variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def autoregression(x, starts, a, variance, turns, floor, radius):
     """`reweighted`, its poles kept within the circle of this radius and the scale found again where that moved them."""
     a, variance = reweighted(x, starts, a, variance, turns, floor)
@@ -237,31 +233,14 @@ def autoregression(x, starts, a, variance, turns, floor, radius):
     return a, scale_of(x, starts, a, variance, floor) if moved else variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def within(a, radius):
-    """Coefficients of A(z) with its zeros drawn onto the circle of this radius where they lie beyond, and whether any did."""
-    if stable(a / radius ** np.arange(1, a.shape[0] + 1)):
-        return a, False
-    found = np.zeros(a.shape[0] + 1, dtype=np.complex128)
-    found[0] = 1.0
-    polynomial = np.ones(a.shape[0] + 1, dtype=np.complex128)
-    polynomial[1:] = a
-    for number, root in enumerate(np.roots(polynomial)):
-        size = abs(root)
-        drawn = root * (radius / size) if size > radius else root
-        for k in range(number + 1, 0, -1):
-            found[k] -= drawn * found[k - 1]
-    return found[1:].real.copy(), True
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def log_density(e, s):
     """Log density of t-distributed innovations of scale s."""
-    constant = _AT_ZERO - np.log(s)
+    constant = LOG_DENSITY_AT_ZERO - np.log(s)
     return constant - 0.5 * (FREEDOM + 1.0) * np.log1p((e / s) ** 2 / FREEDOM)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def log_likelihoods(x, starts, a, first, spreads, variance, floor):
     """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the best scale near `variance`, `floor` as
     in `squared_scale`.
@@ -282,41 +261,10 @@ def log_likelihoods(x, starts, a, first, spreads, variance, floor):
     for j in range(starts.shape[0] - 1):
         begin, end = starts[j], starts[j + 1]
         if begin < end:
-            found[begin] = -0.5 * (np.log(2.0 * np.pi * NORMAL * s**2) + e[begin] ** 2 / (NORMAL * s**2))
+            found[begin] = -0.5 * (np.log(2.0 * np.pi * NORMAL_VARIANCE * s**2) + e[begin] ** 2 / (NORMAL_VARIANCE * s**2))
         for k in range(min(a.shape[0], end - begin)):
             found[begin + k] -= spreads[k]
     for t in range(e.shape[0]):
         if not np.isfinite(e[t]):
             found[t] = 0.0
     return found
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def first_predictors(a, stable):
-    """Levinson's recursion downwards: rows of the scaled predictors of the first p samples, and the logarithms of their spreads.
-
-    Reflection coefficients are kept within ±`stable`.
-    """
-    order = a.shape[0]
-    rows, spreads, spread, a = np.zeros((order, order)), np.zeros(order), 0.0, a.copy()
-    for k in range(order, 0, -1):
-        reflection = min(max(a[k - 1], -stable), stable)
-        left = 1.0 - reflection**2
-        spread -= 0.5 * np.log(left)
-        a = (a[: k - 1] - reflection * a[: k - 1][::-1]) / left
-        rows[k - 1, : k - 1] = np.exp(-spread) * a[::-1]
-        rows[k - 1, k - 1] = np.exp(-spread)
-        spreads[k - 1] = spread
-    return rows, spreads
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def stable(a):
-    """Whether all poles of 1/A(z) lie within the unit circle (Levinson's recursion downwards: reflections below one)."""
-    a = a.copy()
-    for k in range(a.shape[0], 0, -1):
-        reflection = a[k - 1]
-        if not abs(reflection) < 1.0:
-            return False
-        a = (a[: k - 1] - reflection * a[: k - 1][::-1]) / (1.0 - reflection**2)
-    return True

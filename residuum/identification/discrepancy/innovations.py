@@ -13,14 +13,10 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise, longest_memory, pole_radius
 from residuum.identification.discrepancy.innovation_sums import autoregression, log_likelihoods
+from residuum.identification.discrepancy.policy.noise import DRIFT_MEMORY, NOISE_ORDER, NOISE_REWEIGHTINGS
 
 FloatArray = npt.NDArray[np.float64]
 
-ORDER = 12
-"""Of the autoregressive noise."""
-_REWEIGHTINGS = 3
-_DRIFT = 1e6
-"""Samples over which drifting noise forgets: longer than any record, short enough to be stable."""
 
 Noises = tuple[ColouredNoise | None, ...]
 """The noise of each output (`innovation_variance` is the squared scale); None for an output that was not measured."""
@@ -28,7 +24,7 @@ Noises = tuple[ColouredNoise | None, ...]
 
 def fit_noises(
     residuals: Sequence[FloatArray],
-    order: int = ORDER,
+    order: int = NOISE_ORDER,
     *,
     drifting: bool = False,
     near: Noises | None = None,
@@ -53,10 +49,10 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     if known == 0:
         return None
     longest = max(map(len, signals))
-    a, variance, turns = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0, _REWEIGHTINGS
+    a, variance, turns = np.zeros(max(0, min(order, longest // 4, known // 20))), 0.0, NOISE_REWEIGHTINGS
     if near is not None and near.order == a.size:
-        a, variance, turns = near.a, near.innovation_variance, _REWEIGHTINGS - 1
-    radius = pole_radius(_DRIFT if drifting else longest_memory(known, longest))
+        a, variance, turns = near.a, near.innovation_variance, NOISE_REWEIGHTINGS - 1
+    radius = pole_radius(DRIFT_MEMORY if drifting else longest_memory(known, longest))
     a, variance = autoregression(x, starts, a, variance, turns, floor, radius)
     return ColouredNoise(a, variance, floor)
 

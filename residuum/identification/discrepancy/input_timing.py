@@ -10,21 +10,18 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.averaged import averaged, liveliest
 from residuum.identification.discrepancy.feedback import feeds_back
-from residuum.identification.discrepancy.innovations import ORDER
+from residuum.identification.discrepancy.policy.noise import NOISE_ORDER
+from residuum.identification.discrepancy.policy.records import ANSWERED, MOST_INNOVATIONS, NORMAL_MEDIAN, OUTLYING
 from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.side_by_side import side_by_side
-from residuum.identification.discrepancy.structures import Structure, base_structure, plain_estimate
-from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.discrepancy.structure_fits import base_structure, plain_estimate
+from residuum.identification.discrepancy.structured_error import lasting_noise
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, match
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
-
-MOST_SAMPLES, _ANSWERED = 6_000, 2
-"""Innovations that are judged; and how many times as many samples where no means of them may be taken."""
-_NORMAL_MEDIAN = 0.6745
-OUTLYING = 30.0
-"""Spreads of an output's error beyond which its first one is not of their kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +41,11 @@ def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
 def at_likelier_timing(
     experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
 ) -> tuple[list[Experiment], Estimate]:
-    """What is fitted with inputs held over their samples or moving evenly between them, whichever leaves the smaller error.
+    """What is fitted with inputs held over their samples or moving evenly between them, whichever leaves the smaller innovations.
 
     The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
-    parameters that lie many standard deviations beside the truth.
+    parameters that lie many standard deviations beside the truth. Where noise is slow the error itself does not tell them apart:
+    half a sample is fast.
     """
 
     def tried(turned: list[Experiment]) -> tuple[list[Experiment], Estimate] | NotIdentifiable:
@@ -56,25 +54,31 @@ def at_likelier_timing(
         except NotIdentifiable as diverges:
             return diverges
 
-    def error(found: Estimate) -> float:
-        return float(np.nansum((found.rmse / spread) ** 2))
-
-    spread = _spread(experiments)
     first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
     if isinstance(first, NotIdentifiable):
         raise first
-    return first if isinstance(other, NotIdentifiable) or error(first[1]) <= error(other[1]) else other
+    return first if isinstance(other, NotIdentifiable) or _innovations(first[1]) <= _innovations(other[1]) else other
 
 
-def _spread(experiments: Sequence[Experiment]) -> FloatArray:
-    spread = np.array([np.nanstd(y) if np.isfinite(y).any() else np.nan for y in np.concatenate([e.Y for e in experiments]).T])
-    return np.where(spread > 0, spread, 1.0)
+def _innovations(found: Estimate) -> float:
+    """Logarithm of the innovations' variance, summed over the outputs that were measured."""
+    logarithms = [np.log(max(_innovation_variance([r[:, o] for r in found.residuals]), 1e-300)) for o in range(len(found.rmse))]
+    return float(np.nansum(logarithms))
+
+
+def _innovation_variance(residuals: Sequence[FloatArray]) -> float:
+    """Of one output's residuals; their own where they are too few to tell a colour, NaN where they were not measured."""
+    try:
+        return lasting_noise(residuals, NOISE_ORDER).innovation_variance
+    except BadInput:
+        known = np.concatenate([r[np.isfinite(r)] for r in residuals])
+        return float(np.mean(known**2)) if known.size else np.nan
 
 
 def experiments_and_base(
     model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, finer: int = 1
 ) -> tuple[list[Experiment], Structure]:
-    """Experiments of at most about `MOST_SAMPLES`, and the model re-estimated on them, at the likelier input timing.
+    """Experiments of at most about `MOST_INNOVATIONS`, and the model re-estimated on them, at the likelier input timing.
 
     Those of a plant that is judged in windows are cut so many times `finer`.
 
@@ -92,26 +96,29 @@ def experiments_and_base(
     if not any(map(_changes, experiments)):
         raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
 
-    def fitted(turned: list[Experiment]) -> _Tried | NotIdentifiable:
-        reduced = in_windows(model, averaged(turned, MOST_SAMPLES), finer)
-        try:
-            plain = plain_estimate(model, reduced)
-            answered = feeds_back(plain.model, reduced, plain.residuals)
-            if answered and any(e.block > 1 for e in reduced):
-                reduced = in_windows(model, liveliest(turned, _ANSWERED * MOST_SAMPLES), finer)
-                plain = plain_estimate(plain.model, reduced)
-            settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]
-            return _Tried(settled, base_structure(model, settled, plain), answered)
-        except NotIdentifiable as diverges:
-            return diverges
-
-    tried = side_by_side(fitted, [experiments, turned_timing(experiments)])
+    timings = [experiments, turned_timing(experiments)]
+    tried = side_by_side(lambda turned: _estimated(model, turned, finer), timings)
     found = [one for one in tried if not isinstance(one, NotIdentifiable)]
     if not found:
         raise next(diverges for diverges in tried if isinstance(diverges, NotIdentifiable))
     held = [one for one in found if one.answered and not any(e.hold.any() for e in one.experiments)]
     best = max(held or found, key=lambda one: one.base.log_likelihood)
     return best.experiments, best.base
+
+
+def _estimated(model: PhysicalModel, turned: list[Experiment], finer: int) -> _Tried | NotIdentifiable:
+    """The model re-estimated at one timing; what says that it diverges where it does."""
+    reduced = in_windows(model, averaged(turned, MOST_INNOVATIONS), finer)
+    try:
+        plain = plain_estimate(model, reduced)
+        answered = feeds_back(plain.model, reduced, plain.residuals)
+        if answered and any(e.block > 1 for e in reduced):
+            reduced = in_windows(model, liveliest(turned, ANSWERED * MOST_INNOVATIONS), finer)
+            plain = plain_estimate(plain.model, reduced)
+        settled = [_late(e, r) for e, r in zip(reduced, plain.residuals, strict=True)]
+        return _Tried(settled, base_structure(model, settled, plain), answered)
+    except NotIdentifiable as diverges:
+        return diverges
 
 
 def _changes(experiment: Experiment) -> bool:
@@ -127,9 +134,9 @@ def _late(experiment: Experiment, residuals: FloatArray) -> Experiment:
     model has no state for (a winding that is switched on), that one sample would decide over all others.
     """
     size = np.abs(residuals[:, experiment.measured])
-    outlying = np.flatnonzero(experiment.measured)[size[0] > OUTLYING * np.nanmedian(size, axis=0) / _NORMAL_MEDIAN]
+    outlying = np.flatnonzero(experiment.measured)[size[0] > OUTLYING * np.nanmedian(size, axis=0) / NORMAL_MEDIAN]
     if not outlying.size:
         return experiment
     Y = experiment.Y.copy()
-    Y[: ORDER * experiment.block, outlying] = np.nan
+    Y[: NOISE_ORDER * experiment.block, outlying] = np.nan
     return replace(experiment, Y=Y)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.model import missing_name
 from residuum.identification.physics.simulate.integration import integrate, new_memory, observe, observe_slopes
+from residuum.kept_loops import njit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def linear_response(model: PhysicalModel, experiment: Experiment, x0: FloatArray
     return LinearResponse(tuple(model.balances), X, F, C)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def _transitions(q, U, X, p, columns, sample_time, substeps, hold):
     n, nx, m = X.shape[0], X.shape[1], columns.shape[0]
     F, C = np.zeros((n, nx, m)), np.zeros((n, q.sizes[3], m))
@@ -67,7 +67,7 @@ def _transitions(q, U, X, p, columns, sample_time, substeps, hold):
     return F, C
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def _respond(F, C, balance, terms):
     n, nx, m = F.shape[0], F.shape[1], terms.shape[1]
     out = np.zeros((n, C.shape[1], m))

@@ -9,9 +9,16 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.answers import (
+    FEWEST_IN_A_BIN,
+    LOCATION_BINS,
+    LOCATION_SCORE,
+    ONE_WAY,
+    STANDSTILL_REGION,
+    WIDEST_REGION,
+)
+
 FloatArray = npt.NDArray[np.float64]
-_BINS = 24
-_FEWEST = 12  # samples in a bin
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +125,7 @@ class _Interval:
 
 def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None:
     known = np.isfinite(error) & axis.known
-    if known.sum() < 4 * _FEWEST:
+    if known.sum() < 4 * FEWEST_IN_A_BIN:
         return None
     squares = error[known] ** 2
     edges, index = axis.bins if np.array_equal(known, axis.known) else _binned(axis.values[known])
@@ -127,7 +134,7 @@ def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None
     count = np.asarray(np.bincount(index, minlength=len(edges) - 1), dtype=np.float64)
     power = np.asarray(np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64)
     first, last, score = _best_interval(count, power, correlation)
-    if score < 10.0 + 2.0 * np.log(len(count)):
+    if score < LOCATION_SCORE + 2.0 * np.log(len(count)):
         return None
     return _Interval(float(edges[first]), float(edges[last + 1]), float(edges[0]), float(edges[-1]), score)
 
@@ -167,11 +174,11 @@ def _one_way(error: FloatArray, inside: npt.NDArray[np.bool_], direction: FloatA
     if direction is None:
         return None
     ways = {"forward": inside & (direction > 0), "backward": inside & (direction < 0)}
-    if min(mask.sum() for mask in ways.values()) < _FEWEST:
+    if min(mask.sum() for mask in ways.values()) < FEWEST_IN_A_BIN:
         return None
     means = {name: float(np.mean(error[mask] ** 2)) for name, mask in ways.items()}
     larger = max(means, key=lambda name: means[name])
-    return larger if means[larger] > 4.0 * min(means.values()) else None
+    return larger if means[larger] > ONE_WAY * min(means.values()) else None
 
 
 def _binned(values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
@@ -185,13 +192,13 @@ def _bin_edges(values: FloatArray) -> FloatArray:
     low, high = float(values[0]), float(values[-1])
     if not high > low:
         return np.array([low])
-    quantiles = np.quantile(values, np.linspace(0, 1, _BINS // 2 + 1))
-    edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, _BINS // 2 + 1)]))
+    quantiles = np.quantile(values, np.linspace(0, 1, LOCATION_BINS // 2 + 1))
+    edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, LOCATION_BINS // 2 + 1)]))
     kept = [edges[0]]
     position = np.searchsorted(values, edges)
     start = 0
     for edge, place in zip(edges[1:-1], position[1:-1], strict=True):
-        if place - start >= _FEWEST and len(values) - place >= _FEWEST:
+        if place - start >= FEWEST_IN_A_BIN and len(values) - place >= FEWEST_IN_A_BIN:
             kept.append(edge)
             start = place
     return np.array([*kept, edges[-1]])
@@ -207,7 +214,7 @@ def _best_interval(count: FloatArray, power: FloatArray, correlation: float) -> 
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = inside_n * np.log(inside_p / inside_n / (total / n)) + outside_n * np.log(outside_p / outside_n / (total / n))
         higher = inside_p / inside_n > outside_p / outside_n
-    allowed = (np.triu(np.ones_like(inside_n)) > 0) & (inside_n > 0) & (outside_n > 0) & higher & (inside_n <= 0.7 * n)
+    allowed = (np.triu(np.ones_like(inside_n)) > 0) & (inside_n > 0) & (outside_n > 0) & higher & (inside_n <= WIDEST_REGION * n)
     score = np.where(allowed, -ratio, -np.inf) / max(correlation, 1.0)
     first, last = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(last), float(score[first, last])
@@ -218,7 +225,7 @@ _STANDSTILL: Mapping[str, str] = {"velocity": "near standstill", "current": "nea
 
 def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: float) -> str:
     start, stop, lowest, highest = interval.start, interval.stop, interval.lowest, interval.highest
-    near_zero = start <= 0 <= stop and max(abs(start), abs(stop)) < 0.2 * max(abs(lowest), abs(highest))
+    near_zero = start <= 0 <= stop and max(abs(start), abs(stop)) < STANDSTILL_REGION * max(abs(lowest), abs(highest))
     edge = 1e-9 * (highest - lowest)
     unit = f" {axis.unit}" if axis.unit else ""
     if near_zero and axis.kind in _STANDSTILL:
@@ -232,4 +239,5 @@ def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: 
     else:
         place = f"at {axis.name} between {start:.3g} and {stop:.3g}{unit}"
     only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(direction or "", "")
-    return f"the model fails {place}{only}: {times_noise:.2g} × noise"
+    times = float(f"{times_noise:.2g}")
+    return f"the model fails {place}{only}: {times:g} times the noise"

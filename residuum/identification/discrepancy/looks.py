@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from residuum.identification.discrepancy.policy.likelihood import SAME
+from residuum.identification.discrepancy.policy.trials import NEAR
 from residuum.identification.discrepancy.score_test import Screen, Screened
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.trials import trials
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect
-
-NEAR = 3.0
-"""Factor from its nominal value within which a parameter is near."""
-_SAME = 0.5
-"""Log-likelihood within which two structures of the same effects are one."""
+from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates, find_effect
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Task:
     looks: dict[frozenset[str], Look] = field(default_factory=dict)
     shot: list[Structure] = field(default_factory=list)
 
-    def look(self, structure: Structure, without: tuple[str, str] | None = None) -> Look:
+    def look(self, structure: Structure, without: Key | None = None) -> Look:
         """All candidates on top of a structure, or all but one; those that were tried there before are not tried again."""
         effects = frozenset(use.label for use in structure.model.effects)
         pairs = [pair for pair in self.candidates(structure) if pair != without]
@@ -48,11 +45,11 @@ class Task:
         return look
 
     def _one_effect_away(
-        self, structure: Structure, pairs: Sequence[tuple[str, str]], known: Mapping[tuple[str, str], Structure]
-    ) -> dict[tuple[str, str], Structure]:
+        self, structure: Structure, pairs: Sequence[Key], known: Mapping[Key, Structure]
+    ) -> dict[Key, Structure]:
         """Of the structures found over short stretches those with one effect more, where likelier than what is `known`."""
         here = _effects(structure)
-        found: dict[tuple[str, str], Structure] = {}
+        found: dict[Key, Structure] = {}
         for other in self.shot:
             more = _effects(other) - here
             if len(more) == 1 and _effects(other) > here and (key := next(iter(more))) in pairs:
@@ -60,9 +57,9 @@ class Task:
                 found |= {key: other} if likelier else {}
         return found
 
-    def candidates(self, structure: Structure) -> list[tuple[str, str]]:
+    def candidates(self, structure: Structure) -> list[Key]:
         """Those that the structure does not have yet."""
-        fitting = candidates(structure.model, self.wanted)
+        fitting: list[Key] = list(candidates(structure.model, self.wanted))
         return fitting if self.wanted is not None else [key for key in fitting if find_effect(key[0]).exact]
 
     def origin(self, structure: Structure) -> PhysicalModel:
@@ -78,26 +75,24 @@ class Look:
     """Candidates on top of one structure: as screened, refitted, and which were tried."""
 
     screen: Screen
-    refitted: dict[tuple[str, str], Structure] = field(default_factory=dict)
+    refitted: dict[Key, Structure] = field(default_factory=dict)
     tested: list[Screened] = field(default_factory=list)
-    tried: set[tuple[str, str]] = field(default_factory=set)
+    tried: set[Key] = field(default_factory=set)
 
     def is_from(self, structure: Structure) -> bool:
         """Whether the structure is the one that was looked from, to what the likelihood can tell."""
         base = self.screen.base
-        return base.drifting == structure.drifting and abs(base.log_likelihood - structure.log_likelihood) < _SAME
+        return base.drifting == structure.drifting and abs(base.log_likelihood - structure.log_likelihood) < SAME
 
-    def add(
-        self, refitted: Mapping[tuple[str, str], Structure], tested: Iterable[Screened], tried: Iterable[tuple[str, str]]
-    ) -> None:
+    def add(self, refitted: Mapping[Key, Structure], tested: Iterable[Screened], tried: Iterable[Key]) -> None:
         """What else was tried there."""
         self.refitted |= refitted
         self.tested += tested
         self.tried |= set(tried)
 
 
-def _effects(structure: Structure) -> set[tuple[str, str]]:
-    return {(use.id, use.target) for use in structure.model.effects}
+def _effects(structure: Structure) -> set[Key]:
+    return {use.key for use in structure.model.effects}
 
 
 def strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:

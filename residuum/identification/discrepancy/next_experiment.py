@@ -9,16 +9,13 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.candidate import Candidate
+from residuum.identification.discrepancy.policy.answers import DISTINCTION_LEVEL, MOST_PROPOSALS, SENSOR_NOISE, WORTH_SEPARATING
+from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.physics import Experiment, Simulator
+from residuum.identification.physics import Experiment, Key, Simulator
 
 FloatArray = npt.NDArray[np.float64]
-
-SENSOR_NOISE = 0.01
-"""Plausible noise of a sensor that is not there yet, as a fraction of its signal's RMS."""
-LEVEL = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ def next_experiments(found: Search, candidates: Sequence[Candidate], experiments
     """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
 
     Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can
-    absorb taken out, is the non-centrality of a χ² test at level `LEVEL` that tells them apart.
+    absorb taken out, is the non-centrality of a χ² test at level `DISTINCTION_LEVEL` that tells them apart.
     """
     pair = _rivals(found, candidates)
     if pair is None:
@@ -50,15 +47,15 @@ def next_experiments(found: Search, candidates: Sequence[Candidate], experiments
         power = _power(_difference(a, b, profile))
         if power is not None:
             proposals.append(Proposal(do, names, power))
-    return tuple(sorted(proposals, key=lambda p: -p.power)[:4])
+    return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS])
 
 
-def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[str, str], tuple[str, str]] | None:
+def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[Key, Key] | None:
     if not candidates or not found.alternatives:
         return None
-    first = (candidates[0].effect, candidates[0].balance)
-    others = [(c.effect, c.balance) for c in candidates[1:] if c.step == 0 and c.effect in candidates[0].indistinguishable_from]
-    others += [(c.effect, c.balance) for c in candidates[1:] if c.step == 0 and c.probability > 0.02]
+    first = candidates[0].key
+    others = [c.key for c in candidates[1:] if c.step == 0 and c.effect in candidates[0].indistinguishable_from]
+    others += [c.key for c in candidates[1:] if c.step == 0 and c.probability > WORTH_SEPARATING]
     rival = next((key for key in others if key in found.alternatives[0] and key != first), None)
     return (first, rival) if rival is not None and first in found.alternatives[0] else None
 
@@ -110,7 +107,7 @@ def _power(parts: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
     u, s, _ = np.linalg.svd(J[:, scale > 0] / scale[scale > 0], full_matrices=False)
     u = u[:, s > 1e-9 * s.max(initial=0.0)]
     rest = r - u @ (u.T @ r)
-    return _exceeds(NormalDist().inv_cdf(1.0 - LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+    return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(rest @ rest)))
 
 
 def _exceeds(threshold: float, shift: float) -> float:

@@ -7,28 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.coloured_noise import longest_memory, stretches
+from residuum.identification.discrepancy.coloured_noise import longest_memory, pole_radius, stretches
+from residuum.identification.discrepancy.policy.noise import (
+    COLOURS,
+    FEWEST_FOR_A_FLOOR,
+    FEWEST_QUIET_WINDOWS,
+    LOUDEST_QUIET,
+    LOWEST_FREQUENCY,
+    NOISE_THROUGHOUT,
+    QUIET_WINDOW,
+    QUIETEST,
+    SPECTRUM_SAMPLES,
+)
 
 FloatArray = npt.NDArray[np.float64]
-
-LOWEST_FREQUENCY = 0.02  # of the sampling rate; below it the error is taken to be the model's
-UNDER_STRUCTURE = (LOWEST_FREQUENCY, 0.05, 0.1)
-"""And where a structured error swings, and reaches further up: of 93 outputs of 62 models that lack an effect 95 % have a floor
-within a quarter of the noise, 85 % with the first frequency alone.
-"""
-PLAINLY = 6.0
-"""Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
-CHANCE = 1 / 600
-"""Bound on how often noise stands there."""
-STANDS_OUT = 3.0 * PLAINLY
-"""Times the noise of its quieter parts beyond which an error is an event (noise of up to ρ = .995 reaches half of it)."""
-_WINDOW, _FEWEST_WINDOWS = 256, 8
-"""Samples of a window, every other half of which begins one; how many there must be."""
-_QUIET, _LOUD, _THROUGHOUT = 0.1, 0.75, 0.1
-"""Quantiles of the windows' fast power that tell the quietest and the loudest of the quieter ones; the least ratio of the two
-where noise is there all the time.
-"""
-_COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
 
 
 def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: Sequence[float] = (LOWEST_FREQUENCY,)) -> float:
@@ -64,11 +56,11 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: S
     rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
     if not parts:
         return rms
-    length = min(1024, *(len(part) for part in parts))
+    length = min(SPECTRUM_SAMPLES, *(len(part) for part in parts))
     spectra = [_spectra(_windows(part, length)).mean(axis=0) for part in parts]
     weights = np.array([len(part) for part in parts], dtype=float)
     power = np.average(spectra, axis=0, weights=weights)
-    colours, found = _COLOURS[max(slowest, 0.0) >= _COLOURS], []
+    colours, found = COLOURS[max(slowest, 0.0) >= COLOURS], []
     for begin in lowest:
         frequency, fast = _fast_frequencies(length, begin)
         found.append(_whittle_variance(frequency[fast], power[fast], colours))
@@ -79,7 +71,7 @@ def fast_floor(residuals: Sequence[FloatArray]) -> float:
     """`noise_floor` of noise that is no slower than the residuals can show; 0 if not measured."""
     samples = sum(int(np.isfinite(residual).sum()) for residual in residuals)
     memory = longest_memory(samples, max(map(len, residuals)))
-    return noise_floor(residuals, float(np.exp(-1.0 / max(memory, 2.0)))) if samples else 0.0
+    return noise_floor(residuals, pole_radius(memory)) if samples else 0.0
 
 
 def times_the_noise(residuals: Sequence[FloatArray]) -> float:
@@ -95,22 +87,22 @@ def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
     that is not there all the time (that of a quantised signal, which rests) says nothing of other times.
     """
     parts = [part for residual in residuals for part in _whole_parts(residual)]
-    windows = [_windows(part, _WINDOW) for part in parts if len(part) >= _WINDOW]
-    if sum(map(len, windows)) < _FEWEST_WINDOWS:
+    windows = [_windows(part, QUIET_WINDOW) for part in parts if len(part) >= QUIET_WINDOW]
+    if sum(map(len, windows)) < FEWEST_QUIET_WINDOWS:
         return 0.0
     spectra = _spectra(np.concatenate(windows))
-    frequency, fast = _fast_frequencies(_WINDOW, LOWEST_FREQUENCY)
+    frequency, fast = _fast_frequencies(QUIET_WINDOW, LOWEST_FREQUENCY)
     power = spectra[:, fast].mean(axis=1)
-    quietest, loud = np.quantile(power, (_QUIET, _LOUD))
-    if quietest < _THROUGHOUT * loud:
+    quietest, loud = np.quantile(power, (QUIETEST, LOUDEST_QUIET))
+    if quietest < NOISE_THROUGHOUT * loud:
         return 0.0
-    floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), _COLOURS)))
+    floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), COLOURS)))
     smooth = np.concatenate([_without_single_samples(part) for part in parts])
     return float(np.sqrt(np.mean(smooth**2))) / floor if floor > 0 else 0.0
 
 
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:
-    return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= 64]
+    return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= FEWEST_FOR_A_FLOOR]
 
 
 def _windows(part: FloatArray, length: int) -> FloatArray:

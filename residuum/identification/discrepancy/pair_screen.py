@@ -8,18 +8,15 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.likelihood import RIDGE
+from residuum.identification.discrepancy.policy.trials import PAIR_GAIN, PROMISING_PAIRS
 from residuum.identification.discrepancy.score_test import Screened
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.discrepancy.whitened_least_squares import RIDGE, NormalEquations
-from residuum.identification.physics import PhysicalModel
-from residuum.identification.physics.estimate.least_squares import solve_scaled
+from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
+from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics.estimation.least_squares import solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
-Key = tuple[str, str]
-
-_MOST = 3
-_WORTH_REFITTING = 5.0
-"""Log-likelihood by which a pair has to promise more than a single effect that it would replace."""
 
 
 def promising_pairs(
@@ -45,11 +42,16 @@ def promising_pairs(
         S = np.concatenate([free, *(own[k] for k in keys)])
         return 0.5 * float(g[S] @ solve_scaled(H[np.ix_(S, S)], g[S, None], RIDGE)[:, 0])
 
-    mark = promise(*keys) + (_WORTH_REFITTING if len(keys) == 1 else 0.0)
-    others = [s.key for s in tested if len(keys) > 1 or s.key != keys[0]]
-    pairs = [(promise(*pair), pair) for pair in combinations(others, 2) if set(pair) != set(keys)]
+    mark = promise(*keys) + (PAIR_GAIN if len(keys) == 1 else 0.0)
+    pairs = [(promise(*pair), pair) for pair in _other_pairs(tested, keys)]
     best = sorted((pair for pair in pairs if pair[0] > mark), key=lambda pair: -pair[0])
-    return [_joined(base.model, [screened[k].start for k in pair]) for _, pair in best[:_MOST]]
+    return [_joined(base.model, [screened[k].start for k in pair]) for _, pair in best[:PROMISING_PAIRS]]
+
+
+def _other_pairs(tested: Sequence[Screened], keys: Sequence[Key]) -> list[tuple[Key, Key]]:
+    """Pairs of candidates that are not these: with a single one only those without it, which a next step adds to."""
+    others = [s.key for s in tested if len(keys) > 1 or s.key != keys[0]]
+    return [pair for pair in combinations(others, 2) if set(pair) != set(keys)]
 
 
 def _equations(base: Structure, found: Structure, tested: Sequence[Screened]) -> tuple[NormalEquations, list[int]]:

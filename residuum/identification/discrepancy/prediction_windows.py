@@ -7,14 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from residuum.identification.discrepancy.policy.records import LASTING, LONGEST_WINDOW, SHORTEST_WINDOW, WINDOWS
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, windows
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
-
-_LASTING = 0.6
-"""Part of the peak effect of a first state that is there at the end where a plant integrates; what forgets within two records'
-length (a furnace) shows more as a whole.
-"""
-_SHORTEST, _LONGEST, _PARTS = 80, 1200, 25
 
 
 def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: int = 1) -> list[Experiment]:
@@ -28,9 +23,9 @@ def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: i
     """
     found: list[Experiment] = []
     for e in experiments:
-        samples = int(np.clip(e.n // _PARTS, _SHORTEST, _LONGEST)) // finer
+        samples = int(np.clip(e.n // WINDOWS, SHORTEST_WINDOW, LONGEST_WINDOW)) // finer
         felt = _lasting(model, e) if e.n > 2 * samples else None
-        if felt is None or not any(share > _LASTING for share in felt.values()):
+        if felt is None or not any(share > LASTING for share in felt.values()):
             found.append(e)
             continue
         unfelt = [name for name, share in felt.items() if share == 0.0]

@@ -12,21 +12,24 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.held_out_blocks import Blocks, blocks_on_track
+from residuum.identification.discrepancy.block_cutting import blocks_of
+from residuum.identification.discrepancy.held_out_blocks import Blocks
+from residuum.identification.discrepancy.policy.trials import (
+    BLOCK_STARTS,
+    CURVE_KNOTS,
+    MOST_CURVES,
+    MOST_FORGOTTEN_INPUTS,
+    RESEMBLES,
+    TOLD_BY_OUTPUTS,
+)
 from residuum.identification.discrepancy.track import Track, own_terms, regressed
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, PhysicalModel, conditions_at
+from residuum.identification.physics import Experiment, Key, PhysicalModel, conditions_at
+from residuum.identification.physics.effects import STRUCTURAL
+from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.model import find_effect, idle_inputs
 
 FloatArray = npt.NDArray[np.float64]
-Key = tuple[str, str]
-
-_RESEMBLES = 0.05
-"""Part of what a balance lacks that a signal has to explain along the track to be tried."""
-_TOLD = 0.98
-"""Part of a column that the outputs, the states and their slopes explain, from which it is no signal of its own."""
-_MOST_INPUTS, _MOST_CURVES = 3, 3
-_STARTS = 4
 
 
 def informed(model: PhysicalModel, experiments: Sequence[Experiment]) -> PhysicalModel:
@@ -38,7 +41,7 @@ def informed(model: PhysicalModel, experiments: Sequence[Experiment]) -> Physica
     """
     if not any(e.spare for e in experiments):
         return model
-    blocks = blocks_on_track(model, experiments)
+    blocks = blocks_of(model, experiments)
     if blocks is None:
         return model
     for name in _resembling(model, blocks.track):
@@ -53,12 +56,12 @@ def _resembling(model: PhysicalModel, along: Track) -> list[str]:
     columns = {
         n: s.values
         for n, s in along.experiment.spare.items()
-        if n not in taken and _share_of(own, s.values - s.values.mean()) < _TOLD
+        if n not in taken and _share_of(own, s.values - s.values.mean()) < TOLD_BY_OUTPUTS
     }
     bases = {balance: own_terms(model, balance, along.experiment, along.X) for balance in model.balances}
     alike = {n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items()) for n, s in columns.items()}
-    likely = sorted((n for n in alike if alike[n] > _RESEMBLES), key=lambda n: -alike[n])
-    return likely[:_MOST_INPUTS]
+    likely = sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])
+    return likely[:MOST_FORGOTTEN_INPUTS]
 
 
 def uninformed(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
@@ -91,21 +94,23 @@ def _alike(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
 
 def curves(model: PhysicalModel, blocks: Blocks) -> list[Key]:
     """Learned curves: the signals of which a smooth function explains most of what a balance lacks, each balance's best."""
-    along, found = blocks.track, []
+    along, found, present = blocks.track, [], {use.key for use in model.effects}
     names = [*model.states, *model.inputs]
+    learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
     known = dict(zip(model.states, along.X.T, strict=False)) | dict(zip(model.inputs, along.experiment.U.T, strict=False))
     for balance in model.balances:
         basis = own_terms(model, balance, along.experiment, along.X)
         for name in names:
-            target = f"{balance}({name})"
-            if name in known and np.ptp(known[name]) > 0 and not _has(model, "learned", target):
-                found.append((_explained(basis, along.missing[balance], known[name]), ("learned", target)))
-    return [key for share, key in sorted(found, reverse=True)[:_MOST_CURVES] if share > 0.0]
+            keys = [key for id in learned if (key := Key(id, f"{balance}({name})")) not in present]
+            if keys and name in known and np.ptp(known[name]) > 0:
+                share = _explained(basis, along.missing[balance], known[name])
+                found += [(share, key) for key in keys]
+    return [key for share, key in sorted(found, reverse=True)[:MOST_CURVES] if share > 0.0]
 
 
 def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
     """Part of the lack on every second stretch that a curve over the signal, fitted on the others, takes away."""
-    at = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, 9)))
+    at = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, CURVE_KNOTS)))
     if len(at) < 3:
         return 0.0
     hats = np.column_stack([np.interp(signal, at, row) for row in np.eye(len(at))])
@@ -117,28 +122,23 @@ def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float
     return 1.0 - float(left @ left) / power if power > 0 else 0.0
 
 
-def starts(base: PhysicalModel, key: Key, blocks: Blocks, experiments: Sequence[Experiment]) -> list[PhysicalModel]:
+def starts(key: Key, blocks: Blocks, experiments: Sequence[Experiment]) -> list[PhysicalModel]:
     """The model with the effect at its own first values, and regressed on what its balance lacked."""
-    id, target = key
+    (id, target), base, effect = key, blocks.base.model, find_effect(key.effect)
     longest = int(np.argmax([e.n for e in experiments]))
-    begin = sum(e.n for e in experiments[:longest])
-    experiment = experiments[longest]
-    X = blocks.track.X[begin : begin + experiment.n]
+    experiment, X = experiments[longest], blocks.states[longest]
     models = []
-    for start in list(find_effect(id).starts(conditions_at(base, find_effect(id), target, experiment, X)))[:_STARTS]:
+    for start in list(effect.starts(conditions_at(base, effect, target, experiment, X)))[:BLOCK_STARTS]:
         try:
             if (found := regressed(base, id, target, start, blocks.track)) is not None:
                 models.append(found[1])
-            if id != "learned" or found is None:
-                models.append(base.with_effect(id, target, _without_curve(id, start)))
+            if not effect.curve or found is None:
+                models.append(base.with_effect(id, target, _flat(effect, start)))
         except (BadInput, NotImplementedError):
             continue
     return models
 
 
-def _has(model: PhysicalModel, id: str, target: str) -> bool:
-    return any((use.id, use.target) == (id, target) for use in model.effects)
-
-
-def _without_curve(id: str, start: Mapping[str, float]) -> Mapping[str, float]:
-    return {n: 0.0 if n.startswith("v") else v for n, v in start.items()} if id == "learned" else start
+def _flat(effect: Effect, start: Mapping[str, float]) -> Mapping[str, float]:
+    """A start of a curve without its shape, which only a regression knows; any other effect's as it is."""
+    return {**start, **dict.fromkeys(effect.sizes, 0.0)} if effect.curve else start

@@ -11,13 +11,12 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.axes import direction_of_movement
 from residuum.identification.discrepancy.coloured_noise import stretches
 from residuum.identification.discrepancy.locate import Axis, Region, locate
+from residuum.identification.discrepancy.policy.answers import MOST_REGIONS
 from residuum.identification.discrepancy.structured_error import StructuredError
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.physics.simulate.kalman import Smoothed
 
 FloatArray = npt.NDArray[np.float64]
-
-MOST_REGIONS = 8
 
 
 def regions(

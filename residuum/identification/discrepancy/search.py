@@ -11,63 +11,31 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.drifting_load import likeliest_drifting_load
 from residuum.identification.discrepancy.evidence import preferred, tempered_gain
-from residuum.identification.discrepancy.growth import (
-    ACCEPT_MORE,
-    Search,
-    evidence_asked,
-    exchange_all,
-    grow,
-    holds_up,
-    settle,
-    with_two,
-)
-from residuum.identification.discrepancy.looks import NEAR, Task, strayed
+from residuum.identification.discrepancy.exchange import exchange_all, settle, with_two
+from residuum.identification.discrepancy.growth import grow
+from residuum.identification.discrepancy.holding_up import holds_up
+from residuum.identification.discrepancy.looks import Task, strayed
+from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ACCEPT_MORE, DRIFT_SHARE
+from residuum.identification.discrepancy.policy.noise import MUCH_LEFT, SLOW
+from residuum.identification.discrepancy.policy.trials import FAR, FEWEST_REFITS, HALF_THE_ERROR, MOST_EFFECTS, NEAR, NEARLY_ALL
 from residuum.identification.discrepancy.score_test import Screen
+from residuum.identification.discrepancy.search_state import Asked, Search, evidence_asked, never
 from residuum.identification.discrepancy.shooting import effects_by_shooting, pairs_by_shooting
 from residuum.identification.discrepancy.side_by_side import beside, side_by_side
-from residuum.identification.discrepancy.structures import (
-    Structure,
-    base_structure,
-    fit_structure,
-    refit,
-    times_its_innovations,
-)
-from residuum.identification.discrepancy.trials import (
-    ACCEPT,
-    SLOW,
-    mean_ratio,
-    polished,
-    schwarz,
-)
+from residuum.identification.discrepancy.structure_comparison import mean_ratio, schwarz
+from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure, refit
+from residuum.identification.discrepancy.structures import Structure, times_its_innovations
+from residuum.identification.discrepancy.trials import polished
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.physics import Experiment, Key, PhysicalModel
 
 FloatArray = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]
-Asked = Callable[[Search], bool]
 """Told how far the work is: share done 0 … 1, and what is done now."""
-
-FEWEST_REFITS = 6
-MOST_EFFECTS = 3
-FAR = 20.0
-"""Factor from its nominal value beyond which a parameter has strayed too far to go on from there."""
-HALF = 0.5
-"""Share of its error that the base is left with at most, where a search begins with what lowers it most."""
-NEARLY_ALL = 0.1
-"""Share of the way to white noise, in logarithms of the error, up to which one effect or two may leave it and end the search."""
-MUCH_MORE = 2.0
-"""Times its innovations from which on what is left is looked at over short stretches too."""
-FAR_LESS = 0.2
-"""Share of the error that is left by what was found to which an unknown load has to take it to be believed."""
 
 
 def untold(_share: float, _doing: str) -> None:
     """For those who do not ask how far the work is."""
-
-
-def never(_found: Search) -> bool:
-    """For those who know of no fault in the experiments."""
-    return False
 
 
 def search(
@@ -133,7 +101,7 @@ def _outdoes(load: Structure, found: Search) -> bool:
     Little less it leaves where it makes up for what an effect, or the integration of its input, does not follow exactly.
     """
     likelier = schwarz(load, found.base) > schwarz(found.best, found.base) + evidence_asked(found, ACCEPT)
-    return likelier and mean_ratio(load.rmse, found.best.rmse) < FAR_LESS
+    return likelier and mean_ratio(load.rmse, found.best.rmse) < DRIFT_SHARE
 
 
 def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
@@ -164,21 +132,28 @@ def _forward(base: Structure, task: Task, leave: Asked, late: Asked) -> Search:
             break
         grow(found, task)
         exchange_all(found, task, found.accepted[-1:])
-    if times_its_innovations(found.base) <= SLOW or (len(found.accepted) == 1 and _nearly_all(found)):
+    if times_its_innovations(found.base) <= SLOW or _do_nearly_all(found, 1):
         return found
-    if not (len(found.accepted) == 2 and _nearly_all(found)):
+    return _begun_otherwise(found, first, task)
+
+
+def _begun_otherwise(found: Search, first: dict[Key, Structure], task: Task) -> Search:
+    """The search, or another one that begins with two effects or with another `first` one and does more."""
+    if not _do_nearly_all(found, 2):
         other = _begun_with_two(found, task)
         found = other if other is not None and _does_more(other, found) else found
     for key in _other_beginnings(found, first):
-        if len(found.accepted) == 2 and _nearly_all(found):
+        if _do_nearly_all(found, 2):
             break
         another = _begun_with(key, found, first, task)
         found = another if _does_more(another, found) else found
     return found
 
 
-def _nearly_all(found: Search) -> bool:
-    """Whether little more than noise is left."""
+def _do_nearly_all(found: Search, effects: int) -> bool:
+    """Whether so many effects were accepted and leave little more than noise."""
+    if len(found.accepted) != effects:
+        return False
     far, left = times_its_innovations(found.base), times_its_innovations(found.best)
     return bool(np.log(left) < NEARLY_ALL * np.log(far))
 
@@ -191,7 +166,7 @@ def _does_more(other: Search, found: Search) -> bool:
     return len(other.accepted) > 1 and gain > evidence_asked(found, ACCEPT_MORE)
 
 
-def _other_beginnings(found: Search, first: dict[tuple[str, str], Structure]) -> list[tuple[str, str]]:
+def _other_beginnings(found: Search, first: dict[Key, Structure]) -> list[Key]:
     """Of its first candidates those that a search may also begin with: the likeliest that it does not have and did not refuse,
     and the one that leaves least of the error.
 
@@ -205,14 +180,14 @@ def _other_beginnings(found: Search, first: dict[tuple[str, str], Structure]) ->
     if key is None and not found.accepted:  # a part of what is missing need not be worth its price alone
         key = max(others, key=lambda k: others[k].log_likelihood)
     least = min(others, key=lambda k: mean_ratio(others[k].rmse, found.base.rmse))
-    falls = mean_ratio(others[least].rmse, found.base.rmse) < HALF
+    falls = mean_ratio(others[least].rmse, found.base.rmse) < HALF_THE_ERROR
     return list(dict.fromkeys([*([] if key is None else [key]), *([least] if falls else [])]))
 
 
-def _begun_with(key: tuple[str, str], found: Search, first: dict[tuple[str, str], Structure], task: Task) -> Search:
+def _begun_with(key: Key, found: Search, first: dict[Key, Structure], task: Task) -> Search:
     """The search that begins with this effect."""
     best = polished(first[key], task.experiments)
-    present = {(use.id, use.target) for use in found.base.model.effects}
+    present = {use.key for use in found.base.model.effects}
     other = replace(
         found,
         best=best,
@@ -232,7 +207,7 @@ def _begun_with(key: tuple[str, str], found: Search, first: dict[tuple[str, str]
 def _shot_besides(found: Search, task: Task) -> bool:
     """Accept one more effect that shooting finds where much more than noise is left; whether there is one."""
     best = found.best
-    if len(found.accepted) >= task.most_effects or times_its_innovations(best) < MUCH_MORE:
+    if len(found.accepted) >= task.most_effects or times_its_innovations(best) < MUCH_LEFT:
         return False
     screen = Screen(best, task.experiments, task.origin(best))
     task.tell("trying effects over short stretches")
@@ -272,14 +247,14 @@ def _begun_with_two(found: Search, task: Task) -> Search | None:
     return other
 
 
-def _tops(models: Sequence[PhysicalModel], before: Structure, task: Task) -> dict[tuple[str, str], Structure]:
+def _tops(models: Sequence[PhysicalModel], before: Structure, task: Task) -> dict[Key, Structure]:
     """Models that were found over short stretches refitted on whole experiments, by their last effect, the likeliest first; later
     looks know all of them.
     """
     fitted = side_by_side(lambda model: refit(before, model, task.experiments), models)
     tops = [polished(s, task.experiments) for s in fitted if s is not None]
     task.shot.extend(tops)
-    found: dict[tuple[str, str], Structure] = {}
+    found: dict[Key, Structure] = {}
     for top in sorted(tops, key=lambda s: -schwarz(s, before)):
-        found.setdefault((top.model.effects[-1].id, top.model.effects[-1].target), top)
+        found.setdefault(top.model.effects[-1].key, top)
     return found

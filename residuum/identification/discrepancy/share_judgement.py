@@ -7,19 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged
-from residuum.identification.discrepancy.judgement import Candidate, Judgement, Quantity
-from residuum.identification.discrepancy.share import Shared, ShareSearch, ShareStep
-from residuum.identification.discrepancy.structures import Structure, fit_structure
+from residuum.identification.discrepancy.candidate import Candidate, Quantity
+from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged, looked_at
+from residuum.identification.discrepancy.judgement import Judgement
+from residuum.identification.discrepancy.policy.answers import LEFT_OVER, MOST_OF_A_GROUP, UNDECIDED
+from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.discrepancy.share import Shared, ShareStep
+from residuum.identification.discrepancy.share_search import ShareSearch
+from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel
-
-_MOST_OF_A_GROUP = 4
-"""Members of a group that are estimated in full."""
-_UNDECIDED = 0.8
-"""Probability of something else, where no effect is real."""
-_LEFT_OVER = 0.05
-"""Probability that remains for what the catalogue does not hold, once an effect is real."""
 
 
 def as_search(shares: ShareSearch, base: Structure, experiments: Sequence[Experiment], count: int) -> Search:
@@ -28,7 +25,7 @@ def as_search(shares: ShareSearch, base: Structure, experiments: Sequence[Experi
     for step in shares.steps:
         if step.accepted is None:
             break
-        others = [s for s in step.judged if s.key in step.group][:_MOST_OF_A_GROUP]
+        others = [s for s in step.judged if s.key in step.group][:MOST_OF_A_GROUP]
         refitted = {s.key: structure for s in others if (structure := _refitted(found.best, s, experiments)) is not None}
         if step.accepted.key not in refitted:
             break
@@ -61,10 +58,10 @@ def judged(shares: ShareSearch, found: Search) -> Judgement:
 def _undecided(shares: ShareSearch, found: Search) -> Judgement:
     """Nothing is real: those that took away most are told, each far from certain."""
     tried = [s for s in shares.steps[0].judged if s.share > s.std] if shares.steps else []
-    tried = sorted(tried, key=lambda s: -s.share)[:_MOST_OF_A_GROUP]
-    each = (1.0 - _UNDECIDED) / max(len(tried), 1)
+    tried = sorted(tried, key=lambda s: -s.share)[:MOST_OF_A_GROUP]
+    each = (1.0 - UNDECIDED) / max(len(tried), 1)
     listed = tuple(_candidate(s, shares.steps[0], found, 0, each, ()) for s in tried)
-    return Judgement("unknown-effect", listed, 0.0, _UNDECIDED, 1.0)
+    return Judgement("unknown-effect", listed, 0.0, UNDECIDED, 1.0)
 
 
 def last_before(shares: ShareSearch) -> Errors:
@@ -76,7 +73,7 @@ def _candidates(step: ShareStep, found: Search, number: int) -> list[Candidate]:
     accepted = step.accepted
     assert accepted is not None
     listed = []
-    claimed = (1.0 - _LEFT_OVER - min(accepted.p_value, _LEFT_OVER)) * step.tried
+    claimed = (1.0 - LEFT_OVER - min(accepted.p_value, LEFT_OVER)) * step.tried
     for shared in [s for s in step.judged if s.key in step.group]:
         others = tuple(k[0] for k in step.group if k != shared.key)
         listed.append(_candidate(shared, step, found, number, claimed / len(step.group), others))
@@ -123,7 +120,7 @@ def with_shares(candidates: Sequence[Candidate], found: Search, blocks: Blocks) 
 
 
 def _share(candidate: Candidate, found: Search, blocks: Blocks) -> Quantity | None:
-    step, key = candidate.step, (candidate.effect, candidate.balance)
+    step, key = candidate.step, candidate.key
     if step >= len(found.alternatives) or key not in found.alternatives[step]:
         return None
     errors = [_errors(model, blocks) for model in (found.before[step].model, found.alternatives[step][key].model)]
@@ -135,7 +132,7 @@ def _share(candidate: Candidate, found: Search, blocks: Blocks) -> Quantity | No
 
 
 def _errors(model: PhysicalModel, blocks: Blocks) -> Errors | None:
-    found = cross_judged(model, blocks)
+    found = cross_judged(looked_at(model, blocks), blocks)
     return None if found is None else found[1]
 
 

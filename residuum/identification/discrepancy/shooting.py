@@ -14,24 +14,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.trials import (
+    SHOT_BASE_STEPS,
+    SHOT_FOLLOWED,
+    SHOT_FOLLOWING_STEPS,
+    SHOT_LEADERS,
+    SHOT_LENGTHS,
+    SHOT_PRICE,
+    SHOT_SAMPLES,
+    SHOT_SPECIAL_CASE,
+    SHOT_TOLERANCE,
+    SHOT_TRIAL_STEPS,
+)
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.track import track
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Settings, Simulator, estimate, windows
+from residuum.identification.physics import Experiment, Key, PhysicalModel, Settings, Simulator, estimate, windows
 from residuum.identification.physics.model import find_effect
 
 FloatArray = npt.NDArray[np.float64]
-Key = tuple[str, str]
-
-_STRETCHES = (40, 100, 250, 600)
-"""Samples (block means) of the stretches: the first for the choice of effects, all for following them."""
-_MOST_SAMPLES = 12_000
-"""Samples simulated in one shot; of longer records stretches are left out evenly."""
-_LEADERS, _FOLLOWED = 3, 2
-"""Effects that a second one is tried beside, and pairs that are followed."""
-_PRICE, _LITTLE = 0.01, 0.05
-"""Fall of an error's logarithm that a parameter must be worth; and that a special case may lie behind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class _Shot:
     @property
     def key(self) -> Key:
         """The effect that was added last."""
-        return self.model.effects[-1].id, self.model.effects[-1].target
+        return self.model.effects[-1].key
 
 
 def effects_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
@@ -66,25 +68,25 @@ def effects_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalMod
     Only effects on the machine, and without states of their own, since no track shows where those were.
     """
     alone, _ = _alone(screen, keys)
-    return [_followed(screen, shot.model) for shot in alone[:_FOLLOWED]]
+    return [_followed(screen, shot.model) for shot in alone[:SHOT_FOLLOWED]]
 
 
 def pairs_by_shooting(screen: Screen, keys: Sequence[Key]) -> list[PhysicalModel]:
     """The base with two of the effects `keys` besides, as `effects_by_shooting` finds one."""
     alone, stretches = _alone(screen, keys)
     pairs: list[_Shot] = []
-    for leader in alone[:_LEADERS]:
+    for leader in alone[:SHOT_LEADERS]:
         pairs += _tried(screen, leader.model, [shot.key for shot in alone if shot is not leader], stretches)
     best: dict[frozenset[Key], _Shot] = {}
     for pair in sorted(pairs, key=lambda shot: shot.score):
-        best.setdefault(frozenset((use.id, use.target) for use in pair.model.effects[-2:]), pair)
-    return [_followed(screen, pair.model) for pair in list(best.values())[:_FOLLOWED]]
+        best.setdefault(frozenset(use.key for use in pair.model.effects[-2:]), pair)
+    return [_followed(screen, pair.model) for pair in list(best.values())[:SHOT_FOLLOWED]]
 
 
 def _alone(screen: Screen, keys: Sequence[Key]) -> tuple[list[_Shot], _Stretches]:
     """Each effect on top of the base at its best start, the best effect first; and the stretches they were tried on."""
-    stretches = _stretches(screen, screen.track.X, _STRETCHES[0])
-    nothing = _shot(screen.origin, stretches, iterations=8)
+    stretches = _stretches(screen, screen.track.X, SHOT_LENGTHS[0])
+    nothing = _shot(screen.origin, stretches, SHOT_BASE_STEPS)
     if nothing is None:
         return [], stretches
     stretches = replace(stretches, weights=nothing.weights)
@@ -97,8 +99,8 @@ def _alone(screen: Screen, keys: Sequence[Key]) -> tuple[list[_Shot], _Stretches
 
 def _needless(shot: _Shot, found: Mapping[Key, _Shot]) -> bool:
     """Whether an effect does little more than the one that it generalises: later steps of a search grow it from that."""
-    special = found.get((find_effect(shot.key[0]).generalises, shot.key[1]))
-    return special is not None and special is not shot and special.score < shot.score + _LITTLE
+    special = found.get(Key(find_effect(shot.key.effect).generalises, shot.key.target))
+    return special is not None and special is not shot and special.score < shot.score + SHOT_SPECIAL_CASE
 
 
 def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches: _Stretches) -> list[_Shot]:
@@ -108,7 +110,7 @@ def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches:
     def tried(one: tuple[Key, dict[str, float]]) -> _Shot | None:
         (id, target), start = one
         try:
-            return _shot(model.with_effect(id, target, find_effect(id).at_rest(start)), stretches, iterations=4)
+            return _shot(model.with_effect(id, target, find_effect(id).at_rest(start)), stretches, SHOT_TRIAL_STEPS)
         except (BadInput, NotImplementedError):
             return None
 
@@ -120,8 +122,8 @@ def _followed(screen: Screen, model: PhysicalModel) -> PhysicalModel:
     one that simulates whole experiments best.
     """
     X, found = screen.track.X, [model]
-    for samples in _STRETCHES:
-        shot = _shot(found[-1], _stretches(screen, X, samples), iterations=15)
+    for samples in SHOT_LENGTHS:
+        shot = _shot(found[-1], _stretches(screen, X, samples), SHOT_FOLLOWING_STEPS)
         if shot is None:
             break
         found.append(shot.model)
@@ -131,7 +133,7 @@ def _followed(screen: Screen, model: PhysicalModel) -> PhysicalModel:
 
 def _shot(model: PhysicalModel, stretches: _Stretches, iterations: int) -> _Shot | None:
     """The model at the least simulation error on the stretches; None if it diverges, or has states that no track shows."""
-    settings = Settings(iterations=iterations, tolerance=1e-2, weights=stretches.weights)
+    settings = Settings(iterations=iterations, tolerance=SHOT_TOLERANCE, weights=stretches.weights)
     if len(Simulator(model).states) > stretches.initial.shape[1]:
         return None
     initial = list(stretches.initial)
@@ -139,7 +141,7 @@ def _shot(model: PhysicalModel, stretches: _Stretches, iterations: int) -> _Shot
         found = estimate(model, stretches.parts, initial=initial, settings=settings, substeps=stretches.substeps)
     except NotIdentifiable:
         return None
-    return _Shot(found.model, float(np.nansum(np.log(found.rmse))) + _PRICE * len(found.parameters), found.weights)
+    return _Shot(found.model, float(np.nansum(np.log(found.rmse))) + SHOT_PRICE * len(found.parameters), found.weights)
 
 
 def _stretches(screen: Screen, X: FloatArray, samples: int) -> _Stretches:
@@ -151,7 +153,7 @@ def _stretches(screen: Screen, X: FloatArray, samples: int) -> _Stretches:
             parts.append(replace(part, known=dict(zip(states, x.tolist(), strict=True)), block=1))
             initial.append(x)
             substeps.append(steps)
-    every = slice(None, None, max(1, -(-sum(part.n for part in parts) // _MOST_SAMPLES)))
+    every = slice(None, None, max(1, -(-sum(part.n for part in parts) // SHOT_SAMPLES)))
     return _Stretches(parts[every], np.array(initial[every]), substeps[every])
 
 

@@ -9,10 +9,10 @@ from contextvars import copy_context
 from typing import TypeVar
 
 from residuum.identification.discrepancy.deadline import in_time
+from residuum.identification.discrepancy.policy.trials import MOST_THREADS
 
 T = TypeVar("T")
 R = TypeVar("R")
-_THREADS = min(4, os.cpu_count() or 1)
 
 
 def beside(function: Callable[[], R]) -> Callable[[], R]:
@@ -37,6 +37,6 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """`function` of each item, in order, which looks after the time itself."""
     if len(items) < 2:
         return [function(item) for item in items]
-    with ThreadPoolExecutor(min(_THREADS, len(items))) as pool:
+    with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1, len(items))) as pool:
         contexts = [copy_context() for _ in items]
         return list(pool.map(lambda context, item: context.run(function, item), contexts, items))

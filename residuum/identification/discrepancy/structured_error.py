@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +21,18 @@ from residuum.identification.discrepancy.coloured_noise import (
     longest_memory,
     stretches,
 )
+from residuum.identification.discrepancy.policy.noise import (
+    MOST_STRUCTURE_DRAWS,
+    NOISE_ORDER,
+    NOISE_PASSES,
+    ORDINARY_DRAW,
+    RARE_DRAW,
+    STRUCTURE_DRAWS,
+    STRUCTURE_LEVEL,
+)
 from residuum.identification.errors import BadInput
 
 FloatArray = npt.NDArray[np.float64]
-_PASSES = 2
-_DRAWS, _RARE, _ORDINARY = 10, 1e-3, 0.2
-"""Draws at a time, until the p-value is below this part of the level, or above this: more of them would not change the answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +56,9 @@ def test_structured_error(
     residuals: Sequence[FloatArray],
     features: Sequence[FloatArray],
     *,
-    level: float = 0.01,
-    order: int = 12,
-    n_bootstrap: int = 40,
+    level: float = STRUCTURE_LEVEL,
+    order: int = NOISE_ORDER,
+    n_bootstrap: int = MOST_STRUCTURE_DRAWS,
     seed: int = 0,
     drifting: bool = True,
     least_share: float = 0.0,
@@ -107,8 +114,9 @@ def test_structured_error(
     if share >= least_share:
         rng = np.random.default_rng(seed)
         lengths, draws = [len(segment) for segment in segments], np.zeros(0)
-        while draws.size < n_bootstrap and not (p_value < _RARE * level or p_value > _ORDINARY):
-            draws = np.r_[draws, [_null_draw(null, lengths, designs, drifting, rng) for _ in range(min(_DRAWS, n_bootstrap))]]
+        while draws.size < n_bootstrap and not (p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW):
+            more = [_null_draw(null, lengths, designs, drifting, rng) for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))]
+            draws = np.r_[draws, more]
             p_value = _tail(statistic, draws)
         share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)  # what pure noise would also have given
     return StructuredError(
@@ -122,6 +130,11 @@ def test_structured_error(
 
 
 test_structured_error.__test__ = False  # type: ignore[attr-defined]  # a statistical test, not one of pytest's
+
+
+def lasting_noise(residuals: Sequence[FloatArray], order: int) -> ColouredNoise:
+    """The colour of residuals (NaN where missing) as noise that forgets within them."""
+    return _noise([r[part] for r in residuals for part in stretches(np.isfinite(r))], order, drifting=False)
 
 
 def _noise(segments: list[FloatArray], order: int, drifting: bool) -> ColouredNoise:
@@ -182,21 +195,26 @@ def _likelihood_ratio(
     """(T, regression coefficients, noise of the alternative).
 
     The likelihood has two basins when noise and features are both slow: noise nearly integrated with free
-    coefficients, or noise less coloured with small ones. Generalised least squares runs from both ends.
+    coefficients, or noise less coloured with small ones. Generalised least squares runs from both ends. Coefficients and noise
+    that belong together are given where they are likelier than the null; T counts the null's own noise too.
     """
     n = sum(max(len(segment) - null.order, 0) for segment in segments)
     before = sum(float(np.sum(null.whiten(segment) ** 2)) for segment in segments)
-    best = (before, np.zeros(designs[0].shape[1]), null)
+    best = least = (before, np.zeros(designs[0].shape[1]), null)
     white = ColouredNoise(np.zeros(0), 1.0)
     for noise in (white, null):
-        for _ in range(_PASSES):
+        for _ in range(NOISE_PASSES):
             coefficients = _generalised_least_squares(segments, designs, noise)
             rest = [segment - design @ coefficients for segment, design in zip(segments, designs, strict=True)]
-            noise = _noise(rest, null.order, drifting)
+            beside, noise = noise, _noise(rest, null.order, drifting)
             after = sum(float(np.sum(noise.whiten(part) ** 2)) for part in rest)
             if after < best[0]:
                 best = (after, coefficients, noise)
-    return n * float(np.log(max(before, 1e-300) / max(best[0], 1e-300))), best[1], best[2]
+            if beside.order == null.order:  # Burg's noise of the rest is not always likelier than that before it
+                same = sum(float(np.sum(beside.whiten(part) ** 2)) for part in rest)
+                least = min(least, (same, coefficients, beside), key=itemgetter(0))
+    _, coefficients, noise = best if best[0] < before else least
+    return n * float(np.log(max(before, 1e-300) / max(min(least[0], best[0]), 1e-300))), coefficients, noise
 
 
 def _generalised_least_squares(segments: list[FloatArray], designs: list[FloatArray], noise: ColouredNoise) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.policy.answers import FORMULA_TERMS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -26,7 +27,6 @@ LIBRARY: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "exp(−({z}/0.15)²)·sign({z})": lambda z: np.exp(-((z / 0.15) ** 2)) * np.sign(z),
 }
 """Functions of z = axis / largest magnitude on the axis."""
-_MOST = 3
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:
     z, n = at / largest, at.size
     columns = {name: function(z) for name, function in LIBRARY.items()}
     best: tuple[float, tuple[str, ...], FloatArray, float] | None = None
-    for count in range(1, _MOST + 1):
+    for count in range(1, FORMULA_TERMS + 1):
         for names in combinations(columns, count):
             design: FloatArray = np.column_stack([columns[name] for name in names])
             coefficients: FloatArray = np.asarray(np.linalg.lstsq(design, value, rcond=None)[0], dtype=np.float64)

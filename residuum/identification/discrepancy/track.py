@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy.trials import TRACK_ROWS
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.model import find_effect, place_of, term_name
 from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 
 FloatArray = npt.NDArray[np.float64]
-
-_MOST_ROWS = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,17 @@ def track(model: PhysicalModel, base: Structure, experiments: Sequence[Experimen
         follows = bool(np.all(np.isfinite(found.X)) and all(np.all(np.isfinite(w)) for w in missing.values()))
         states.append(found.X if follows else X)
         lacks.append({b: missing[b] if follows and b in missing else np.zeros(e.n) for b in model.balances})
+    return joined(experiments, states, lacks)
+
+
+def joined(experiments: Sequence[Experiment], states: Sequence[FloatArray], lacks: Sequence[Mapping[str, FloatArray]]) -> Track:
+    """The track of all experiments, from the states in each and what each balance lacked there."""
     U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
-    joined = replace(experiments[0], U=U, Y=Y, known={}, spare=joined_spare(experiments))
-    return Track(joined, np.concatenate(states), {b: np.concatenate([w[b] for w in lacks]) for b in model.balances})
+    whole = replace(experiments[0], U=U, Y=Y, known={}, spare=_joined_spare(experiments))
+    return Track(whole, np.concatenate(states), {b: np.concatenate([w[b] for w in lacks]) for b in lacks[0]})
 
 
-def joined_spare(experiments: Sequence[Experiment]) -> dict[str, Spare]:
+def _joined_spare(experiments: Sequence[Experiment]) -> dict[str, Spare]:
     """The columns that every experiment has to spare, one after the other."""
     first, *others = experiments
     names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in others)]
@@ -67,7 +72,7 @@ def regressed(
     effect = find_effect(id)
     if effect.place != "balance" or not effect.sizes or effect.states(model.site(target, effect)):
         return None
-    every = slice(None, None, max(1, along.experiment.n // _MOST_ROWS))
+    every = slice(None, None, max(1, along.experiment.n // TRACK_ROWS))
     e = replace(along.experiment, U=along.experiment.U[every], Y=along.experiment.Y[every], spare={})
     X, w = along.X[every], along.missing[place_of(target)][every]
     own = own_terms(model, place_of(target), e, X)
@@ -75,16 +80,25 @@ def regressed(
     power = float(rest @ rest)
     sizes = {n: start[n] for n in effect.sizes if start.get(n)}
     columns = {n: c for n in sizes if (c := _column(model, id, target, start, n, e, X)) is not None and np.any(c)}
-    known = {p.name: p for p in effect.parameters(model.site(target, effect))}
-    while columns and power > 0.0:
-        C = np.column_stack([_rest(own, c) for c in columns.values()])
+    columns = {n: _rest(own, c) for n, c in columns.items()}
+    found = _inside_bounds(columns, rest, sizes, {p.name: p for p in effect.parameters(model.site(target, effect))})
+    if found is None or not power > 0.0:
+        return None
+    values, left = found
+    return 1.0 - float(left @ left) / power, model.with_effect(id, target, dict(start) | dict.fromkeys(sizes, 0.0) | values)
+
+
+def _inside_bounds(
+    columns: Mapping[str, FloatArray], rest: FloatArray, sizes: Mapping[str, float], known: Mapping[str, Parameter]
+) -> tuple[dict[str, float], FloatArray] | None:
+    """Values whose columns come nearest to `rest`, without those that would lie outside their bounds, and what is left of it."""
+    while columns:
+        C = np.column_stack(list(columns.values()))
         factors = np.linalg.lstsq(C, rest, rcond=None)[0]
         values = {n: float(f * sizes[n]) for n, f in zip(columns, factors, strict=True)}
         outside = [n for n, value in values.items() if not known[n].lower < value < known[n].upper]
         if not outside:
-            left = rest - C @ factors
-            sized = dict(start) | dict.fromkeys(sizes, 0.0) | values
-            return 1.0 - float(left @ left) / power, model.with_effect(id, target, sized)
+            return values, rest - C @ factors
         columns = {n: c for n, c in columns.items() if n not in outside}
     return None
 

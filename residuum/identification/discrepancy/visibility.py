@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.identification.discrepancy.growth import Search
-from residuum.identification.discrepancy.trials import ACCEPT
+from residuum.identification.discrepancy.policy.acceptance import ACCEPT
+from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.physics.model import find_effect
 
 

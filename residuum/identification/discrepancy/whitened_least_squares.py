@@ -9,16 +9,13 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovation_sums import FREEDOM, add_normal_equations, after_step
+from residuum.identification.discrepancy.innovation_sums import add_normal_equations, after_step
 from residuum.identification.discrepancy.innovations import Noises
-from residuum.identification.physics.estimate.least_squares import damped, solve_scaled
+from residuum.identification.discrepancy.policy.likelihood import RIDGE
+from residuum.identification.discrepancy.policy.noise import SCORING
+from residuum.identification.physics.estimation.least_squares import damped, solve_scaled
 
 FloatArray = npt.NDArray[np.float64]
-
-RIDGE = 1e-11
-"""Directions whose scaled curvature is below this fraction of the largest are left alone."""
-SCORING = (FREEDOM + 3.0) / (FREEDOM + 1.0)
-"""Curvature of the weighted squares over the expected one of the likelihood, whose weights fall as an innovation grows."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 
 FloatArray = npt.NDArray[np.float64]
 COVERAGE = {"tc": "94 to 97", "dc": "94 to 98", "di": "94 to 96", "ss": "81 to 95 (81 where noise is as strong as signal)"}
-"""Measured share [%] of coefficients within 1.96 standard deviations, at variance ratios 1, 10, 100 (docs/identification.md)."""
+"""Measured share [%] within 1.96 standard deviations, variance ratios 1, 10, 100 (benchmarks/results/identification.md)."""
 WEAK_SLOW_MODE = {"tc": 67, "dc": 53, "di": 60, "ss": 57}
 """The same where a weak slow mode lies beside a fast one: the likelihood settles for the fast decay, and rules the other out."""
 LARGEST = 1000

@@ -15,6 +15,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.errors import BadInput
+
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 Envelope = Callable[[FloatArray], FloatArray]
@@ -94,3 +96,17 @@ def _minima(nominal: Callable[[FloatArray], ComplexArray], lags: int, nyquist: f
     bend = power[inner - 1] - 2 * power[inner] + power[inner + 1]
     shift = 0.5 * np.divide(power[inner - 1] - power[inner + 1], bend, out=np.zeros(len(inner)), where=bend > 0)
     return np.asarray(omega[inner] + step * np.clip(shift, -0.5, 0.5))
+
+
+def asked_grid(sample_time: float, points: int | None, lowest: float | None) -> FloatArray | None:
+    """The logarithmic grid [rad/s] up to π/Ts of so many points from a lowest frequency on; None: neither was asked for.
+
+    Raises BadInput when the lowest frequency does not lie between 0 and π/Ts.
+    """
+    if points is None and lowest is None:
+        return None
+    nyquist = np.pi / sample_time
+    low = nyquist / 10**_DECADES if lowest is None else lowest
+    if not 0 < low < nyquist:
+        raise BadInput(f"lowest frequency {low:g}: must lie between 0 and the Nyquist frequency, {nyquist:.6g} rad/s")
+    return np.asarray(np.geomspace(low, nyquist, points or _LOGARITHMIC))

@@ -22,10 +22,20 @@ _MAPPINGS = ("hyper_parameters", "provenance")
 
 def save_identified(model: IdentifiedModel, path: str | Path) -> None:
     """Write `model` as a JSON file that `load_identified` reads back to the same numbers."""
+    Path(path).write_text(identified_text(model), encoding="utf-8")
+
+
+def identified_text(model: IdentifiedModel) -> str:
+    """The content of a model's file."""
+    return json.dumps({"format": FORMAT, "version": VERSION, **identified_object(model)})
+
+
+def identified_object(model: IdentifiedModel) -> dict[str, Any]:
+    """The model's fields as JSON values."""
     stored = {name: _plain(getattr(model, name)) for name in _NAMES}
     if model.bands is not None:
         stored["pointwise_std"] = _plain(model.std)
-    Path(path).write_text(json.dumps({"format": FORMAT, "version": VERSION, **stored}), encoding="utf-8")
+    return stored
 
 
 def load_identified(path: str | Path) -> IdentifiedModel:
@@ -35,7 +45,11 @@ def load_identified(path: str | Path) -> IdentifiedModel:
     holds numbers that make no model (a covariance with a negative eigenvalue is refused too).
     """
     path = Path(path)
-    content = _parse(path)
+    return identified_from(_parse(path), path)
+
+
+def identified_from(content: dict[str, Any], path: Path) -> IdentifiedModel:
+    """The model of such fields; BadModel, naming the file, as `load_identified` says."""
     if unknown := sorted(set(content) - set(_NAMES)):
         raise BadModel(f"{path}: unknown field {unknown[0]!r}")
     if missing := [name for name in _REQUIRED if name not in content]:

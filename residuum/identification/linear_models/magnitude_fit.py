@@ -242,12 +242,25 @@ def _inner_roots(coefficients: FloatArray) -> ComplexArray:
     lifted: FloatArray = coefficients.copy()
     lifted[0] += max(0.0, 0.5 * _FLOOR * abs(coefficients[0]) - lowest)
     lifted = np.asarray(chebyshev.chebtrim(lifted, 1e-14 * float(np.abs(lifted).max())), dtype=float)
-    x = chebyshev.chebroots(lifted).astype(complex)
+    x = _in_conjugate_pairs(chebyshev.chebroots(lifted).astype(complex))
     root = np.sqrt(x - 1) * np.sqrt(x + 1)
     inner = np.where(np.abs(x - root) < np.abs(x + root), x - root, x + root)
     outside = np.abs(inner) >= 1 - 1e-9
     inner[outside] *= (1 - 1e-9) / np.abs(inner[outside])
     return np.concatenate([inner, np.zeros(len(coefficients) - len(lifted))])
+
+
+def _in_conjugate_pairs(x: ComplexArray) -> ComplexArray:
+    """The roots with those inside (−1, 1) moved off the real axis: between two of them the sum dips below nought by rounding.
+
+    On the axis both would give a z of the same half of the unit circle, and the factor would not be real.
+    """
+    dips = np.sort(x[(x.imag == 0.0) & (np.abs(x.real) < 1.0)].real)
+    rest = x[(x.imag != 0.0) | (np.abs(x.real) >= 1.0)]
+    first, second = dips[: len(dips) // 2 * 2 : 2], dips[1::2]
+    middle, half = 0.5 * (first + second), np.maximum(0.5 * (second - first), np.finfo(float).tiny)
+    alone = np.where(dips[len(second) * 2 :] < 0.0, -1.0, 1.0)  # one without a partner lies at an end
+    return np.concatenate([rest, middle + 1j * half, middle - 1j * half, alone])
 
 
 def _unwarp(roots: ComplexArray, samples: _Samples, sample_time: float | None) -> ComplexArray:

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from residuum.kept_loops import njit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -25,7 +26,7 @@ def all_pole(A: npt.ArrayLike, x: npt.ArrayLike) -> FloatArray:
     return np.asarray(np.reshape(rows.T, x.shape))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def _divide(rows, a):
     """Each row x is overwritten by x/A(q): direct form II, transposed."""
     order = a.shape[0] - 1

@@ -4,7 +4,8 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from residuum.kept_loops import njit
 
 
 def is_schur(polynomial: npt.ArrayLike) -> bool:
@@ -23,7 +24,7 @@ def is_schur(polynomial: npt.ArrayLike) -> bool:
     return bool(_reflections_inside(np.array(polynomial, dtype=float)))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _reflections_inside(p):
     first, n = 0, len(p)
     while first < n and p[first] == 0.0:

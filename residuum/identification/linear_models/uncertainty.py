@@ -24,6 +24,8 @@ from residuum.identification.linear_models.weight_certificate import largest_exc
 
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["chernoff", "worst-case"]
+WEIGHT_ORDER = 2
+"""Order of W_T where nothing else is asked for, as in the source."""
 _LAGS_A_POLE = 20
 """A pole turns as sharply as so many lags."""
 

@@ -16,19 +16,33 @@ missing term of each balance (`missing@balance`). Modules: `expression`, `dimens
 (reading), `model` (the type), `composition`, `code_generation`, `kernel` (compiling), `integration`,
 `kalman_recursions` (compiled once), `experiment`, `simulation`, `estimation`, `coloured_covariance`, `kalman`,
 `likelihood_estimation` (using), `effects/` (the catalogue).
+
+Every name is loaded when it is first used: who asks for the catalogue needs no compiler.
 """
 
-from residuum.identification.physics.estimate.estimation import Estimate, Settings, estimate, windows
-from residuum.identification.physics.estimate.least_squares import FlatDirection
-from residuum.identification.physics.estimate.likelihood_estimation import estimate_by_likelihood
-from residuum.identification.physics.files.model_file import BUILT_IN, load_model, read_model, write_model
-from residuum.identification.physics.model import EffectUse, PhysicalModel, candidates, find_effect
-from residuum.identification.physics.simulate.block_means import block_means
-from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
-from residuum.identification.physics.simulate.experiment import Experiment, match
-from residuum.identification.physics.simulate.kalman import Filter, MissingTerm, Noise, Smoothed, missing_terms, noise_floor, tune
-from residuum.identification.physics.simulate.operating_conditions import balance_variables, conditions_at
-from residuum.identification.physics.simulate.simulation import Simulation, Simulator
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from residuum.identification.physics.estimation.estimation import Estimate, Settings, estimate, windows
+    from residuum.identification.physics.estimation.least_squares import FlatDirection
+    from residuum.identification.physics.estimation.likelihood_estimation import estimate_by_likelihood
+    from residuum.identification.physics.files.model_file import BUILT_IN, load_model, read_model, write_model
+    from residuum.identification.physics.model import EffectUse, Key, PhysicalModel, candidates, find_effect
+    from residuum.identification.physics.simulate.block_means import block_means
+    from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
+    from residuum.identification.physics.simulate.experiment import Experiment, match
+    from residuum.identification.physics.simulate.kalman import (
+        Filter,
+        MissingTerm,
+        Noise,
+        Smoothed,
+        missing_terms,
+        noise_floor,
+        tune,
+    )
+    from residuum.identification.physics.simulate.operating_conditions import balance_variables, conditions_at
+    from residuum.identification.physics.simulate.simulation import Simulation, Simulator
 
 __all__ = [
     "BUILT_IN",
@@ -37,6 +51,7 @@ __all__ = [
     "Experiment",
     "Filter",
     "FlatDirection",
+    "Key",
     "MissingTerm",
     "Noise",
     "PhysicalModel",
@@ -61,3 +76,26 @@ __all__ = [
     "with_coloured_noise",
     "write_model",
 ]
+
+_PLACES = {
+    "estimation.estimation": ("Estimate", "Settings", "estimate", "windows"),
+    "estimation.least_squares": ("FlatDirection",),
+    "estimation.likelihood_estimation": ("estimate_by_likelihood",),
+    "files.model_file": ("BUILT_IN", "load_model", "read_model", "write_model"),
+    "model": ("EffectUse", "Key", "PhysicalModel", "candidates", "find_effect"),
+    "simulate.block_means": ("block_means",),
+    "simulate.coloured_covariance": ("with_coloured_noise",),
+    "simulate.experiment": ("Experiment", "match"),
+    "simulate.kalman": ("Filter", "MissingTerm", "Noise", "Smoothed", "missing_terms", "noise_floor", "tune"),
+    "simulate.operating_conditions": ("balance_variables", "conditions_at"),
+    "simulate.simulation": ("Simulation", "Simulator"),
+}
+_PLACE = {name: place for place, names in _PLACES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(f"{__name__}.{_PLACE[name]}"), name)
+    globals()[name] = found
+    return found

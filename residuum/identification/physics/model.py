@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, permutations
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
@@ -75,6 +75,19 @@ class Balance:
         return next(iter(self.variables.values()), None) if self.storage.text in ("0", "0.0") else None
 
 
+class Key(NamedTuple):
+    """An effect of the catalogue at a place: what is asked for, tried, found or ruled out, whatever its parameters.
+
+    `target` is a balance, an input or an output, with the signals that the effect is tied to in brackets: `tank(next)`.
+    """
+
+    effect: str
+    target: str
+
+    def __str__(self) -> str:
+        return f"{self.effect}@{self.target}"
+
+
 @dataclass(frozen=True)
 class EffectUse:
     """An effect of the catalogue at its place in a model.
@@ -101,6 +114,11 @@ class EffectUse:
     def place(self) -> str:
         """The balance, input or output that it acts on: its target without the signals that it is tied to."""
         return place_of(self.target)
+
+    @property
+    def key(self) -> Key:
+        """What effect it is, and where."""
+        return Key(self.id, self.target)
 
     @property
     def label(self) -> str:
@@ -155,7 +173,7 @@ class PhysicalModel:
 
         A balance, an input and an output may share a name: the one that the effect acts on is meant.
         """
-        if effect.signals or effect.between:
+        if effect.signals or effect.joins(target):
             return self._tied_site(target, effect)
         sites = []
         if balance := self.balances.get(target):
@@ -172,17 +190,17 @@ class PhysicalModel:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
         place, tied = place_of(target), tied_to(target)
         if place not in self.balances or len(tied) != (effect.signals or 1):
-            form = "balance(other balance)" if effect.between else "balance(signal)"
+            form = "balance(other balance)" if effect.joins(target) else "balance(signal)"
             there = ", ".join(self.balances)
             raise BadModel(f"effect {effect.id!r} at {target!r}: say where as {form}; the balances are {there}")
-        known = self.balances if effect.between else {**self.inputs, **self.states, **self._defined()}
+        known = self.balances if effect.joins(target) else {**self.inputs, **self.states, **self._defined()}
         for name in tied:
             if name not in known or name == place:
                 raise BadModel(f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; there are {', '.join(known)}")
         balance = self.balances[place]
-        if effect.between and self.balances[tied[0]].kind != balance.kind:
+        if effect.joins(target) and self.balances[tied[0]].kind != balance.kind:
             raise BadModel(f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of different kinds")
-        units = self._roles(balance) | ({} if effect.between else {name: self.unit_of(name) for name in tied})
+        units = self._roles(balance) | ({} if effect.joins(target) else {name: self.unit_of(name) for name in tied})
         return Site(balance.kind, target, balance.unit, units, tied)
 
     def _defined(self) -> dict[str, str]:
@@ -232,20 +250,13 @@ class PhysicalModel:
             Unknown effect or target, effect that does not fit there, unknown parameter name, value outside its bounds.
         """
         effect = find_effect(id)
-        if not (effect.signals or effect.between) and tied_to(target):
+        if not (effect.signals or effect.joins(target)) and tied_to(target):
             raise BadModel(f"effect {id!r} at {target!r}: is tied to no signal; say where as {place_of(target)!r}")
         site = self.site(target, effect)
         if not effect.fits(site):
             needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
             raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: it acts on {' or '.join(effect.acts_on)}{needs}")
-        declared = {parameter.name: parameter for parameter in effect.parameters(site)}
-        given = dict(values or {})
-        if unknown := [name for name in [*given, *fixed] if name not in declared]:
-            raise BadModel(f"effect {id!r}: no parameter {unknown[0]!r}; there are {', '.join(declared)}")
-        for name, value in given.items():
-            declared[name] = replace(declared[name], value=checked_value(f"effect {id!r}", declared[name], value))
-        for name in fixed:
-            declared[name] = replace(declared[name], fixed=True)
+        declared = _declared(effect, site, dict(values or {}), tuple(fixed))
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)
@@ -288,6 +299,16 @@ class PhysicalModel:
         return next((balance.kind for balance in self.balances.values() if balance.defines == name), "")
 
 
+def _declared(effect: Effect, site: Site, given: Mapping[str, float], fixed: tuple[str, ...]) -> dict[str, Parameter]:
+    """An effect's parameters at a site, with the values given and those held that are to be."""
+    declared = {parameter.name: parameter for parameter in effect.parameters(site)}
+    if unknown := [name for name in [*given, *fixed] if name not in declared]:
+        raise BadModel(f"effect {effect.id!r}: no parameter {unknown[0]!r}; there are {', '.join(declared)}")
+    for name, value in given.items():
+        declared[name] = replace(declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value))
+    return declared | {name: replace(declared[name], fixed=True) for name in fixed}
+
+
 def place_of(target: str) -> str:
     """The balance, input or output of a target that may name signals: `tank` of `tank(next)`."""
     return target.partition("(")[0]
@@ -314,24 +335,32 @@ def missing_name(balance: str) -> str:
     return f"missing@{balance}"
 
 
-def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[tuple[str, str]]:
-    """All (effect id, target) pairs that fit the model and are not in it yet; `ids` restricts the effects.
+def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[Key]:
+    """All keys of effects that fit the model and are not in it yet; `ids` restricts the effects.
 
     Targets are balances, outputs, and inputs that drive: without a default, and no condition of a balance (its surroundings).
     Couplings are proposed between balances that know nothing of each other, forgotten inputs where the model has an idle one.
     """
-    conditions = {name for balance in model.balances.values() for name in balance.variables.values()}
-    idle = idle_inputs(model)
-    inputs = (n for n, signal in model.inputs.items() if signal.default is None and n not in conditions and n not in idle)
-    targets = {"balance": list(model.balances), "input": list(inputs), "output": list(model.outputs)}
-    present = {(use.id, use.target) for use in model.effects}
+    present = {use.key for use in model.effects}
     chosen = [find_effect(id) for id in ids] if ids is not None else [*EFFECTS.values(), *STRUCTURAL.values()]
-    free = [e for e in chosen if not (e.signals or e.between)]
-    pairs = [(e.id, target) for e in free for target in targets[e.place] if e.fits(model.site(target, e))]
-    pairs += [(e.id, target) for e in chosen if e.between for target in _pairs_of_balances(model, e)]
-    if STRUCTURAL["forgotten-input"] in chosen:
-        pairs += [("forgotten-input", f"{balance}({name})") for balance in model.balances for name in idle]
-    return [pair for pair in pairs if pair not in present]
+    keys = _on_single_targets(model, [e for e in chosen if not (e.signals or e.between)])
+    keys += [Key(e.id, target) for e in chosen if e.between or e.reaches for target in _pairs_of_balances(model, e)]
+    columns = [(balance, name) for balance in model.balances for name in idle_inputs(model)]
+    keys += [Key(e.id, f"{balance}({name})") for e in chosen if e.takes_columns for balance, name in columns]
+    return [key for key in keys if key not in present]
+
+
+def _on_single_targets(model: PhysicalModel, effects: Iterable[Effect]) -> list[Key]:
+    targets = _targets(model)
+    pairs = [(effect, target) for effect in effects for target in targets[effect.place]]
+    return [Key(effect.id, target) for effect, target in pairs if effect.fits(model.site(target, effect))]
+
+
+def _targets(model: PhysicalModel) -> dict[str, list[str]]:
+    """Where effects of each kind of place may be put: balances, inputs that drive, outputs."""
+    no_drive = {name for balance in model.balances.values() for name in balance.variables.values()} | set(idle_inputs(model))
+    inputs = [name for name, signal in model.inputs.items() if signal.default is None and name not in no_drive]
+    return {"balance": list(model.balances), "input": inputs, "output": list(model.outputs)}
 
 
 def idle_inputs(model: PhysicalModel) -> list[str]:
@@ -345,13 +374,16 @@ def idle_inputs(model: PhysicalModel) -> list[str]:
 
 
 def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
-    """Targets `one(other)` of balances of one kind that know nothing of each other's variables."""
+    """Targets `one(other)` of balances of one kind: both ways where what one gives may run into the other, else those that know
+    nothing of each other's variables.
+    """
     known = {
         b.name: {n for term in b.terms.values() for n in term.names} | set(b.variables.values()) for b in model.balances.values()
     }
     found = []
-    for one, other in combinations([b for b in model.balances.values() if b.defines is None], 2):
-        apart = not (known[one.name] & known[other.name] & set(model.states))
+    storing, couples = [b for b in model.balances.values() if b.defines is None], permutations if effect.reaches else combinations
+    for one, other in couples(storing, 2):
+        apart = effect.reaches or not (known[one.name] & known[other.name] & set(model.states))
         if one.kind == other.kind and apart and effect.fits(model.site(f"{one.name}({other.name})", effect)):
             found.append(f"{one.name}({other.name})")
     return found

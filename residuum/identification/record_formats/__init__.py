@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.mat import read_mat, write_mat
@@ -25,6 +25,8 @@ READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
     ".mf4": read_mdf,
     ".uff": read_uff,
 }
+LOGGERS = dict.fromkeys((".txt", ".tsv", ".dat", ".lvm"), read_csv)
+"""What loggers call their text files; nothing is written under these endings."""
 WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
     ".csv": write_csv,
     ".npz": write_npz,
@@ -48,12 +50,13 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending not in READERS:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS)}")
+    reader = (READERS | LOGGERS).get(ending)
+    if reader is None:
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS)}")
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
-        return READERS[ending](path, options)
+        return reader(path, options)
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise
@@ -61,8 +64,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     except MemoryError:
         raise
     except Exception as error:
-        says = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise BadRecord(f"{path}: is damaged or not a {ending} file ({says})") from error
+        raise BadRecord(f"{path}: is damaged or not a {ending} file ({in_one_line(error)})") from error
 
 
 def write_record(record: Record, path: str | Path) -> None:
@@ -76,4 +78,4 @@ def write_record(record: Record, path: str | Path) -> None:
     WRITERS[ending](record, path)
 
 
-__all__ = ["READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]
+__all__ = ["LOGGERS", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]

@@ -1,6 +1,7 @@
 """Records as CSV: `name [unit]` heads, `time [s]` first, one row a sample."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,24 @@ import numpy.typing as npt
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.logger_file import understand
+from residuum.identification.record_formats.logger_head import unit_of_head
+from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger
 from residuum.identification.record_formats.options import ReadOptions
 
 MOST_COLUMNS = 1000
 _LONGEST_HEADER = 100_000
 _HEAD = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
+AS_LOGGER = "read as a logger's file"
+"""How the note begins that tells what was guessed."""
+_OURS = re.compile(rb"\s*time\s*\[s\]\s*,")
 _EMPTY_CELL = re.compile(rb"(?<=,)(?=[ \t]*(?:,|\r?\n|$))|(?<=\n)(?=,)")
 
 
 def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read a record from a CSV file.
+    """Read a record from a CSV file, or what a logger wrote where its text leaves no doubt how to read it.
+
+    In a file of ours the first column is `time [s]`, and commas cut its cells.
 
     The first line that does not begin with `#` names the columns; `# …` lines before it become notes.
     An empty cell or `nan` is a missing sample. Time must be even: a step that differs from the median by
@@ -31,7 +40,33 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_csv(content, str(path), options)
+    return parse_csv(content, str(path), options) if _is_ours(content) else _from_logger(content, str(path), options)
+
+
+def _is_ours(content: bytes) -> bool:
+    """Whether the first line that is no note begins with `time [s],`, without quotes: nothing has to be guessed then.
+
+    A first line that is too long for any header is left to the reader that says so.
+    """
+    start = content[: 3 * _LONGEST_HEADER].removeprefix(b"\xef\xbb\xbf")
+    head = next((line for line in start.splitlines() if line.strip() and not line.startswith(b"#")), b"")
+    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head)
+
+
+def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
+    """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
+    try:
+        found = understand(content, source, decimal=options.decimal, time_form=options.time_form, time_column=options.time_column)
+        record = parse_logger(content, source, found.mapping, options)
+    except BadRecord as error:
+        if "--decimal" not in str(error) and "--time" not in str(error):
+            raise
+        settle = f"`residuum inspect FILE` with it and --out FILE{ENDING} settles it for every command"
+        raise BadRecord(f"{error} ({settle})") from None
+    mapping = found.mapping
+    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, times {mapping.time_form}"
+    told = f"{AS_LOGGER}: {habits}"
+    return replace(record, notes=(told, *record.notes))
 
 
 def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
@@ -54,8 +89,10 @@ def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:
             raise BadRecord(f"{source}, header, column {position}: has no name; write 'name [unit]'")
         if name in names:
             raise BadRecord(f"{source}, header, column {position}: name {name!r} stands twice")
+        unit = (match.group("unit") or "").strip() if match else ""
+        name, unit = (name, unit) if unit else unit_of_head(name)
         names.append(name)
-        units.append((match.group("unit") or "").strip() if match else "")
+        units.append(unit)
     if len(names) < 2:
         raise BadRecord(f"{source}: has the one column {names[0]!r}; time and at least one channel are needed")
     return names, units
@@ -80,14 +117,15 @@ def table_record(
         if (infinite := np.isinf(column)).any():
             row = first_row + int(np.argmax(infinite))
             raise BadRecord(f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty (missing)")
-    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row)
+    told: list[str] = []
+    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told)
     options.settle_sample_time(step, source)
     return Record(
         dict(zip(names[1:], columns[1:], strict=True)),
         {name: options.unit_of(name, unit) for name, unit in zip(names[1:], units[1:], strict=True)},
         step,
         t0=float(columns[0][0]),
-        notes=notes,
+        notes=(*notes, *told),
         source=source,
     )
 

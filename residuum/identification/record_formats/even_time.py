@@ -2,18 +2,28 @@
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from residuum.identification.errors import BadRecord
 
 FloatArray = npt.NDArray[np.float64]
 JITTER = 0.01  # of the step
+HOLE = 3.0
+"""Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
+RESAMPLED = "resampled to"
+"""How a note tells of it."""
+_MOST = 1e8
+_MOST_DECIMALS = 7
 
 
-def even_columns(columns: FloatArray, source: str, *, resample: bool, first_row: int = 0) -> tuple[float, FloatArray]:
+def even_columns(
+    columns: FloatArray, source: str, *, resample: bool, first_row: int = 0, told: list[str] | None = None
+) -> tuple[float, FloatArray]:
     """Check that `columns[0]` is an even time base; return (step [s], columns on it).
 
     `columns` has shape (1 + channels, n). A step that differs from the median by more than 1 % is refused with
-    its row (counted from `first_row`) unless `resample` asks for linear interpolation.
+    its row (counted from `first_row`), unless even stamps were only rounded to the digits they are written with, or `resample`
+    asks for linear interpolation; longer holes stay missing, and what was done is put into `told`.
     """
     time = columns[0]
     if time.shape[0] < 2:
@@ -26,12 +36,74 @@ def even_columns(columns: FloatArray, source: str, *, resample: bool, first_row:
         raise BadRecord(f"{source}, row {row}: time does not increase; rows must be in order of time")
     median = float(np.median(steps))
     uneven = np.abs(steps - median) > JITTER * median + 4 * float(np.spacing(np.abs(time).max()))
-    if not uneven.any():
+    if not uneven.any() or _only_rounded(time):
         return float((time[-1] - time[0]) / (len(time) - 1)), columns
     if resample:
-        even = time[0] + median * np.arange(int(np.floor((time[-1] - time[0]) / median + 1e-6)) + 1)
-        return median, np.stack([even, *(np.interp(even, time, column) for column in columns[1:])])
+        step, signals, done = resampled(time - time[0], columns[1:], source)
+        if told is not None:
+            told += [f"column {k} {resampling(step, *one)}" for k, one in enumerate(done, start=2)]
+        return step, np.stack([time[0] + step * np.arange(signals.shape[1]), *signals])
     row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
-        f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %; resample to accept it"
+        f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %; "
+        "resample (--resample) to accept it: holes of more than three steps stay missing"
     )
+
+
+def _only_rounded(time: FloatArray) -> bool:
+    """Whether even stamps were only rounded to so many decimals: a logger's 0.00325 s written as 0.003, 0.007, 0.010.
+
+    Then a straight line passes within half a unit of the last decimal of all of them, and a step is no multiple of that unit:
+    multiples need no rounding. Stamps of so many significant digits have fewer decimals late than early: the last tenth tells.
+    """
+    last, exact = len(time) - 1, 4.0 * float(np.spacing(np.abs(time).max()))
+    units, late = (10.0**-d for d in range(_MOST_DECIMALS)), time[-max(2, len(time) // 10) :]
+    unit = next((u for u in units if np.all(np.abs(late - u * np.rint(late / u)) <= 1e-4 * u + exact)), None)
+    span = time[-1] - time[0]
+    if unit is None or abs(span - last * unit * np.rint(span / (last * unit))) < 1.5 * unit:
+        return False
+    beside, turn = time - time[0] - span / last * np.arange(len(time)), unit / last * np.arange(len(time))
+    line = minimize_scalar(lambda by: float(np.ptp(beside - by * turn)), bounds=(-2.0, 2.0), method="bounded")
+    return bool(line.fun <= unit * (1.0 + 1e-3) + exact)
+
+
+def resampling(step: float, error: float, holes: int) -> str:
+    """What became of a channel, in words."""
+    return f"{RESAMPLED} {step:.6g} s: error about {error:.3g} rms, {holes} samples left missing"
+
+
+def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[float, int]]]:
+    """(step [s], channels on even instants, the error of that and the number of samples left missing of each).
+
+    Values (channels, n) at times (n,) that begin at 0 become linear between a channel's own samples; its longer holes stay
+    missing. The error is the RMS of linear interpolation, told by leaving out each sample: over the double distance that of a
+    smooth signal is four times as large; noise is counted in.
+    """
+    step = float(np.median(np.diff(time)))
+    if (time[-1] - time[0]) / step > _MOST:
+        raise BadRecord(
+            f"{source}: {time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps"
+        )
+    even: FloatArray = step * np.arange(int(np.floor(time[-1] / step + 1e-6)) + 1, dtype=np.float64)
+    pairs = [_interpolated(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
+    return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
+
+
+def _interpolated(at: FloatArray, taken: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[float, int]]:
+    if len(at) < 2:
+        return np.full_like(even, np.nan), (float("nan"), len(even))
+    ends: FloatArray = np.clip(even, at[0], at[-1])
+    even = np.where(np.abs(ends - even) <= 1e-6 * step, ends, even)
+    signal = np.interp(even, at, taken, left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(at, even - 1e-9 * step), 1, len(at) - 1)
+    hole = (at[after] - at[after - 1] > HOLE * np.median(np.diff(at))) & (np.abs(even - at[after]) > 1e-6 * step)
+    hole &= np.abs(even - at[after - 1]) > 1e-6 * step
+    return np.where(hole, np.nan, signal), (_linear_error(at, taken), int(hole.sum()))
+
+
+def _linear_error(at: FloatArray, taken: FloatArray) -> float:
+    if len(at) < 3:
+        return float("nan")
+    weight = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+    left_out = taken[1:-1] - ((1 - weight) * taken[:-2] + weight * taken[2:])
+    return float(np.sqrt(np.mean(left_out**2)) / 4)

@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
 from residuum.identification.record_formats.logger_text import (
     MISSING,
@@ -17,20 +19,22 @@ from residuum.identification.record_formats.logger_text import (
     decoded,
     find_decimal,
     find_delimiter,
+    is_stamp,
     is_value,
     number,
 )
 from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, UNITS, number_form, stamp_form
 
-_BRACKET = re.compile(r"(.*?)[\s_]*\[([^\[\]]*)\]\s*")
-_PARENTHESES = re.compile(r"(.*?)[\s_]*\(([^()]*)\)\s*")
-_SLASH = re.compile(r"(.*?)\s+(?:/|in)\s+(\S+)\s*")
-_ATOM = re.compile(
-    r"1|-|%|°|°[CF]|degC|degF|C|K|[munkMG]?(A|V|W|Hz|N|m|s|Pa|bar|g|rad|VA|Wh|F|H)|[µμ](A|V|m|s|F|H)|[kM]?(Ohm|ohm|Ω)|N[mM]|[kM]N|"
-    r"[kmM]?Nm|rpm|deg|min|h|l|L|J|kJ|kg|lb|psi|mbar|raw|counts?|ticks|digits?|pu|bool|dB|ppm|mm|cm|km|in|inch|sec|msec|usec"
-)
 _TIME_NAME = re.compile(
-    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure)(\b.*|_.*|)"
+    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros)(\b.*|_.*|)"
+)
+_AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa")
+"""Names of a first column that is the time where it has a unit of time."""
+_MOSTLY = 0.9
+"""Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
+_SIGNAL_NAME = re.compile(
+    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|parameter|kanal|messstelle)"
+    r"[ _]?(name|id)?|name"
 )
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
 
@@ -44,8 +48,10 @@ class LoggerFile:
     samples: dict[str, Any]
 
 
-def understand(content: bytes, source: str, *, decimal: str | None = None, time_form: str | None = None) -> LoggerFile:
-    """Understand the bytes of a logger's file; `decimal` and `time_form` settle what the file leaves open.
+def understand(
+    content: bytes, source: str, *, decimal: str | None = None, time_form: str | None = None, time_column: str | None = None
+) -> LoggerFile:
+    """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -59,11 +65,12 @@ def understand(content: bytes, source: str, *, decimal: str | None = None, time_
     rows = cells_of(text, delimiter)
     first, width = _first_row(rows, source)
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
-    body = [row for row in rows[first - 1 :] if any(row)]
+    body = rows[first - 1 :]
     sign, why = (decimal, "said with --decimal") if decimal else find_decimal(rows[first - 1 :], source, first)
     guesses["decimal"] = (sign, why)
     names, units = _heads(rows, first, width, guesses, source)
-    time, form = _time(body, names, units, sign, time_form, guesses, source)
+    _refuse_long_form(body, names, source)
+    time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
     channels = _channels(body, names, time, sign, guesses, source)
     mapping = LoggerMapping(
         encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
@@ -72,23 +79,23 @@ def understand(content: bytes, source: str, *, decimal: str | None = None, time_
 
 
 def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
-    """(file row of the first sample, cells of a row)."""
+    """(file row of the first sample, cells of a row): the first row whose columns of values hold nothing else."""
     width = Counter(len(row) for row in rows if any(row)).most_common(1)[0][0]
+    whole = [row for row in rows if len(row) == width and any(row)]
+    late = whole[len(whole) // 2 :]
+    numeric = [column for column in range(width) if _are_values([row[column] for row in late])]
     for position, row in enumerate(rows, start=1):
-        filled = [cell for cell in row if cell.lower() not in MISSING]
-        if len(row) == width and filled and is_value(filled[0]) and sum(map(is_value, filled)) >= max(1, len(filled) / 2):
+        if len(row) != width:
+            continue
+        filled = [row[column] for column in numeric if row[column].lower() not in MISSING]
+        if filled and all(map(is_value, filled)):
             return position, width
     raise BadRecord(f"{source}: no row of numbers found among rows of {width} cells")
 
 
-def is_unit(text: str) -> bool:
-    """Whether a text is certainly a unit: products and powers of known symbols.
-
-    >>> is_unit("m/s^2"), is_unit("left")
-    (True, False)
-    """
-    parts = [re.sub(r"(\^|\*\*)?-?[0-9²³]$", "", part) or part for part in re.split(r"(?<!\*)[*](?!\*)|[/·]", text.strip())]
-    return bool(text.strip()) and all(_ATOM.fullmatch(part) for part in parts)
+def _are_values(cells: list[str]) -> bool:
+    filled = [cell for cell in cells if cell.lower() not in MISSING]
+    return bool(filled) and sum(map(is_value, filled)) >= _MOSTLY * len(filled)
 
 
 def _heads(
@@ -100,22 +107,35 @@ def _heads(
     if not above:
         raise BadRecord(f"{source}, row {first}: no line of {width} column names stands above it; write one")
     at, line = above[-1]
-    bare = [cell.strip().strip("[]()").strip() for cell in line]
-    own_line = len(above) > 1 and all(is_unit(cell) or not cell or is_stampish(cell) for cell in bare)
-    units = bare if own_line else [""] * width
-    if own_line:
-        guesses["unit line"] = (f"row {at}", "every cell is a unit")
+    units = [""] * width
+    if len(above) > 1 and (own_line := _unit_line(line, above[-2][1])):
+        units = own_line
+        guesses["unit line"] = (f"row {at}", "its cells are units, those above it names")
         at, line = above[-2]
     guesses["header"] = (
         f"row {at}",
         f"the last line of {width} names above the samples; {at - 1} lines before it passed over",
     )
-    heads = [_head(cell) for cell in line]
-    names = [name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)]
-    if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise BadRecord(f"{source}, row {at}: column name {twice[0]!r} stands twice; rename one")
+    heads = [unit_of_head(cell) for cell in line]
+    names = _distinct([name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)], f"{source}, row {at}")
     units = [own or unit for own, (_, unit) in zip(units, heads, strict=True)]
     return names, ["" if unit == "-" else unit for unit in units]
+
+
+def _distinct(names: list[str], where: str) -> list[str]:
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise BadRecord(f"{where}: column name {twice[0]!r} stands twice; rename one")
+    return names
+
+
+def _unit_line(line: list[str], above: list[str]) -> list[str] | None:
+    """The units of a line that holds nothing else, or half units below a line without any; None for any other line."""
+    bare = [unit_word(cell.strip().strip("[]()").strip()) for cell in line]
+    filled = [cell for cell in bare if cell and not is_stampish(cell)]
+    certain = sum(map(is_unit, filled))
+    if certain == len(filled) or (2 * certain >= len(filled) and not any(map(is_unit, above))):
+        return ["" if is_stampish(cell) else cell for cell in bare]
+    return None
 
 
 def is_stampish(cell: str) -> bool:
@@ -123,46 +143,26 @@ def is_stampish(cell: str) -> bool:
     return bool(re.fullmatch(r"(?i)[ymdhst.:/ -]{6,}", cell))
 
 
-def _head(cell: str) -> tuple[str, str]:
-    if match := _BRACKET.fullmatch(cell):
-        return match[1].strip(), match[2].strip()
-    for pattern in (_PARENTHESES, _SLASH):
-        if (match := pattern.fullmatch(cell)) and is_unit(match[2]):
-            return match[1].strip(), match[2].strip()
-    return cell.strip(), ""
-
-
 def _time(
     body: list[list[str]],
     names: list[str],
     units: list[str],
     decimal: str,
-    said: str | None,
+    told: tuple[str | None, str | None],
     guesses: dict[str, tuple[str, str]],
     source: str,
 ) -> tuple[tuple[int, ...], str]:
-    """(time columns, form)."""
-    stamped = {column: form for column in range(len(names)) if (form := stamp_form(_column(body, column)))}
-    named = [
-        k
-        for k, name in enumerate(names)
-        if k not in stamped and _TIME_NAME.fullmatch(name) and (k == 0 or units[k].lower() in UNITS)
-    ]
-    chosen: tuple[int, ...]
-    if [form == "clock" for form, _ in stamped.values()] == [False, True]:
-        chosen = tuple(stamped)
-    elif len(stamped) + len(named) > 1:
-        both = ", ".join(repr(names[k]) for k in (*stamped, *named))
-        raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
-    elif not stamped and not named:
-        raise BadRecord(f"{source}: no time column found among {', '.join(names)[:200]}; name it 'time [s]'")
-    else:
-        chosen = tuple(stamped) or tuple(named)
+    """(time columns, form); `told` is the form and the column that the caller says."""
+    said, column = told
+    stamped = {column: form for column in range(len(names)) if (form := _stamps(_column(body, column)))}
+    chosen = _time_columns(names, units, stamped, source) if column is None else (_index(column, names, source),)
     where = "+".join(repr(names[k]) for k in chosen)
     found = (
         stamped[chosen[0]]
-        if stamped
-        else number_form(names[chosen[0]], units[chosen[0]], _numbers(body, chosen[0], decimal, source))
+        if chosen[0] in stamped
+        else number_form(
+            names[chosen[0]], units[chosen[0]], _numbers(body, chosen[0], decimal, f"{source}, row", int(guesses["first row"][0]))
+        )
     )
     if said:
         found = (said, "said with --time")
@@ -174,16 +174,66 @@ def _time(
     return tuple(k + 1 for k in chosen), found[0]
 
 
+def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
+    """The one column of times, by its stamps or by its name, or the two of date and time of day."""
+    if [form == "clock" for form, _ in stamped.values()] == [False, True]:
+        return tuple(stamped)
+    named = [
+        k
+        for k, name in enumerate(names)
+        if k not in stamped
+        and (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS))
+        and (k == 0 or units[k].lower() in UNITS)
+    ]
+    if len(stamped) + len(named) > 1:
+        both = ", ".join(repr(names[k]) for k in (*stamped, *named))
+        raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
+    if not stamped and not named:
+        raise BadRecord(
+            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, or write 'time [s]'"
+        )
+    return tuple(stamped) or tuple(named)
+
+
+def _index(name: str, names: list[str], source: str) -> int:
+    if name not in names:
+        near = get_close_matches(name, names, n=3, cutoff=0.0)
+        raise BadRecord(f"{source}: has no column {name!r} for the time; the nearest are {', '.join(near)}")
+    return names.index(name)
+
+
+def _refuse_long_form(body: list[list[str]], names: list[str], source: str) -> None:
+    """Refuse a table that has its signals one under the other, for it would be read as one signal that jumps between them."""
+    for column, name in enumerate(names):
+        if not _SIGNAL_NAME.fullmatch(name):
+            continue
+        kinds = list(dict.fromkeys(cell for cell in _column(body, column) if not is_value(cell)))
+        if len(kinds) > 1:
+            there = ", ".join(kinds[:4])
+            raise BadRecord(f"{source}: column {name!r} names the signal of each row ({there}); write one column a signal")
+
+
+def _stamps(cells: list[str]) -> tuple[str, str] | None:
+    """The form of a column that holds stamps, but for single cells: reading refuses those with their row."""
+    stamps = [cell for cell in cells if is_stamp(cell)]
+    return stamp_form(stamps) if stamps and len(stamps) >= _MOSTLY * len(cells) else None
+
+
 def _column(body: list[list[str]], column: int) -> list[str]:
     cells = [row[column] for row in body if len(row) > column]
     return [cell for cell in cells if cell.lower() not in MISSING] or [""]
 
 
-def _numbers(body: list[list[str]], column: int, decimal: str, source: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    try:
-        return np.array([number(cell, decimal) for cell in _column(body, column)])
-    except ValueError as error:
-        raise BadRecord(f"{source}, time column {column + 1}: {str(error)[:40]!r} is no time") from None
+def _numbers(body: list[list[str]], column: int, decimal: str, where: str, first: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    found = []
+    for row, cells in enumerate(body, start=first):
+        if len(cells) <= column or cells[column].lower() in MISSING:
+            continue
+        try:
+            found.append(number(cells[column], decimal))
+        except ValueError:
+            raise BadRecord(f"{where} {row}, time column {column + 1}: {cells[column][:40]!r} is no time; cut the row") from None
+    return np.array(found or [0.0])
 
 
 def _channels(

@@ -11,13 +11,12 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.even_time import even_columns, resampled, resampling
 from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.logger_time import FORMS, nanoseconds
 from residuum.identification.record_formats.options import ReadOptions
 
 ENDING = ".mapping.yaml"
-_HOLE = 3.0  # of a channel's own median step: a longer stretch without a value stays missing
 _DUPLICATES = ("refuse", "first", "mean")
 _REORDERED = ("refuse", "sort")
 FloatArray = npt.NDArray[np.float64]
@@ -81,6 +80,10 @@ class LoggerMapping:
         for name, holds in rules.items():
             if not holds:
                 raise BadRecord(f"mapping, {name}: {getattr(self, name)!r} is not possible; see the one that inspect writes")
+        self._check_columns()
+
+    def _check_columns(self) -> None:
+        """Refuse a column that rows of this width do not have."""
         if beyond := [column for column in (*self.time, *self.names) if column > self.width]:
             near = ", ".join(f"{column} {name!r}" for column, name in self.names.items() if column <= self.width)
             raise BadRecord(f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})")
@@ -163,7 +166,11 @@ def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = 
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
-    source = str(path)
+    return parse_logger(content, str(path), mapping, options)
+
+
+def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+    """Read the bytes of a logger's file (see `read_logger_file`); `source` names it in messages."""
     stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
     notes: list[str] = []
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
@@ -174,7 +181,9 @@ def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = 
     except BadRecord:
         if not options.resample:
             raise
-        step, signals = _resampled(time, values, list(mapping.names.values()), notes)
+        step, signals, told = resampled(time, values, source)
+        for name, (error, holes) in zip(mapping.names.values(), told, strict=True):
+            notes.append(f"{name} {resampling(step, error, holes)}")
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
     channels = dict(zip(mapping.names.values(), signals, strict=True))
@@ -205,38 +214,3 @@ def _ordered(
     present = np.add.reduceat((~np.isnan(values)).astype(float), starts, axis=1)
     total = np.add.reduceat(np.nan_to_num(values), starts, axis=1)
     return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
-
-
-def _resampled(time: FloatArray, values: FloatArray, names: list[str], notes: list[str]) -> tuple[float, FloatArray]:
-    """(step [s], channels on even instants): linear between a channel's own samples, missing in its longer holes."""
-    step = float(np.median(np.diff(time)))
-    if (time[-1] - time[0]) / step > 1e8:
-        raise BadRecord(f"{time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps")
-    even = step * np.arange(int(np.floor(time[-1] / step + 1e-6)) + 1)
-    signals = []
-    for name, column in zip(names, values, strict=True):
-        held = ~np.isnan(column)
-        at, taken = time[held], column[held]
-        if len(at) < 2:
-            signals.append(np.full_like(even, np.nan))
-            continue
-        signal = np.interp(even, at, taken, left=np.nan, right=np.nan)
-        after = np.clip(np.searchsorted(at, even - 1e-9 * step), 1, len(at) - 1)
-        hole = (at[after] - at[after - 1] > _HOLE * np.median(np.diff(at))) & (np.abs(even - at[after]) > 1e-6 * step)
-        hole &= np.abs(even - at[after - 1]) > 1e-6 * step
-        signals.append(np.where(hole, np.nan, signal))
-        error = _linear_error(at, taken)
-        notes.append(f"{name} resampled to {step:.6g} s: error about {error:.3g} rms, {int(hole.sum())} samples left missing")
-    return step, np.array(signals)
-
-
-def _linear_error(at: FloatArray, taken: FloatArray) -> float:
-    """Estimate of the rms error of linear interpolation, from leaving out each sample.
-
-    Over the double distance the error of a smooth signal is four times as large; noise is counted in.
-    """
-    if len(at) < 3:
-        return float("nan")
-    weight = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
-    left_out = taken[1:-1] - ((1 - weight) * taken[:-2] + weight * taken[2:])
-    return float(np.sqrt(np.mean(left_out**2)) / 4)

@@ -71,6 +71,11 @@ def is_value(cell: str) -> bool:
     return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
 
 
+def is_stamp(cell: str) -> bool:
+    """Whether a cell could be a time stamp."""
+    return bool(_STAMP.fullmatch(cell))
+
+
 def find_delimiter(text: str, source: str) -> tuple[str, str]:
     """(delimiter, reason): the one that cuts the rows into equally many cells that are values."""
     lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]

@@ -43,18 +43,30 @@ _EPOCHS = (("epoch s", 1e9, 2.2e9), ("epoch ms", 1e12, 2.2e12), ("epoch us", 1e1
 
 def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[str, str] | None:
     """(form, reason) of a time column of numbers, or None where nothing says its unit."""
-    low, high = float(np.min(values)), float(np.max(values))
-    for form, least, most in _EPOCHS:
-        if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
-            return form, f"{low:.0f} is {_date(low, form)} as seconds since 1970"
+    if epoch := _epoch_form(unit, float(np.min(values)), float(np.max(values))):
+        return epoch
     if unit:
         form = UNITS.get(unit.lower(), "")
         return (form, f"unit {unit!r} of column {name!r}") if form else None
     words = re.split(r"[\s_.:-]+", name.lower())
     if words[-1] in UNITS and len(words) > 1:
         return UNITS[words[-1]], f"the name {name!r} ends in {words[-1]!r}"
+    return _excel_form(words, values)
+
+
+def _epoch_form(unit: str, low: float, high: float) -> tuple[str, str] | None:
+    """The unit in which numbers from `low` to `high` are times since 1970 of our days."""
+    for form, least, most in _EPOCHS:
+        if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
+            return form, f"{low:.0f} is {_date(low, form)} as seconds since 1970"
+    return None
+
+
+def _excel_form(words: list[str], values: npt.NDArray[np.float64]) -> tuple[str, str] | None:
+    """Days of a spreadsheet: close together, of our days, in a column that is called a date."""
+    low, high = float(np.min(values)), float(np.max(values))
     step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
-    if low >= 25000 and high <= 75000 and 0 < step < 0.05 and ("date" in words or "datetime" in words or "datum" in words):
+    if low >= 25000 and high <= 75000 and 0 < step < 0.05 and {"date", "datetime", "datum"} & set(words):
         return "excel", f"days since 1899-12-30: {low:.5f} is {(_EXCEL_EPOCH + timedelta(days=low)):%Y-%m-%d %H:%M}"
     return None
 

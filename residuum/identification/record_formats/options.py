@@ -19,11 +19,16 @@ class ReadOptions:
         difference of more than 1 % is refused.
     units : mapping of channel name to unit
         For files that carry no units.
+    decimal, time_form, time_column : str or None
+        Of a logger's file, where its text leaves them open: the decimal sign, the form of its times, the name of their column.
     """
 
     resample: bool = False
     sample_time: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    decimal: str | None = None
+    time_form: str | None = None
+    time_column: str | None = None
 
     def __post_init__(self) -> None:
         if self.sample_time is not None and not self.sample_time > 0:

@@ -17,16 +17,7 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     Channels of one name in several groups become `group.name`. Raises BadRecord when the file is no TDMS
     file, or its channels differ in sample time.
     """
-    nptdms = need("nptdms", path)
-    try:
-        file = nptdms.TdmsFile.read(path)
-        channels = [channel for group in file.groups() for channel in group.channels() if _is_signal(channel)]
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, EOFError) as error:
-        raise BadRecord(f"{path}: is not a TDMS file: {' '.join(str(error).split())[:120]}") from None
-    if not channels:
-        raise BadRecord(f"{path}: holds no numeric channel")
-    longest = max(len(channel) for channel in channels)
-    channels = [channel for channel in channels if len(channel) == longest]
+    channels = _longest_signals(path)
     steps = {float(step) for channel in channels if (step := channel.properties.get("wf_increment"))}
     if len(steps) > 1:
         raise BadRecord(f"{path}: channels differ in sample time {sorted(steps)}; one record has one")
@@ -42,6 +33,20 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         t0=float(channels[0].properties.get("wf_start_offset", 0.0)),
         source=str(path),
     )
+
+
+def _longest_signals(path: str | Path) -> list[Any]:
+    """The numeric channels of the longest length."""
+    nptdms = need("nptdms", path)
+    try:
+        file = nptdms.TdmsFile.read(path)
+        channels = [channel for group in file.groups() for channel in group.channels() if _is_signal(channel)]
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, EOFError) as error:
+        raise BadRecord(f"{path}: is not a TDMS file: {' '.join(str(error).split())[:120]}") from None
+    if not channels:
+        raise BadRecord(f"{path}: holds no numeric channel")
+    longest = max(len(channel) for channel in channels)
+    return [channel for channel in channels if len(channel) == longest]
 
 
 def write_tdms(record: Record, path: str | Path) -> None:

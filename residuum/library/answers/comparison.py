@@ -67,13 +67,13 @@ def comparison_text(comparison: Comparison) -> str:
         )
     for name, balance in comparison.balances.items():
         lines.append(
-            f"balance {name}: lacks {balance.missing_rms:.3g} {balance.unit} RMS, "
+            f"balance {name}: missing term of {balance.missing_rms:.3g} {balance.unit} RMS, "
             f"{balance.relative_percent:.1f} % of what drives it"
         )
     present = comparison.present
     lines.append(
         f"structured error: {'yes' if present else 'no'} (p = {comparison.p_value:.2g}"
-        + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise of some colour explains the error)")
+        + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise alone explains the error)")
     )
     lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
     return "\n".join(lines)

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_promise import says
+from residuum.robust_control.certificates.disk_margin import disk_margin
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse
 from residuum.robust_control.control_problem import ControlProblem, Solution
-from residuum.robust_control.state_space import weighted_loop
+from residuum.robust_control.weighted_loop import weighted_loop
 
 
 def design_json(
@@ -37,6 +39,7 @@ def design_json(
         "robust_stability_norm": h_infinity_norm(weighted_loop(problem.plant, made.controller, W_T=W_T))[0]
         if made.stable
         else None,
+        "disk_margin": _margin(problem, made.controller) if made.stable else None,
         "chosen": {names[0]: chosen.first, names[1]: chosen.second},
         "pareto_front": [{names[0]: point.first, names[1]: point.second} for point in found.front],
         "uncertainty_weight": {"numerator": W_T.num, "denominator": W_T.den, "critical_frequency_rad_s": problem.crossing},
@@ -49,6 +52,26 @@ def design_json(
             "integral_absolute_error_median_s": float(np.median([figure.integral_absolute_error for figure in figures])),
         },
     }
+
+
+def _margin(problem: ControlProblem, controller: TransferFunction) -> dict[str, float | None]:
+    """By which factors the gain and by which angle the phase of the nominal loop may vary, at once."""
+    margin = disk_margin(problem.plant, controller)
+    return {
+        "gain_low": margin.gain_low,
+        "gain_high": margin.gain_high if math.isfinite(margin.gain_high) else None,
+        "phase_deg": math.degrees(margin.phase),
+        "frequency_rad_s": margin.frequency,
+    }
+
+
+def _margin_text(margin: dict[str, float | None] | None) -> list[str]:
+    if margin is None:
+        return []
+    high = "without limit" if margin["gain_high"] is None else f"{margin['gain_high']:.3g} times"
+    return [
+        f"  nominal loop's disk margin: gain {margin['gain_low']:.3g} to {high} and phase ± {margin['phase_deg']:.3g}° at once"
+    ]
 
 
 def _about(result: dict[str, Any]) -> list[str]:
@@ -74,6 +97,7 @@ def design_text(result: dict[str, Any]) -> str:
             f"  nominal loop {'stable' if result['stable'] else 'UNSTABLE'}; {plants['count']} random plants: "
             f"{plants['unstable']} unstable, median overshoot {100 * plants['overshoot_median']:.2g} %, "
             f"settling {plants['settling_time_median_s']:.3g} s",
+            *_margin_text(result["disk_margin"]),
             *says(result),
             *(written if result["file"] else []),
         ]

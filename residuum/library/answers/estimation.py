@@ -46,12 +46,14 @@ def _fit_percent(result: Estimate) -> list[float]:
     return fits
 
 
+def _parameter_text(name: str, p: dict[str, Any]) -> str:
+    doubt = "(not determined)" if p["std"] is None else f"± {p['std']:.2g}"
+    return f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip() + ("  (at its bound)" if p["at_bound"] else "")
+
+
 def estimate_text(found: dict[str, Any]) -> str:
     """The short human report of the `estimate` object."""
-    lines = [
-        f"{name} = {p['value']:.6g} ± {p['std']:.2g} {p['unit']}" + ("  (at its bound)" if p["at_bound"] else "")
-        for name, p in found["parameters"].items()
-    ]
+    lines = [_parameter_text(name, p) for name, p in found["parameters"].items()]
     lines += [
         f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {o['fit_percent']:.2f} %" for name, o in found["outputs"].items()
     ]

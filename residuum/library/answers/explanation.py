@@ -6,14 +6,14 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
+from residuum.identification.discrepancy.candidate import Candidate
 from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.held_out_blocks import Remaining
 from residuum.identification.discrepancy.held_values import HeldValue
-from residuum.identification.discrepancy.judgement import Candidate
+from residuum.identification.discrepancy.policy.noise import SLOW
+from residuum.identification.discrepancy.remaining import Remaining
 from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
-from residuum.identification.discrepancy.trials import SLOW
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text
 
@@ -122,6 +122,35 @@ def held_text(held: HeldValue) -> str:
     )
 
 
+def _free_term_text(explanation: Explanation) -> list[str]:
+    """What a term outside the catalogue explains, and what it looks like."""
+    free = explanation.free
+    if free is None or explanation.probability_unknown <= 0.1 or explanation.unexplained_share <= 0.0:
+        return []
+    lines = [
+        f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
+        f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
+    ]
+    if (formula := suggestion(free)) is not None:
+        lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
+    return lines
+
+
+def _rest_text(explanation: Explanation) -> list[str]:
+    """What remains of each output's error, what drifts, and what is said of the record's timing."""
+    says, from_ = _OF_THE_REST[explanation.verdict]
+    lines = [
+        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {says}"
+        for output, (rms, unit, times) in explanation.left.items()
+        if times > from_
+    ]
+    if explanation.search.drifting:
+        lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
+    return lines + [
+        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
+    ]
+
+
 def explanation_text(explanation: Explanation) -> str:
     """The short human report."""
     lines = [f"verdict: {explanation.verdict}"]
@@ -131,27 +160,9 @@ def explanation_text(explanation: Explanation) -> str:
     lines += map(_candidate_text, likely[:6])
     if ruled_out:
         lines.append(f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}")
-    if explanation.probability_unknown > 0.1 and explanation.free is not None and explanation.unexplained_share > 0.0:
-        free = explanation.free
-        lines.append(
-            f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
-            f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
-        )
-        if (formula := suggestion(free)) is not None:
-            lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
-    says, from_ = _OF_THE_REST[explanation.verdict]
+    lines += _free_term_text(explanation) + _rest_text(explanation)
     lines += [
-        f"  {output}: {rms:.3g} {unit} RMS remain, {times:.0f} times what their own past cannot predict: {says}"
-        for output, (rms, unit, times) in explanation.left.items()
-        if times > from_
-    ]
-    if explanation.search.drifting:
-        lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
-    lines += [
-        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
-    ]
-    lines += [
-        f"  next: {p.do} (separates {' from '.join(p.separates)} with power {p.power:.2f})"
+        f"  next: {p.do} (tells {' from '.join(p.separates)} in {100 * p.power:.0f} % of the cases)"
         for p in explanation.next_experiment[:2]
     ]
     lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")

@@ -57,6 +57,8 @@ def _fit(model: IdentifiedModel, record: Record) -> float | None:
 
 def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     """The short human report."""
+    if not model.input_name:
+        return _series_text(model, result)
     gain_unit = _gain_unit(model)
     gain = float(model.frequency_response(0.0).real)
     gain_std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
@@ -80,6 +82,18 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     if result["file"]:
         lines.append(f"  written to        {result['file']}")
     return "\n".join(lines)
+
+
+def _series_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
+    """The same of a model without an input: its noise shaping alone."""
+    A = np.ones(1) if model.noise_denominator is None else model.noise_denominator
+    lines = [
+        f"{model.method}: {_named(model.output_name, model.output_unit)}, {result['samples']} samples of {model.sample_time:g} s",
+        f"  order             {len(A) - 1}: A = [{', '.join(f'{value:.4g}' for value in A)}], descending powers of z",
+        f"  innovation        {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
+        *(f"  warning           {text}" for text in model.warnings),
+    ]
+    return "\n".join([*lines, *([f"  written to        {result['file']}"] if result["file"] else [])])
 
 
 def _named(channel: str, unit: str) -> str:

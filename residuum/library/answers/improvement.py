@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from residuum.identification.discrepancy.improve import Improvement, quantities_of
+from residuum.identification.discrepancy.improvement import Improvement, quantities_of
 from residuum.identification.physics import EffectUse
 from residuum.library.answers.explanation import held_text, remaining_json
 from residuum.library.answers.quantities import quantities_json, sizes_text

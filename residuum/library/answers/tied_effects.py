@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.judgement import Quantity
+from residuum.identification.discrepancy.candidate import Quantity
 from residuum.identification.discrepancy.suggestion import nearest_formula
 from residuum.identification.physics.model import place_of, tied_to
 

@@ -8,7 +8,7 @@ from scipy.linalg import eigvals
 
 from residuum.identification.blas_threads import LARGEST, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.robust_control.state_space import StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 
 FloatArray = npt.NDArray[np.float64]
 _ITERATIONS = 60
@@ -54,7 +54,7 @@ def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[flo
 
     Examples
     --------
-    >>> lag = StateSpace(np.array([[0.5]]), np.eye(1), np.eye(1), np.zeros((1, 1)))
+    >>> lag = StateSpace(np.array([[0.5]]), np.eye(1), np.eye(1), np.zeros((1, 1)), sample_time=1.0)
     >>> round(h_infinity_norm(lag)[0], 6)
     2.0
     """

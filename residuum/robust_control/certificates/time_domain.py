@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 from scipy.signal import lfilter
 
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -54,6 +55,9 @@ def over_plants(plants: Sequence[TransferFunction], controller: TransferFunction
     return [assess(step_response(plant, controller, duration), float(plant.sample_time or 0.0)) for plant in plants]
 
 
+_NARROW, _OVERSHOOT_STEP = 0.1, 0.005
+
+
 @dataclass(frozen=True)
 class Measured:
     """Step responses of the nominal loop and of drawn plants, to be held against what was promised."""
@@ -67,6 +71,20 @@ class Measured:
             float(np.quantile([step.overshoot for step in self.drawn], share, method="higher")),
             float(np.quantile([step.settling_time for step in self.drawn], share, method="higher")),
         )
+
+    def is_sure_of(self, share: float, sample_time: float) -> bool:
+        """Whether the 95 % intervals of both `reached_by` are narrow: a tenth of the value, else a sample, half a per cent.
+
+        The interval of a quantile lies between two of the ordered values, whose ranks are those of a binomial law.
+        """
+        n = len(self.drawn)
+        ranks = stats.binom.ppf([0.025, 0.975], n, share).astype(int)
+        low, high = np.clip(ranks - [1, 0], 0, n - 1)
+        for name, least in (("overshoot", _OVERSHOOT_STEP), ("settling_time", sample_time)):
+            values = np.sort([getattr(step, name) for step in self.drawn])
+            if values[low] < values[high] and not values[high] - values[low] <= max(_NARROW * values[low], 1.001 * least):
+                return False
+        return True
 
     def kept(self, overshoot: float, settling_time: float) -> tuple[bool, float]:
         """Whether the nominal loop stays within both, and the share of the drawn plants that does."""

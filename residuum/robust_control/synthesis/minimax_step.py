@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from residuum.kept_loops import njit
 from residuum.robust_control.synthesis.nonnegative_least_squares import nonnegative_least_squares
 
 FloatArray = npt.NDArray[np.float64]
@@ -53,7 +53,7 @@ def minimax_step(
     return d, multipliers, float(t)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _least_distance(c, A, H, low, high):
     m, n = A.shape
     inverse = _inverse_of_lower(_lower_factor(H))
@@ -83,7 +83,7 @@ def _least_distance(c, A, H, low, high):
     return d, u[:m] / -residual[n + 1], (c + A @ d).max()
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _lower_factor(H):
     """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H may be all but singular."""
     n = len(H)
@@ -101,7 +101,7 @@ def _lower_factor(H):
     return L
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _inverse_of_lower(L):
     n = len(L)
     inverse = np.zeros((n, n))

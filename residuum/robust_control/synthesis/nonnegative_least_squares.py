@@ -3,13 +3,14 @@
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 import numpy as np
-from numba import njit
+
+from residuum.kept_loops import njit
 
 _ZERO = 1e-13
 _DEPENDENT = 1e-12
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def nonnegative_least_squares(E, f):
     r"""u ≥ 0 that minimises ‖E u − f‖₂, shape (n,), E of shape (m, n).
 
@@ -57,7 +58,7 @@ def nonnegative_least_squares(E, f):
     return u
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _steepest(E, residual, sizes, is_free, enough):
     """The unknown at zero whose growth lowers the residual most, −1 when none does."""
     entering, steepest = -1, enough
@@ -71,7 +72,7 @@ def _steepest(E, residual, sizes, is_free, enough):
     return entering
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _move(u, solution, free, count, is_free):
     """Go towards the solution until the first unknown is zero; the number of those still free."""
     step, first = 1.0, -1
@@ -92,7 +93,7 @@ def _move(u, solution, free, count, is_free):
     return kept
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _norm(E, j, top):
     total = 0.0
     for i in range(top, E.shape[0]):
@@ -100,7 +101,7 @@ def _norm(E, j, top):
     return np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _solve(E, f, columns, p, R, solution):
     """Least squares on p columns by Householder's QR, into `solution`; whether they are independent."""
     m = E.shape[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
@@ -35,25 +37,32 @@ def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple
         controller = structure.transfer_function(rho)
         return float(max(np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0) for plant in plants))
 
-    low = np.array([-np.inf if bound[0] is None else bound[0] for bound in structure.bounds()])
-    high = np.array([np.inf if bound[1] is None else bound[1] for bound in structure.bounds()])
+    low, high = _box(structure)
     scaled = [(np.clip(rho, low, high), sizes) for k in _crossings(loop) for rho, sizes in _scaled(loop, structure, k)]
     ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
-    found = [scaled[n] for modulus, n in ranked if modulus < _INSIDE]
-    if found:
+    if found := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
         return found
-    for _, n in ranked[:_DESCENTS]:
-        rho, sizes = scaled[n]
-        simplex = np.vstack([np.zeros(len(rho)), 0.5 * np.eye(len(rho))])
-        least = minimize(
-            lambda x, rho=rho, sizes=sizes: radius(np.clip(rho + sizes * x, low, high)),
-            simplex[0],
-            method="Nelder-Mead",
-            options={"maxfev": _EVALUATIONS, "xatol": 1e-6, "fatol": 1e-9, "initial_simplex": simplex},
-        )
-        if least.fun < _INSIDE:
-            found.append((np.clip(rho + sizes * least.x, low, high), sizes))
-    return found
+    lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
+    return [start for start in lowered if start is not None]
+
+
+def _box(structure: ControllerStructure) -> tuple[FloatArray, FloatArray]:
+    low = [-np.inf if least is None else least for least, _ in structure.bounds()]
+    return np.array(low), np.array([np.inf if most is None else most for _, most in structure.bounds()])
+
+
+def _lowered(
+    radius: Callable[[FloatArray], float], rho: FloatArray, sizes: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """The values that a simplex search from `rho` ends at, within the bounds; None where these do not stabilise either."""
+    simplex = np.vstack([np.zeros(len(rho)), 0.5 * np.eye(len(rho))])
+    least = minimize(
+        lambda x: radius(np.clip(rho + sizes * x, low, high)),
+        simplex[0],
+        method="Nelder-Mead",
+        options={"maxfev": _EVALUATIONS, "xatol": 1e-6, "fatol": 1e-9, "initial_simplex": simplex},
+    )
+    return (np.clip(rho + sizes * least.x, low, high), sizes) if least.fun < _INSIDE else None
 
 
 def _crossings(loop: Loop) -> npt.NDArray[np.intp]:

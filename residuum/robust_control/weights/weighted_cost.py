@@ -3,10 +3,11 @@
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 import numpy as np
-from numba import njit
+
+from residuum.kept_loops import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def rational_response(num, den, z):
     """num(z)/den(z), descending powers, at every z; shape (k,)."""
     response = np.empty(len(z), dtype=np.complex128)
@@ -20,7 +21,7 @@ def rational_response(num, den, z):
     return response
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def weighted_cost(G, K, W_S, W_T, W_K, added):
     """‖(W_S S, W_T T, W_K K S)‖ at every plant and frequency, shape (plants, k); the sum of moduli when `added`, else Euclidean.
 
@@ -40,7 +41,7 @@ def weighted_cost(G, K, W_S, W_T, W_K, added):
     return cost
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def weighted_slopes(G, K, dK, W_S, W_T, W_K, added):
     """(cost, ∂cost/∂ρ) at c points of a plant and a frequency each, shapes (c,) and (c, parameters); dK is ∂K/∂ρ there.
 

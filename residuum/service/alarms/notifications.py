@@ -1,9 +1,8 @@
 """Notifications: changes of alarms and findings, told to webhooks and an MQTT broker; nobody waits for them.
 
 Alarms go to both, findings to the broker alone (QoS 1, topics `PREFIX/assets/ASSET/alarm` and `…/finding`). A receiver that is
-away is tried again with growing pauses. Changes of alarms come from the store's outbox, in their order and at least once, also
-after a crash, and also those of other processes on the same database. Findings wait in memory: what finds no room is dropped and
-counted, and a crash forgets them; the store has them.
+away is tried again with growing pauses. Both come from the store's outbox, in their order and at least once, also after a crash,
+and also those of other processes on the same database. What waits is bounded: the oldest go, and the log says how many.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import importlib
 import queue
 import threading
+import time
 import urllib.request
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,22 +22,22 @@ import orjson
 import structlog
 
 from residuum.identification.errors import BadInput
+from residuum.service.broker_address import BrokerAddress, broker_address
 from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.settings import BrokerAddress, Settings, broker_address
+from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
 from residuum.service.store import StorageUnavailable
 
 log = structlog.get_logger()
 
-_MOST_WAITING = 1000
 _LOOK = 1.0
-"""Seconds between looks for alarms that other processes on the same database changed."""
+"""Seconds between looks for what other processes on the same database changed."""
 _PATIENCE = 5.0
-"""Seconds for a receiver's answer."""
+"""Seconds for a receiver's answer, and after which the outbox is told which findings of a batch were told."""
 _REFUSED = range(400, 500)
 
 Send = Callable[[str, Mapping[str, Any]], None]
-"""Delivers (kind, payload); raises OSError when it could not be delivered."""
+"""Delivers (kind of event, payload); raises OSError when it could not be delivered."""
 
 
 class Receiver:
@@ -58,52 +58,63 @@ class Receiver:
         self.name = name
         self.sent = self.dropped = 0
         self._address, self._send, self._findings = address, send, findings
-        self._waiting: queue.Queue[Mapping[str, Any] | None] = queue.Queue(_MOST_WAITING)
+        self._news = threading.Event()
         self._stopped = threading.Event()
         self._backoff = Backoff(first=0.2, longest=30.0)
         self._thread = threading.Thread(target=self._deliver_all, name=f"notify {name}", daemon=True)
 
     def start(self, outbox: Outbox) -> None:
         """Begin to tell what waits in the outbox."""
-        self._outbox, self._id = outbox, outbox.register(self._address)
+        self._outbox, self._id = outbox, outbox.register(self._address, findings=self._findings)
         self._thread.start()
 
-    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Queue a finding, dropped and counted when there is no room; for an alarm, look into the outbox at once."""
-        if kind == "alarm" and self._waiting.empty():
-            with suppress(queue.Full):
-                self._waiting.put_nowait(None)
-        elif kind == "finding" and self._findings:
-            try:
-                self._waiting.put_nowait(payload)
-            except queue.Full:
-                self.dropped += 1
+    def look(self) -> None:
+        """Something new may wait in the outbox."""
+        self._news.set()
 
     def stop(self) -> None:
-        """End; alarms that still wait are told by whoever opens the store next."""
+        """End; what still waits is told by whoever opens the store next."""
         self._stopped.set()
-        with suppress(queue.Full):  # else it does not wait for anything
-            self._waiting.put_nowait(None)
+        self._news.set()
         if self._thread.ident is not None:
             self._thread.join(_PATIENCE)
 
     def _deliver_all(self) -> None:
         while not self._stopped.is_set():
+            self._news.clear()
             try:
                 self._tell_of_alarms()
+                told_all = not self._findings or self._tell_of_findings()
             except Exception as error:  # the store may come back
-                log.error("alarms that wait to be told not read", receiver=self.name, reason=str(error))
+                log.error("what waits to be told not read", receiver=self.name, reason=str(error))
                 self._stopped.wait(self._backoff.next())
-            with suppress(queue.Empty):
-                payload = self._waiting.get(timeout=_LOOK)
-                while payload is not None and not self._stopped.is_set() and not self._attempt("finding", payload):
-                    """Again, after a pause."""
+                continue
+            if told_all:
+                self._news.wait(_LOOK)
 
     def _tell_of_alarms(self) -> None:
         while not self._stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
             if self._attempt("alarm", notice.alarm):
-                self.dropped += notice.passed_over
+                self._lost("alarm", notice.passed_over)
                 self._outbox.told(self._id, notice)
+
+    def _tell_of_findings(self) -> bool:
+        """Tell a batch of what waits; False when more may wait."""
+        batch = self._outbox.findings(self._id)
+        until, told = time.monotonic() + _PATIENCE, []
+        for finding in batch.findings:
+            if self._stopped.is_set() or time.monotonic() > until or not self._attempt("finding", finding.to_json()):
+                break
+            told.append(finding.id)
+        if told or batch.lost:
+            self._lost("finding", batch.lost)
+            self._outbox.told_findings(self._id, told, batch.lost)
+        return not batch.findings
+
+    def _lost(self, kind: str, count: int) -> None:
+        if count:
+            self.dropped += count
+            log.warning("the oldest that waited were let go untold", receiver=self.name, kind=kind, count=count)
 
     def _attempt(self, kind: str, payload: Mapping[str, Any]) -> bool:
         """Whether the receiver has it, or refused it for good; a pause after an attempt that failed."""
@@ -142,10 +153,11 @@ class Notifications:
         for receiver in self.receivers:
             receiver.start(outbox)
 
-    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """A finding to be told, or an alarm that now waits in the outbox."""
-        for receiver in self.receivers:
-            receiver.tell(kind, payload)
+    def tell(self, kind: str, _payload: Mapping[str, Any]) -> None:
+        """A finding or a change of an alarm waits in the outbox."""
+        if kind in ("finding", "alarm"):
+            for receiver in self.receivers:
+                receiver.look()
 
     def stop(self) -> None:
         """End all receivers."""
@@ -158,7 +170,7 @@ class Notifications:
 
 def _webhook(url: str) -> Send:
     def post(kind: str, payload: Mapping[str, Any]) -> None:
-        body = orjson.dumps({"kind": kind, **payload}, option=orjson.OPT_SERIALIZE_NUMPY)
+        body = orjson.dumps({"event": kind, **payload}, option=orjson.OPT_SERIALIZE_NUMPY)
         request = urllib.request.Request(url, body, {"Content-Type": "application/json", "User-Agent": "residuum"})
         with urllib.request.urlopen(request, timeout=_PATIENCE):
             """Any 2xx answer is a receipt."""

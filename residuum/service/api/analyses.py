@@ -5,29 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-import orjson
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field, model_validator
 
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS
 from residuum.library.answers.effect import effect_json
+from residuum.library.identification_methods import Request as Sought
+from residuum.robust_control.control_problem import WeightChoice
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
-from residuum.service.api.parameters import NAME, ModelName
+from residuum.service.api.parameters import NAME, ModelName, NewModelName
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
-from residuum.service.work.command_job import parts_of, run_commands
+from residuum.service.work import analyses
+from residuum.service.work.analyses import Asked, ResidualChoice
+from residuum.service.work.record_parts import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
 
 RecordNumbers = Annotated[
     list[Annotated[int, Field(ge=1, le=2**53 - 1)]],
-    Field(min_length=1, max_length=64, description="Numbers of uploaded records; each is an experiment of its own."),
+    Field(min_length=1, max_length=64, description="Numbers of uploaded records; each is a separate experiment."),
 ]
-SaveAs = Annotated[str | None, Field(pattern=NAME, description="Store the resulting model under this name, as a new version.")]
+SaveAs = Annotated[NewModelName | None, Field(description="Store the resulting model under this name, as a new version.")]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 PLACED_EFFECT = r"^[a-z][a-z0-9-]{0,63}(@[^,@]{1,200})?$"
 Names = Annotated[dict[Text, Text], Field(max_length=100, description="Model's name of a signal → record's channel.")]
@@ -76,13 +79,21 @@ class Identification(BaseModel, extra="forbid"):
     """What `residuum identify` is asked for."""
 
     records: RecordNumbers
-    input: Text = Field(description="Channel of the input.")
+    input: Text | None = Field(None, description="Channel of the input; the method `ar` has none.")
     output: Text = Field(description="Channel of the output.")
-    method: Literal["kernel", "arx", "armax", "oe", "bj"] = Field("kernel", description="Method.")
+    method: Literal["kernel", "ridge", "lasso", "ar", "arx", "fir", "armax", "oe", "bj"] = Field("kernel", description="Method.")
     kernel: Literal["tc", "dc", "ss", "di"] = Field("tc", description="Prior of the impulse response.")
     order: int | None = Field(None, ge=1, le=5000, description="Length of the impulse response, or order of the model.")
     delay: int | None = Field(None, ge=0, le=10_000, description="Samples before the input acts (default: estimated).")
+    uncertainty: Literal["own", "model-error", "set-membership", "stochastic-embedding"] = Field(
+        "own", description="How far to trust the model: by its own covariance, or by an error model from the part kept aside."
+    )
+    noise_bound: float | None = Field(None, gt=0, le=1e300, description="Largest noise of set-membership [output unit].")
     save_as: SaveAs = None
+
+
+WEIGHT_FIELDS = ("epsilon", "zeta", "rule", "weight_order", "points", "lowest")
+"""What a user chooses of an uncertainty weight."""
 
 
 class Residuals(BaseModel, extra="forbid"):
@@ -94,6 +105,16 @@ class Residuals(BaseModel, extra="forbid"):
     fault: Literal["sensor", "actuator"] = Field("sensor", description="Kind of fault to be most sensitive to.")
     threshold: Literal["posterior", "peak", "source", "calibrated"] = Field("posterior", description="Kind of threshold.")
     false_alarms_per_day: float = Field(1.0, gt=0, le=86400, description="For the posterior and the calibrated threshold.")
+    gamma: float = Field(0.1, gt=0, le=1e6, description="Largest gain from model error and noise to the residual, γ.")
+    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of models drawn.")
+    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of models drawn.")
+    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
+    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
+    points: int | None = Field(None, ge=2, le=5000, description="Frequencies that the grid begins with; null: refined anyway.")
+    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest of these frequencies [rad/s].")
+    method: Literal["robust", "observer", "kalman", "parity", "h-infinity"] = Field(
+        "robust", description="Method for the post-filter: Algorithm 5, or a classical residual generator."
+    )
 
 
 class ControlDesign(BaseModel, extra="forbid"):
@@ -105,7 +126,7 @@ class ControlDesign(BaseModel, extra="forbid"):
     aim: Literal["nominal", "robust"] = Field("nominal", description="Best behaviour, or every model of the band.")
     joined: str | None = Field(None, pattern=NAME, description="The nominal plant, of all operating points' records.")
     structure: Literal["pidn", "pid", "pi", "lead-lag", "rational"] = Field("pidn", description="Form of the controller.")
-    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: least overshoot worth having (0.01 = 1 %).")
+    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: overshoot below which less brings no benefit (0.01 = 1 %).")
     settling_time: float | None = Field(None, gt=0, le=1e12, description="nominal: longest settling time [s].")
     slack: float = Field(0.1, gt=0, le=100, description="nominal: slack of the mixed-sensitivity bound.")
     in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time.")
@@ -129,13 +150,14 @@ def list_effects() -> Response:
 @router.post("/models/{model}/compare", status_code=202, response_model=JobAnswer)
 def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
     """How large is the model's error on records, is it structured, and where does it lie? The result is the `compare` object."""
-    return _submit(running, "compare", model, asked, [])
+    return accepted(running.jobs.submit("compare", analyses.compare, _asked(running, model, asked), then=_result))
 
 
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
-    return _submit(running, "explain", model, asked, _considered(asked.effects))
+    considered = _considered(asked.effects)
+    return accepted(running.jobs.submit("explain", analyses.explain, _asked(running, model, asked), considered, then=_result))
 
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)
@@ -145,11 +167,11 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
     `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
     """
     _known([effect.split("@")[0] for effect in asked.add])
-    wanted = ["--auto", *_considered(asked.effects)] if asked.auto else [f"--add={','.join(asked.add)}"]
+    considered = _considered(asked.effects) if asked.auto else None
     by = getattr(request.state, "caller", ANYBODY).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-        found = {**_first(outcome), "model_file": None, "file": outcome["file"].decode()}
+        found = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
         if asked.save_as is None:
             return found
         added = [step["added"] for step in found["history"] if step["added"]]
@@ -158,83 +180,98 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
         address = f"/api/v1/models/{stored.model}/versions/{stored.number}"
         return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
-    return _submit(running, "improve", model, asked, [*wanted, "--out", "@out.yaml"], out="out.yaml", keep=keep)
+    add = None if asked.auto else asked.add
+    work = _asked(running, model, asked)
+    return accepted(running.jobs.submit("improve", analyses.improve, work, add, considered, then=keep))
 
 
 @router.post("/models/{model}/estimate", status_code=202, response_model=JobAnswer)
 def estimate(request: Request, running: Running, model: ModelName, asked: Estimation) -> Response:
     """Estimate the model's parameters, its structure as it is."""
-    options = [f"--method={asked.method}", "--out", "@out.yaml"]
-    return _submit(
-        running, "estimate", model, asked, options, out="out.yaml", keep=_keep(request, running, asked.save_as, "physical")
-    )
+    keep = _keep(request, running, asked.save_as, "physical")
+    work = _asked(running, model, asked)
+    return accepted(running.jobs.submit("estimate", analyses.estimate, work, asked.method, then=keep))
 
 
 @router.post("/identify", status_code=202, response_model=JobAnswer)
 def identify(request: Request, running: Running, asked: Identification) -> Response:
     """Identify a linear model with its uncertainty."""
     records = _records(running, asked.records)
-    delay = "estimate" if asked.delay is None else str(asked.delay)
-    options = [f"--input={asked.input}", f"--output={asked.output}", f"--method={asked.method}", f"--kernel={asked.kernel}"]
-    options += [f"--delay={delay}", *([] if asked.order is None else [f"--order={asked.order}"]), "--out", "@out.json"]
-    step = ["identify", *(f"@{name}" for name in records), *options]
+    wanted = Sought(
+        asked.input or "",
+        asked.output,
+        asked.order,
+        asked.delay,
+        asked.kernel,
+        "marginal",
+        offset=True,
+        uncertainty=asked.uncertainty,
+        noise_bound=asked.noise_bound,
+    )
     keep = _keep(request, running, asked.save_as, "identified")
-    return accepted(running.jobs.submit("identify", run_commands, [step], {}, records, "out.json", then=keep))
+    return accepted(running.jobs.submit("identify", analyses.identify, records, wanted, asked.method, then=keep))
 
 
 @router.post("/residuals", status_code=202, response_model=JobAnswer)
 def residuals(running: Running, asked: Residuals) -> Response:
     """Design a residual generator from an identified model and run it on records: `design`, and a `run` a record."""
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
-    files = {"model.json": _content(running, asked.model, "identified", None)}
-    design = ["residual", "design", "@model.json", "--out", "@design.json", f"--fault={asked.fault}"]
-    for name in healthy:
-        design += ["--healthy", f"@{name}"]
-    run = ["residual", "run", "@design.json"]
-    options = [f"--threshold={asked.threshold}", f"--false-alarms-per-day={asked.false_alarms_per_day}"]
-    steps = [design, *([*run, f"@{name}", *options] for name in records)]
+    content = _content(running, asked.model, "identified", None)
+    choice = ResidualChoice(**asked.model_dump(include={"fault", "gamma", "method", *WEIGHT_FIELDS}))
+    threshold = {"threshold": asked.threshold, "false_alarms_per_day": asked.false_alarms_per_day}
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-        made, *runs = outcome["results"]
-        return {"design": made, "runs": [found | {"record": number} for found, number in zip(runs, asked.records, strict=True)]}
+        runs = zip(outcome["runs"], asked.records, strict=True)
+        return {"design": outcome["design"], "runs": [found | {"record": number} for found, number in runs]}
 
-    return accepted(running.jobs.submit("residuals", run_commands, steps, files, healthy | records, then=named))
+    work = (content, healthy, records, choice, threshold)
+    return accepted(running.jobs.submit("residuals", analyses.residuals, *work, then=named))
 
 
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
-    files = {f"model-{number}.json": _content(running, name, "identified", None) for number, name in enumerate(asked.models)}
-    given = asked.model_dump(exclude={"models", "joined", "in_time"}, exclude_none=True)
-    options = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
-    options += ["--in-time"] if asked.in_time else []
-    step = ["control", "design", *(f"@{file}" for file in files), *options, "--out", "@controller.json"]
-    if asked.joined is not None:
-        files["joined.json"] = _content(running, asked.joined, "identified", None)
-        step += ["--joined", "@joined.json"]
-    return accepted(running.jobs.submit("control-designs", run_commands, [step], files, {}, "controller.json", then=_with_file))
+    models = [_content(running, name, "identified", None) for name in asked.models]
+    joined = None if asked.joined is None else _content(running, asked.joined, "identified", None)
+    weight = WeightChoice(asked.epsilon, asked.zeta, asked.rule, asked.weight_order, asked.points, asked.lowest)
+    options = asked.model_dump(include=set(_AIM))
+    work = (models, joined, weight, options)
+    return accepted(running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file))
 
 
+_AIM = (
+    "aim",
+    "structure",
+    "overshoot",
+    "settling_time",
+    "slack",
+    "in_time",
+    "low_gain",
+    "high_gain",
+    "critical_frequency",
+)
+"""What is asked of a controller beside the models and the uncertainty weight."""
 Keep = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
-def _with_file(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The one command's object, with the file that it wrote."""
-    return {**_first(outcome), "file": orjson.loads(outcome["file"])}
-
-
-def _first(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The one command's object."""
-    result: Mapping[str, Any] = outcome["results"][0]
+def _result(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What the work found."""
+    result: Mapping[str, Any] = outcome["result"]
     return result
 
 
+def _with_file(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The design, with itself as the file that holds the controller; an infeasible one has none."""
+    found = outcome["result"]
+    return {**found, "file": found if found.get("feasible", False) else None}
+
+
 def _keep(request: Request, running: Services, name: str | None, kind: str) -> Keep:
-    """Store the file that a command wrote as a version of model `name`, and say so in the result."""
+    """Store the file that the work made as a version of model `name`, and say so in the result."""
     by = getattr(request.state, "caller", ANYBODY).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
-        result = {key: value for key, value in _first(outcome).items() if key not in ("file", "model_file")}
+        result = {key: value for key, value in outcome["result"].items() if key not in ("file", "model_file")}
         if name is None:
             return result
         version = running.store.add_model_version(name, kind, outcome["file"], "made by a job", by)
@@ -243,10 +280,10 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
     return keep
 
 
-def _considered(effects: Sequence[str]) -> list[str]:
-    """The option that leaves the other effects of the catalogue out."""
+def _considered(effects: Sequence[str]) -> list[str] | None:
+    """The effects to be considered; None leaves none of the catalogue out."""
     _known(effects)
-    return [f"--effects={','.join(effects)}"] if effects else []
+    return list(effects) or None
 
 
 def _known(effects: Sequence[str]) -> None:
@@ -254,20 +291,15 @@ def _known(effects: Sequence[str]) -> None:
         raise NotFound(f"effect {unknown[0][:60]!r}: is not in the catalogue; GET /effects lists it")
 
 
-def _submit(
-    running: Services, command: str, model: str, asked: Comparison, options: Sequence[str], *, out: str = "", keep: Keep = _first
-) -> Response:
-    """A job that runs one command on a model and records."""
-    records = _records(running, asked.records)
+def _asked(running: Services, model: str, asked: Comparison) -> Asked:
+    """The model, the built-in one where no version is named, and what it is held against."""
     built_in = asked.version is None and model in BUILT_IN
-    files = {} if built_in else {"model.yaml": _content(running, model, "physical", asked.version)}
-    step = [command, model if built_in else "@model.yaml", *(f"@{name}" for name in records), *options]
-    step += [part for name, channel in asked.map.items() for part in ("--map", f"{name}={channel}")]
-    return accepted(running.jobs.submit(command, run_commands, [step], files, records, out, then=keep))
+    text = None if built_in else _content(running, model, "physical", asked.version)
+    return Asked(model, text, _records(running, asked.records), asked.map)
 
 
-def _records(running: Services, numbers: Sequence[int]) -> dict[str, Any]:
-    return {f"record-{number}.npz": parts_of(running.store.record_samples(number)) for number in numbers}
+def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
+    return [parts_of(running.store.record_samples(number), f"record-{number}.npz") for number in numbers]
 
 
 def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:

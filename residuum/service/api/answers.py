@@ -17,6 +17,7 @@ class Problem(BaseModel):
     title: str
     status: int
     detail: str = Field(description="One line: what is wrong, where, which rule.")
+    request_id: str = Field(description="The request's `X-Request-ID`, as it was sent or as we named it; log lines have it, too.")
 
 
 PROBLEMS: dict[int | str, dict[str, Any]] = {
@@ -86,7 +87,7 @@ class AssetAnswer(BaseModel):
     diagnoser: str | None
     created_at: datetime
     windows: int
-    state: str = Field(description="The latest verdict, or `no-data`.")
+    state: str = Field(description="The latest verdict, `no-baseline` or `no-data`.")
     last_finding: FindingAnswer | None
 
 
@@ -164,7 +165,7 @@ class ModelVersionAnswer(BaseModel):
 
 
 class JobAnswer(BaseModel):
-    """Long work: `refused` is bad input, `failed` a fault of ours."""
+    """Long work: `refused` is bad input, `failed` an internal error."""
 
     id: str
     kind: str

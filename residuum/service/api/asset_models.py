@@ -8,19 +8,21 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.physics import BUILT_IN, write_model
+from residuum.identification.physics import write_model
 from residuum.service.api.analyses import Names
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, TEXT, AssetName
-from residuum.service.machines.acceptance import ModelText, propose
+from residuum.service.machines.acceptance import propose
 from residuum.service.machines.healthy_windows import healthy_windows, parted
+from residuum.service.machines.model_texts import ModelText, stored_model
+from residuum.service.machines.stored_baselines import baseline_name, newest_baseline
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
-from residuum.service.work.command_job import parts_of
+from residuum.service.work.record_parts import parts_of
 
 router = APIRouter(prefix="/assets/{asset}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -74,7 +76,7 @@ def propose_model(request: Request, running: Running, asset: AssetName, asked: P
     if diagnoser is None:
         raise Conflict(f"asset {asset!r}: has no diagnoser whose thresholds could be derived")
     learned, checked = ([parts_of(record) for record in part] for part in parted(healthy_windows(running.store, asset)))
-    models = (_stored(running, _active(asset), None), _model(running, asked))
+    models = (_stored(running, _active(asset), None), stored_model(running.store, asked.model, asked.version))
     by, name = _caller(request), _named(asset, "proposed")
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -90,13 +92,13 @@ def propose_model(request: Request, running: Running, asset: AssetName, asked: P
 def accept_model(request: Request, running: Running, asset: AssetName, asked: Acceptance) -> Response:
     """Make a model the machine's active one; with a proposal, its diagnoser judges with the new thresholds from now on."""
     running.store.asset(asset)
-    name, text = _model(running, asked)
+    name, text = stored_model(running.store, asked.model, asked.version)
     content = write_model(model_of(name, None)).encode() if text is None else text
     by, said = _caller(request), f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
     if asked.proposal is not None:
         baseline = running.store.model_content(_named(asset, "proposed"), asked.proposal)
         note = f"accepted with {_said(asked)}, proposal {asked.proposal}"
-        running.store.add_model_version(asset, "baseline", baseline, note, by)
+        running.store.add_model_version(baseline_name(running.store, asset), "baseline", baseline, note, by)
         said += f" (thresholds of proposal {asked.proposal})"
     running.store.add_model_version(_active(asset), "physical", content, said, by)
     running.events.publish("model-accepted", {"asset": asset, "model": asked.model, "by": by})
@@ -129,16 +131,6 @@ def _named(asset: str, ending: str) -> str:
     return f"{asset}.{ending}"
 
 
-def _model(running: Services, asked: Candidate) -> ModelText:
-    """Name and text of the model that is asked for; NotFound, or Conflict when it is not a physical one."""
-    if asked.version is None and asked.model in BUILT_IN:
-        return asked.model, None
-    found = running.store.model_versions(asked.model)[0].kind
-    if found != "physical":
-        raise Conflict(f"model {asked.model!r}: is a {found} model; this needs a physical one")
-    return asked.model, running.store.model_content(asked.model, asked.version)
-
-
 def _stored(running: Services, model: str, version: int | None) -> ModelText | None:
     try:
         return model, running.store.model_content(model, version)
@@ -148,6 +140,6 @@ def _stored(running: Services, model: str, version: int | None) -> ModelText | N
 
 def _baseline(running: Services, asset: str) -> bytes | None:
     try:
-        return running.store.model_content(asset)
+        return running.store.model_content(newest_baseline(running.store, asset).model)
     except NotFound:
         return None

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field, model_validator
 
+from residuum.robust_control.control_problem import WeightChoice
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import StrictRoute
@@ -33,7 +34,7 @@ class ControlView(BaseModel, extra="forbid"):
     models: list[ModelVersion] = Field(min_length=1, max_length=16, description="One an operating point.")
     aim: Literal["nominal", "robust"] = Field("nominal", description="Best behaviour, or every model of the band.")
     structure: Literal["pidn", "pid", "pi", "lead-lag", "rational"] = Field("pidn", description="Form of the controller.")
-    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: least overshoot worth having (0.01 = 1 %).")
+    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: overshoot below which less brings no benefit (0.01 = 1 %).")
     settling_time: float | None = Field(None, gt=0, le=1e12, description="nominal: longest settling time [s].")
     slack: float = Field(0.1, gt=0, le=100, description="nominal: slack of the mixed-sensitivity bound.")
     only: Literal["overshoot", "settling-time", "high-gain", "critical-frequency"] | None = Field(
@@ -43,6 +44,12 @@ class ControlView(BaseModel, extra="forbid"):
     low_gain_db: float = Field(120.0, gt=0, le=400, description="robust: l_g, gain of W_S at low frequency [dB].")
     smallest_high_gain_db: float = Field(-50.0, lt=-0.5, ge=-400, description="robust: least h_g [dB].")
     lowest_critical_frequency: float | None = Field(None, gt=0, le=1e12, description="robust: least ω_c [rad/s].")
+    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of plants drawn.")
+    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of plants drawn.")
+    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
+    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
+    points: int = Field(600, ge=50, le=5000, description="Frequencies of the grid.")
+    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest frequency of the grid [rad/s].")
     lower: Limit = None
     upper: Limit = None
     seed: int = Field(0, ge=0, le=2**32 - 1, description="Of the random plants.")
@@ -62,7 +69,8 @@ def view(running: Running, asked: ControlView) -> Response:
         include={"aim", "overshoot", "settling_time", "slack", "only", "in_time"}
         | {"low_gain_db", "smallest_high_gain_db", "lowest_critical_frequency"}
     )
-    arguments = (contents, asked.structure, wishes, (asked.lower, asked.upper), asked.seed)
+    weight = WeightChoice(asked.epsilon, asked.zeta, asked.rule, asked.weight_order, asked.points, asked.lowest)
+    arguments = (contents, asked.structure, wishes, (asked.lower, asked.upper), asked.seed, weight)
     return accepted(running.jobs.submit("control-view", view_control_design, *arguments))
 
 

@@ -7,7 +7,16 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.gate.fmeca import PROBABILITIES, SEVERITIES, FailureMode, coverage, criticality_matrix, load_fmeca, risk
+from residuum.diagnosis.gate.fmeca import (
+    MACHINE,
+    PROBABILITIES,
+    SEVERITIES,
+    FailureMode,
+    coverage,
+    criticality_matrix,
+    load_fmeca,
+    risk,
+)
 from residuum.service.api.json_response import Json
 
 router = APIRouter(tags=["score"])
@@ -15,7 +24,7 @@ router = APIRouter(tags=["score"])
 
 @router.get("/failure-modes")
 def list_failure_modes() -> Response:
-    """Every mode with its risk and the diagnosers that report it; the cells of the criticality matrix."""
+    """Every mode of the machine with its risk and the diagnosers that report it; the cells of the criticality matrix."""
     modes = load_fmeca()
     covered = coverage(modes, {name: diagnoser.classes for name, diagnoser in DIAGNOSERS.items()})
     cells = [
@@ -23,8 +32,16 @@ def list_failure_modes() -> Response:
         for (p, s), there in criticality_matrix(modes).items()
     ]
     items = [_mode(mode, covered.get(mode.id, [])) for mode in modes]
-    answer = {"items": items, "next_cursor": None, "cells": cells, "probabilities": PROBABILITIES, "severities": SEVERITIES}
-    return Json(answer)
+    return Json(
+        {
+            "machine": MACHINE,
+            "items": items,
+            "next_cursor": None,
+            "cells": cells,
+            "probabilities": PROBABILITIES,
+            "severities": SEVERITIES,
+        }
+    )
 
 
 def _mode(mode: FailureMode, covered: list[tuple[str, str]]) -> dict[str, Any]:

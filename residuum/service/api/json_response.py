@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from json import JSONDecodeError
 from typing import Any
 
@@ -10,11 +10,16 @@ import numpy as np
 import orjson
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
-from starlette.responses import JSONResponse
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, StreamingResponse
 
 from residuum.diagnosis.finding import TOLD_BESIDE, Finding
 from residuum.service.store import Page, T
 
+_LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
+"""Bytes, and lists and objects, of a JSON body that asks for something: read on the event loop in some 20 ms at worst."""
+_PIECE = 256 * 2**10
+_CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_UTC_Z
 
 
@@ -56,10 +61,34 @@ def page_json(page: Page[T]) -> Json:
     return Json({"items": [item.to_json() for item in page.items], "next_cursor": page.next_cursor})  # type: ignore[attr-defined]
 
 
+def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Response:
+    """An answer that is sent piece by piece, as fast as the client takes it: a long one at once would hold up everybody."""
+
+    async def pieces() -> AsyncIterator[bytes]:
+        for begin in range(0, len(content), _PIECE):
+            yield content[begin : begin + _PIECE]
+
+    return StreamingResponse(pieces(), media_type=media_type, headers={**headers, "Content-Length": str(len(content))})
+
+
 class _StrictRequest(Request):
+    async def body(self) -> bytes:
+        """The body, refused as soon as it is longer than such a body may be."""
+        if not hasattr(self, "_body"):
+            pieces, came = [], 0
+            async for piece in self.stream():
+                came += len(piece)
+                if came > _LARGEST:
+                    raise HTTPException(413, f"body: more than {_LARGEST} bytes; no more are read here", _CLOSE)
+                pieces.append(piece)
+            self._body = b"".join(pieces)
+        return self._body
+
     async def json(self) -> Any:
         """The body, strictly: NaN, Infinity, numbers beyond double range, lone surrogates and deep nesting are refused."""
         body = await self.body()
+        if body.count(b"[") + body.count(b"{") > _MOST_NESTED:
+            raise HTTPException(413, f"body: more than {_MOST_NESTED} lists and objects; no more are read here")
         try:
             return orjson.loads(body)
         except orjson.JSONDecodeError as error:

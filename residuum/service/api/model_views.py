@@ -15,7 +15,7 @@ from residuum.service.api.analyses import Comparison, Text
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
-from residuum.service.api.parameters import NAME, ModelName
+from residuum.service.api.parameters import ModelName, NewModelName
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
@@ -23,7 +23,7 @@ from residuum.service.views.effect_addition import add_effect
 from residuum.service.views.model_description import describe
 from residuum.service.views.model_view import effect_curves, model_of, view_model
 from residuum.service.views.parameter_changes import with_parameters
-from residuum.service.work.command_job import RecordParts, parts_of
+from residuum.service.work.record_parts import RecordParts, parts_of
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -54,7 +54,7 @@ class Addition(Comparison):
     """Which effect a model is to get."""
 
     add: Effect
-    save_as: str = Field(pattern=NAME, description="The larger model becomes a new version of this model.")
+    save_as: NewModelName = Field(description="The larger model becomes a new version of this model.")
 
 
 class ParameterChange(BaseModel, extra="forbid"):
@@ -71,7 +71,7 @@ class ParameterChanges(BaseModel, extra="forbid"):
 
     parameters: Annotated[dict[Text, ParameterChange], Field(min_length=1, max_length=200)]
     version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
-    save_as: str = Field(pattern=NAME, description="The changed model becomes a new version of this model.")
+    save_as: NewModelName = Field(description="The changed model becomes a new version of this model.")
 
 
 @router.get("/built-in/descriptions")

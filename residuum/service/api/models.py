@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
-from residuum.service.api.json_response import Json, page_json
-from residuum.service.api.parameters import NAME, TEXT, Cursor, Limit, ModelName
-from residuum.service.model_files import MODEL_KINDS, check_model_file
+from residuum.service.api.json_response import Json, in_pieces, page_json
+from residuum.service.api.parameters import TEXT, Cursor, Limit, ModelName, NewModelName
+from residuum.service.api.signal_body import body_of
+from residuum.service.model_files import MODEL_KINDS, check_long_model_file, check_model_file, is_read_apart
 from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running
+from residuum.service.services import Running, Services
+from residuum.service.store import ModelVersion, NotFound
 
 router = APIRouter(prefix="/models", tags=["models"], responses=PROBLEMS)
 
@@ -31,14 +34,18 @@ _MODEL_BODY = {
 async def add_model(
     request: Request,
     running: Running,
-    name: Annotated[str, Query(description="Name of the model; a known one gets a new version.", pattern=NAME)],
+    name: Annotated[NewModelName, Query(description="Name of the model; a known one gets a new version.")],
     kind: Annotated[Kind, Query(description="What the file is.")] = "physical",
     diagnoser: Annotated[str | None, Query(description="baseline: of which diagnoser.", max_length=64)] = None,
     note: Annotated[str, Query(description="What is new in this version.", max_length=2000, pattern=TEXT)] = "",
 ) -> Response:
     """Store a model, or a new version of one. The file is read and checked first; nothing else is stored."""
-    content = await request.body()
-    await run_in_threadpool(check_model_file, kind, content, diagnoser)
+    content = await body_of(request)
+    if is_read_apart(kind, content):
+        limits = {"memory": running.settings.upload_memory, "seconds": running.settings.upload_seconds}
+        await running.reading(check_long_model_file, kind, content, diagnoser, **limits)
+    else:
+        await run_in_threadpool(check_model_file, kind, content, diagnoser)
     caller = getattr(request.state, "caller", ANYBODY).name
     version = await run_in_threadpool(running.store.add_model_version, name, kind, content, note, caller)
     return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{name}/versions/{version.number}"})
@@ -58,14 +65,21 @@ def list_models(
 @router.get("/{model}/versions", response_model=PageOf[ModelVersionAnswer])
 def list_versions(running: Running, model: ModelName) -> Response:
     """All versions of a model, newest first."""
-    return Json({"items": [version.to_json() for version in running.store.model_versions(model)], "next_cursor": None})
+    return Json({"items": [version.to_json() for version in _versions(running, model)], "next_cursor": None})
 
 
 @router.get("/{model}/versions/{number}", response_class=Response)
 def get_version(running: Running, model: ModelName, number: VersionNumber) -> Response:
     """The file of one version, as it was stored."""
-    version = next((each for each in running.store.model_versions(model) if each.number == number), None)
+    media, ending = MODEL_KINDS[_versions(running, model)[0].kind]
     content = running.store.model_content(model, number)
-    media, ending = MODEL_KINDS[version.kind if version else "baseline"]
     headers = {"Content-Disposition": f'attachment; filename="{model}-{number}{ending}"'}
-    return Response(content, media_type=media, headers=headers)
+    return in_pieces(content, media, headers)
+
+
+def _versions(running: Services, model: str) -> Sequence[ModelVersion]:
+    """Versions of a model, newest first; NotFound also for a machine's document, which is no model."""
+    versions = running.store.model_versions(model)
+    if versions[0].kind not in MODEL_KINDS:
+        raise NotFound(f"model {model!r}: there is none of this name")
+    return versions

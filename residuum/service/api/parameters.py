@@ -5,12 +5,27 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Path, Query
+from pydantic import AfterValidator, StringConstraints
+from pydantic_core import PydanticCustomError
+
+from residuum.service.machines.kept_machines import ENDINGS
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names of assets, models and baselines: they stand in addresses and rows, never in a file's path."""
 
 TEXT = r"^[^\x00]*$"
 """Free text: any but the character NUL, which PostgreSQL keeps in no text."""
+
+
+def _unreserved(name: str) -> str:
+    if name.endswith(ENDINGS):
+        says = "'{name}' is the name of a machine's document; a model's must not end in {endings}"
+        raise PydanticCustomError("reserved_name", says, {"name": name, "endings": ", ".join(ENDINGS)})
+    return name
+
+
+NewModelName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_unreserved)]
+"""The name under which a user stores a model; those of documents that are kept with machines are none."""
 
 _LARGEST_ID = 2**53 - 1
 

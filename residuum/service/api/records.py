@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import io
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import READERS
+from residuum.identification.record_formats import LOGGERS, READERS
+from residuum.identification.record_formats.logger_time import FORMS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
-from residuum.service.api.signal_body import check_npz
+from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
-from residuum.service.problems import UnsupportedBody
+from residuum.service.bad_bodies import UnsupportedBody
 from residuum.service.services import Running
 from residuum.service.settings import Settings
 from residuum.service.work.upload_reader import read_upload
@@ -42,9 +43,25 @@ async def add_record(
     filename: Annotated[
         str, Query(description="Name with its ending, which says the format.", min_length=1, max_length=200, pattern=TEXT)
     ],
+    resample: Annotated[
+        bool, Query(description="Accept uneven time stamps: samples are interpolated, longer holes stay missing.")
+    ] = False,
+    decimal: Annotated[
+        Literal[".", ","] | None, Query(description="Decimal sign of a logger's file that leaves it open.")
+    ] = None,
+    time_form: Annotated[
+        str | None, Query(description=f"Form of a logger's times: {', '.join(FORMS)}.", max_length=40, pattern=TEXT)
+    ] = None,
+    time_column: Annotated[
+        str | None, Query(description="Name of a logger's column of times.", max_length=200, pattern=TEXT)
+    ] = None,
 ) -> Response:
-    """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid."""
-    record = await run_in_threadpool(_read, filename, await request.body(), running.settings)
+    """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid.
+
+    A logger's text file is understood by its own text; what that leaves open is refused, and said with these parameters.
+    """
+    said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column}
+    record = await running.reading(_read, filename, await body_of(request), running.settings, said)
     number = await run_in_threadpool(running.store.add_record, filename, record)
     stored = await run_in_threadpool(running.store.record, number)
     return Json(stored.to_json(), 201, {"Location": f"/api/v1/records/{number}"})
@@ -86,11 +103,10 @@ def get_record_signal(
     return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
 
 
-def _read(filename: str, content: bytes, settings: Settings) -> Record:
+def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object]) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
-    ending = next((known for known in READERS if filename.lower().endswith(known)), None)
+    ending = next((known for known in READERS | LOGGERS if filename.lower().endswith(known)), None)
     if ending is None:
-        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(READERS)}")
-    if ending == ".npz":
-        check_npz(io.BytesIO(content))
-    return read_upload(content, ending, filename, memory=settings.upload_memory, seconds=settings.upload_seconds)
+        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(READERS | LOGGERS)}")
+    limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
+    return read_upload(content, ending, filename, **limits, options=said)

@@ -56,7 +56,7 @@ async def score(request: Request) -> Response:
         request._query_params = _query(query_string)  # a client asks with the same query again and again
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
     record = await record_of(request, judge.channels)
-    small = record.n * len(record.names) <= _SCORED_AT_ONCE
+    small = judge.quick and record.n * len(record.names) <= _SCORED_AT_ONCE
     finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
     return finding_json(finding)
 

@@ -1,38 +1,38 @@
-"""The body of a request as a Record: JSON, .npy, CSV or NPZ, by content type."""
+"""The body of a request as a Record: JSON, .npy, CSV or NPZ, by content type; never read in the way of other requests.
+
+What is short is read on the event loop, what is longer in a thread. JSON and CSV that are long, and NPZ that may be, are read in
+a process of their own with limits: their parsers hold the interpreter for as long as they take, and a thread would not help.
+"""
 
 from __future__ import annotations
 
-import io
 import re
-import tempfile
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from math import prod
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import orjson
 from fastapi import Request
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import QueryParams
 
 from residuum.diagnosis.diagnosers.base import Channel
-from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats import parse_csv, read_record
-from residuum.service.api.npy import read_npy
-from residuum.service.problems import BadBody, TooLarge, UnsupportedBody
+from residuum.service.bad_bodies import BadBody, UnsupportedBody
+from residuum.service.services import Services
+from residuum.service.work.npy import read_npy
+from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
+from residuum.service.work.upload_reader import read_body
 
-LARGEST_UNPACKED = 512 * 2**20
-"""What an NPZ may hold in all [bytes]."""
-_MOST_CHANNELS = 256
-_NUMBERS = (int, float, type(None))
+AT_ONCE = 64 * 2**10
+"""Bytes up to which a body is read on the event loop: a few milliseconds."""
+_APART = 512 * 2**10
+"""Bytes from which JSON and CSV are read in a process of their own: their parsers hold the interpreter for some 20 ms then."""
+_APART_UNPACKED = 8 * 2**20
+"""Bytes to which an NPZ may unpack in a thread of the service."""
+_PACKED = "application/zip"
+_ARRAY = "application/octet-stream"
+_KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)
 _HEAD = re.compile(r"^(?P<name>[^\[\]]{1,200}?)\s*\[(?P<unit>[^\[\]]{0,80})\]$")
-_DECLARED = re.compile(
-    rb"'descr':\s*'[<>|=]?(?P<kind>[fiubU])(?P<width>[0-9]{1,9})'.{0,60}'shape':\s*\((?P<shape>[0-9, ]{0,60})\)"
-)
-_JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
 SIGNAL_BODY: dict[str, Any] = {
     "requestBody": {
@@ -79,29 +79,31 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
     Raises BadBody, BadRecord, BadUnit, TooLarge or UnsupportedBody, each with one line.
     """
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
-    if kind not in READERS:
-        raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(READERS)}")
-    return READERS[kind](await request.body(), request.scope["query_string"], expected)
+    if kind not in _KINDS:
+        raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(_KINDS)}")
+    services: Services = request.app.state.services
+    body, settings = await body_of(request), services.settings
+    if kind == _ARRAY:
+        return await _off_the_loop(body, _from_npy, body, request.scope["query_string"], expected)
+    if kind == _PACKED and len(body) <= _APART and await run_in_threadpool(unpacked_size, body) <= _APART_UNPACKED:
+        return await run_in_threadpool(FORMATS[kind], body, settings.body_limit)
+    if kind != _PACKED and len(body) <= _APART:
+        return await _off_the_loop(body, FORMATS[kind], body, settings.body_limit)
+    limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds, "unpacked": settings.body_limit}
+    return await services.reading(read_body, body, kind, **limits)
 
 
-def _from_json(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
-    try:
-        content = orjson.loads(body)
-    except orjson.JSONDecodeError as error:
-        raise BadBody(f"body: is not JSON: {error}") from None
-    if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
-        raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
-    if unknown := set(content) - _JSON_KEYS:
-        raise BadBody(f"body: key {sorted(unknown)[0][:60]!r} is not one of {', '.join(sorted(_JSON_KEYS))}")
-    channels = {name: _samples(name, values) for name, values in content["channels"].items()}
-    return Record(
-        _few(channels),
-        _texts(content.get("units"), "units"),
-        _number(content.get("sample_time"), "sample_time"),
-        _number(content.get("t0", 0.0), "t0"),
-        notes=_notes(content.get("notes", [])),
-        source="http",
-    )
+async def body_of(request: Request) -> bytes:
+    """The whole body; the pieces of a long one are put together in a thread."""
+    if not hasattr(request, "_body"):
+        pieces = [piece async for piece in request.stream()]
+        long = sum(map(len, pieces)) > _APART
+        request._body = await run_in_threadpool(b"".join, pieces) if long else b"".join(pieces)
+    return request._body
+
+
+async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: Any) -> Record:
+    return read(*arguments) if len(body) <= AT_ONCE else await run_in_threadpool(read, *arguments)
 
 
 def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
@@ -115,7 +117,7 @@ def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:
     if len({name for name, _ in names}) != len(names):
         raise BadBody("query: a channel is named twice")
     channels = {name: row for (name, _), row in zip(names, rows, strict=True)}
-    return Record(_few(channels), dict(names), said.sample_time, said.t0, source="http")
+    return Record(few(channels), dict(names), said.sample_time, said.t0, source="http")
 
 
 class _Description(NamedTuple):
@@ -132,89 +134,6 @@ def _description(query_string: bytes) -> _Description:
     query = QueryParams(query_string)
     names = tuple(_head(text) for text in query.getlist("channel"))
     return _Description(names, _sample_time(query), _query_number(query, "t0", 0.0))
-
-
-def _from_csv(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
-    return parse_csv(body, source="body")
-
-
-def _from_npz(body: bytes, _query: bytes, _expected: Sequence[Channel]) -> Record:
-    check_npz(io.BytesIO(body))
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "body.npz"
-        file.write_bytes(body)
-        try:
-            return read_record(file)
-        except BadRecord as error:
-            raise BadRecord(str(error).replace(str(file), "body")) from None
-
-
-READERS: dict[str, Callable[[bytes, bytes, Sequence[Channel]], Record]] = {
-    "application/json": _from_json,
-    "application/octet-stream": _from_npy,
-    "text/csv": _from_csv,
-    "application/zip": _from_npz,
-}
-
-
-def check_npz(file: io.BufferedIOBase) -> None:
-    """Refuse an NPZ whose arrays are larger in all than may be unpacked, or differ from what their headers declare."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            if len(members) > _MOST_CHANNELS or sum(member.file_size for member in members) > LARGEST_UNPACKED:
-                raise TooLarge(f"body: an NPZ of more than {_MOST_CHANNELS} arrays or {LARGEST_UNPACKED} bytes unpacked")
-            for member in members:
-                _check_member(archive, member)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, OSError, RuntimeError, ValueError, zipfile.LargeZipFile) as error:
-        if isinstance(error, BadBody | TooLarge):
-            raise
-        raise BadBody(f"body: is not an NPZ file: {error}") from None
-
-
-def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
-    with archive.open(member) as stream:
-        head = stream.read(2048)
-    declared = _DECLARED.search(head)
-    if not head.startswith(b"\x93NUMPY") or declared is None:
-        raise BadBody(f"body: NPZ member {member.filename[:60]!r}: is not a plain array")
-    width = int(declared["width"]) * (4 if declared["kind"] == b"U" else 1)
-    needed = width * prod(int(size) for size in declared["shape"].replace(b" ", b"").split(b",") if size)
-    if needed > member.file_size:
-        raise BadBody(f"body: NPZ member {member.filename[:60]!r}: declares {needed} bytes and holds {member.file_size}")
-
-
-def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
-    if not isinstance(values, list):
-        raise BadBody(f"body, channel {name[:60]!r}: must be an array of numbers")
-    for index, value in enumerate(values):
-        if type(value) not in _NUMBERS:
-            raise BadBody(f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a number")
-    return np.array(values, dtype=np.float64)
-
-
-def _few(channels: Mapping[str, Any]) -> Mapping[str, Any]:
-    if len(channels) > _MOST_CHANNELS:
-        raise TooLarge(f"body: {len(channels)} channels; at most {_MOST_CHANNELS} are read")
-    return channels
-
-
-def _texts(content: Any, what: str) -> dict[str, str]:
-    if not isinstance(content, dict) or not all(isinstance(value, str) for value in content.values()):
-        raise BadBody(f"body, {what}: must be an object of channel name to text")
-    return content
-
-
-def _number(content: Any, what: str) -> float:
-    if type(content) not in (int, float):
-        raise BadBody(f"body, {what}: must be a number")
-    return float(content)
-
-
-def _notes(content: Any) -> tuple[str, ...]:
-    if not isinstance(content, list) or not all(isinstance(note, str) for note in content):
-        raise BadBody("body, notes: must be an array of texts")
-    return tuple(content)
 
 
 def _head(text: str) -> tuple[str, str]:

@@ -8,7 +8,8 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
+from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.service.api.analyses import RecordNumbers
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
@@ -16,8 +17,8 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
-from residuum.service.views.residual_view import WEIGHT_ORDER, read_identified, view_residual
-from residuum.service.work.command_job import parts_of
+from residuum.service.views.residual_view import read_identified, view_residual
+from residuum.service.work.record_parts import parts_of
 
 router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -27,10 +28,11 @@ _LOWEST = 1e-3  # of the Nyquist frequency
 
 
 class UncertaintyAnswer(BaseModel):
-    """|G/Ĝ₀ − 1| of sampled models, and the weight above them."""
+    """The error of sampled models in the form that was asked for, and the weight above them."""
 
     frequency: list[float] = Field(description="[Hz].")
-    samples: list[list[float]] = Field(description="Relative error of every drawn model.")
+    samples: list[list[float]] = Field(description="Error of every drawn model.")
+    form: str = Field(description="`multiplicative` |G/Ĝ₀ − 1|, `additive` |G − Ĝ₀|, or `inverse-multiplicative` |Ĝ₀/G − 1|.")
     sampled_frequency: list[float] = Field(description="Where the weight was fitted [Hz].")
     largest: list[float] = Field(description="Ω, the largest relative error of all models that the weight was made from.")
     weight: list[float] = Field(description="|W_T| at `frequency`.")
@@ -60,19 +62,31 @@ def get_uncertainty(
     zeta: Annotated[float, Query(description="ζ of the number of models drawn.", ge=1e-6, le=0.5)] = 0.05,
     rule: Annotated[Literal["chernoff", "worst-case"], Query(description="What ε and ζ promise.")] = "chernoff",
     order: Annotated[int, Query(description="Order of the weight.", ge=0, le=8)] = WEIGHT_ORDER,
+    form: Annotated[
+        Literal["multiplicative", "additive", "inverse-multiplicative"], Query(description="Form of the error that is bounded.")
+    ] = "multiplicative",
+    points: Annotated[int | None, Query(description="Frequencies that the grid begins with.", ge=2, le=5000)] = None,
+    lowest: Annotated[float | None, Query(description="Lowest of these frequencies [rad/s].", gt=0, le=1e12)] = None,
 ) -> Response:
-    """The multiplicative uncertainty weight W_T of an identified model, above the models that its posterior allows."""
+    """The uncertainty weight of an identified model, above the models that its posterior allows."""
     identified = read_identified(_content(running, model, version))
-    made = design_uncertainty_weight(identified, accuracy=epsilon, confidence=1 - zeta, rule=rule, order=order)
+    grid = asked_grid(identified.sample_time, points, lowest)
+    made = design_uncertainty_weight(
+        identified, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, form=form, order=order
+    )
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
     lags = np.arange(identified.order)
     nominal = identified.impulse_response
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, lags))
-    relative = np.abs((identified.sample(shown, 0) - nominal) @ turn.T) / np.maximum(np.abs(turn @ nominal), 1e-300)
+    drawn = identified.sample(shown, 0) @ turn.T
+    centre = turn @ nominal
+    below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[form]
+    errors = np.abs(drawn - centre) / np.maximum(np.abs(below), 1e-300)
     critical = made.critical_frequency
     answer = {
         "frequency": (omega / (2 * np.pi)).tolist(),
-        "samples": relative.tolist(),
+        "samples": errors.tolist(),
+        "form": form,
         "sampled_frequency": (made.omega / (2 * np.pi)).tolist(),
         "largest": made.magnitude.tolist(),
         "weight": np.abs(made.weight.frequency_response(omega)).tolist(),

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import hashlib
+import tempfile
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.vibration.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
+from residuum.identification.record_formats import write_record
 from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
-from residuum.service.api.json_response import Json, page_json
+from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
-from residuum.service.api.signal_body import SIGNAL_BODY, record_of
+from residuum.service.api.signal_body import AT_ONCE, SIGNAL_BODY, body_of, record_of
+from residuum.service.machines.deciding_method import deciding_method
+from residuum.service.machines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound
-from residuum.service.views.signal_view import amplitude_spectrum, extremes
+from residuum.service.views.signal_view import extremes
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
 
 ChannelNames = Annotated[list[str] | None, Query(description="Channels to show (default: all).", alias="channel", max_length=64)]
+_MOST_SHOWN, _FEWEST = 100_000, 10
+"""Intervals of all channels together, and of each: written as JSON in some 20 ms, in which nothing else is done."""
 _NEXT = 1e-6  # of a sample: a time that is printed as a sample's own means that sample
 
 Points = Annotated[int, Query(description="Most intervals to show.", ge=10, le=20_000)]
@@ -33,7 +41,10 @@ async def add_window(
     running: Running,
     asset: AssetName,
     diagnoser: Annotated[str | None, Query(description="Needed with an asset's first window.", max_length=64)] = None,
-    method: Annotated[Literal["source", "default"] | None, Query(description="What decides, of a diagnoser with two.")] = None,
+    method: Annotated[
+        Literal["source", "default"] | None,
+        Query(description="What decides, of a diagnoser with two; default: the machine's choice."),
+    ] = None,
     idempotency_key: Annotated[
         str | None, Header(description="The same key never stores twice.", min_length=1, max_length=200)
     ] = None,
@@ -44,8 +55,11 @@ async def add_window(
     and gets the first answer. The diagnoser is the asset's, with the baseline of the asset's name where there is one.
     """
     judge = await run_in_threadpool(_judge, running, asset, diagnoser)
-    judge = judge if method is None else judge.with_settings(method=method)
-    digest = hashlib.sha256(str(request.url.query).encode() + b"\n" + await request.body()).hexdigest()
+    deciding: str | None = method
+    if deciding is None:
+        deciding = await run_in_threadpool(deciding_method, running.store, asset, judge.name)
+    judge = judge if deciding is None else judge.with_settings(method=deciding)
+    digest = await _digest(request.url.query.encode(), await body_of(request))
     record = await record_of(request, judge.channels)
     return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
 
@@ -60,6 +74,17 @@ def list_windows(running: Running, asset: AssetName, cursor: Cursor = None, limi
 def get_window(running: Running, asset: AssetName, window: WindowId) -> Response:
     """One window with its latest finding."""
     return Json(_described(running, asset, window))
+
+
+@router.get("/{window}/record", response_class=Response)
+def get_record(running: Running, asset: AssetName, window: WindowId) -> Response:
+    """The window as a record file (NPZ), its signals called as the diagnoser has them."""
+    record = running.store.window_record(asset, window)
+    with tempfile.TemporaryDirectory() as folder:
+        write_record(record, Path(folder) / "window.npz")
+        content = (Path(folder) / "window.npz").read_bytes()
+    headers = {"Content-Disposition": f'attachment; filename="{asset}-{window}.npz"'}
+    return in_pieces(content, "application/zip", headers)
 
 
 @router.get("/{window}/signal", response_model=SignalAnswer)
@@ -111,6 +136,7 @@ def signal_view(record: Record, points: int, begin: float, end: float | None) ->
     last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
     if last <= first:
         raise BadInput(f"query, from and to: no sample in {begin} … {end} s; the window lasts {record.duration:.6g} s")
+    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.names)))
     shown = {name: signal[first:last] for name, signal in record.channels.items()}
     samples = max(1, -(-(last - first) // points))
     reduced = samples > 2
@@ -147,9 +173,16 @@ def _judge(running: Services, asset: str, diagnoser: str | None) -> Diagnoser:
     if name is None:
         raise BadInput(f"asset {asset!r}: has no diagnoser yet; say diagnoser=… in the query of its first window")
     try:
-        return running.judges.trained(name, asset)
+        return running.judges.trained(name, newest_baseline(running.store, asset).model)
     except NotFound:
         return running.judges.untrained(name)
+
+
+async def _digest(query: bytes, body: bytes) -> str:
+    def digest() -> str:
+        return hashlib.sha256(b"\n".join((query, body))).hexdigest()
+
+    return digest() if len(body) <= AT_ONCE else await run_in_threadpool(digest)
 
 
 def _store(running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str) -> Response:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from residuum.library.model import model as read
+from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
@@ -14,7 +14,7 @@ from residuum.service.commands.records import (
     SampleTime,
     Units,
     load_records,
-    pairs,
+    signals,
 )
 from residuum.service.commands.report import AsJson, report
 from residuum.service.work.large_arrays import keep_large_arrays
@@ -34,8 +34,9 @@ def compare_command(
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a model, its parameters as they are, with records."""
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
+    """Compare a model with records. Its parameters are not changed."""
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
     keep_large_arrays()
-    comparison = read(model).compare(loaded, map=pairs("--map", channel_map))
+    given, loaded = model_for(model, loaded, signals(channel_map))
+    comparison = given.compare(loaded, map=signals(channel_map))
     report(comparison.to_dict(), str(comparison), as_json=as_json)

@@ -8,17 +8,20 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.identification.kernel_based.multivariable_file import is_multivariable
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER
 from residuum.library.answers.control_design import design_text
+from residuum.library.answers.multivariable_control import design_text as multivariable_text
 from residuum.library.control import design as design_controller
+from residuum.library.multivariable_control import design_multivariable
 from residuum.library.whole_file import write_whole
-from residuum.robust_control.control_problem import STRUCTURES, WeightChoice
+from residuum.robust_control.control_problem import STRUCTURES, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,
-    WEIGHT_ORDER,
     ZETA,
     Epsilon,
     Lowest,
@@ -31,6 +34,7 @@ app = typer.Typer(add_completion=False)
 
 _ANSWER_IS_NO = 1
 _NO_LIMITS = (-math.inf, math.inf)
+_NOT_OF_SEVERAL = "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --export or --limits"
 
 
 @app.callback()
@@ -40,20 +44,26 @@ def control() -> None:
 
 @app.command()
 def design(
-    identified: Annotated[list[Path], typer.Argument(metavar="IDENTIFIED…", help="Identified models, one an operating point.")],
+    identified: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IDENTIFIED…",
+            help="Identified models, one per operating point; or one model of as many outputs as inputs.",
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="File for the controller (JSON).")],
     aim: Annotated[str, typer.Option(help="nominal (Algorithm 2) or robust (Algorithm 3).")] = "nominal",
     structure: Annotated[str, typer.Option(help=f"One of {', '.join(STRUCTURES)}.")] = "pidn",
-    overshoot: Annotated[float, typer.Option(help="nominal: least overshoot worth having (0.01 = 1 %).")] = 0.01,
+    overshoot: Annotated[float, typer.Option(help="nominal: overshoot below which less brings no benefit (0.01 = 1 %).")] = 0.01,
     settling_time: Annotated[float | None, typer.Option(help="nominal: longest settling time \\[s].")] = None,
     slack: Annotated[float, typer.Option(help="nominal: the slack of the mixed-sensitivity bound.")] = 0.1,
     only: Annotated[
         str | None,
-        typer.Option(help="One wish alone: overshoot or settling-time; with --aim robust high-gain or critical-frequency."),
+        typer.Option(help="Meet one wish alone: overshoot or settling-time; with --aim robust high-gain or critical-frequency."),
     ] = None,
     in_time: Annotated[
         bool,
-        typer.Option(help="nominal: keep overshoot and settling time in time, on the nominal loop and 95 % of random plants."),
+        typer.Option(help="nominal: hold overshoot and settling time in the nominal loop and in 95 % of random plants."),
     ] = False,
     low_gain: Annotated[float, typer.Option(help="robust: l_g, gain of W_S at low frequency \\[dB].")] = 120.0,
     high_gain: Annotated[float, typer.Option(help="robust: smallest h_g, gain of W_S at high frequency \\[dB].")] = -50.0,
@@ -86,7 +96,16 @@ def design(
     check_output_file(out)
     _check_export(export, limits)
     described = {"aim": aim, "structure": structure, "models": [str(file) for file in identified]}
+    choice = WeightChoice(epsilon, zeta, rule, weight_order, points, lowest)
     try:
+        if any(is_multivariable(file) for file in identified):
+            if len(identified) > 1 or joined or fix or within or export or limits != _NO_LIMITS:
+                raise BadInput(_NOT_OF_SEVERAL)
+            wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time)
+            several = design_multivariable(identified[0], structure=structure, wishes=wishes, weight=choice, seed=seed)
+            several |= {"file": str(out)}
+            write_whole(out, json.dumps(several, indent=1))
+            return report(several, multivariable_text(several), as_json=as_json)
         controller = design_controller(
             identified,
             aim=aim,
@@ -100,7 +119,7 @@ def design(
             high_gain=high_gain,
             critical_frequency=critical_frequency,
             joined=joined,
-            weight=WeightChoice(epsilon, zeta, rule, weight_order, points, lowest),
+            weight=choice,
             fix={name: _number(value, text) for text in fix or [] for name, value in [_split(text, "=", "--fix", "NAME=VALUE")]},
             within=dict(map(_limits, within or [])),
             seed=seed,

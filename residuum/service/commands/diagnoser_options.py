@@ -14,12 +14,17 @@ Orders = Annotated[str | None, typer.Option(metavar="bpfi=5.4,…", help="bearin
 Hertz = Annotated[str | None, typer.Option(metavar="bpfi=118.9,…", help="bearing: fault frequencies [Hz].")]
 Method = Annotated[
     str | None,
-    typer.Option(metavar="source|default", help="gate-actuator, robust-residual: what decides; every finding shows both."),
+    typer.Option(
+        metavar="source|default", help="gate-actuator, robust-residual: the method that decides. Every finding shows both."
+    ),
 ]
 
 ModelName = Annotated[str | None, typer.Option("--model", metavar="MODEL", help="model-based: a model file or a built-in model.")]
 FixUndetermined = Annotated[
-    bool, typer.Option("--fix-undetermined", help="model-based: keep values that the healthy records leave open at the file's.")
+    bool,
+    typer.Option(
+        "--fix-undetermined", help="model-based: keep the file's value of a parameter that the healthy records do not determine."
+    ),
 ]
 FalseAlarms = Annotated[float | None, typer.Option(help="model-based: the chosen number of false alarms a day.")]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import socket
 import tempfile
+import urllib.parse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,21 +15,28 @@ from typing import Annotated
 import can
 import typer
 
+from residuum.code_folder import code_folder, why_not_kept
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import load_model
 from residuum.service.alarms.notifications import Broker
+from residuum.service.broker_address import BrokerAddress, broker_address
 from residuum.service.cli import ANSWER_IS_NO
+from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
-from residuum.service.fieldbus.can import open_bus
+from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.fieldbus.can_bus import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.metric_map import read_metric_map
+from residuum.service.fieldbus.node_map import read_node_map
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
+from residuum.service.machines.stored_baselines import has_baseline
 from residuum.service.security.access import ApiKeys
-from residuum.service.settings import Settings, broker_address, is_loopback, load_settings
-from residuum.service.storage import audit, block_rows
+from residuum.service.settings import Settings, is_loopback, load_settings
+from residuum.service.storage import DiskStore, audit, block_rows
 from residuum.service.storage.audit import BrokenAudit
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, newest_revision, sqlite_file
+from residuum.service.storage.row_checks import check_rows
 from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -37,6 +45,7 @@ _MIB = 2**20
 _SPARE = 512 * _MIB
 """Free disk [bytes] that rows, logs and the database's journal should find beyond the signals still to come."""
 _PATIENCE = 3.0
+_OPCUA_PORT = 4840
 """How long a device may take to accept a connection [s]."""
 
 
@@ -58,18 +67,20 @@ def doctor(
     data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
     blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
+    settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check database, audit trail, blocks, disk, access, buses, broker, compiled code; exit status 1 when something is wrong."""
-    settings = load_settings(data=data, database=database)
+    """Check database, rows, blocks, disk, access, buses, machines, broker, compiled code; exit status 1 when one is wrong."""
+    settings = load_settings(settings_file, data=data, database=database)
     checks = [
         _check("database", lambda: _database(settings)),
         _check("audit trail", lambda: _audit(settings)),
+        _check("rows", lambda: _rows(settings)),
         _check("signal blocks", lambda: _signal_blocks(settings, blocks)),
         _check("disk", lambda: _disk(settings)),
         _check("access", lambda: _access(settings)),
         *_buses(settings),
-        *_models(settings),
+        *_machines(settings),
         *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
         _check("compiled code", _compiled_code),
     ]
@@ -87,17 +98,29 @@ def _check(name: str, look: Callable[[], str]) -> Check:
         return Check(name, False, " ".join(str(error).split()))
 
 
-def _models(settings: Settings) -> list[Check]:
-    """The model file of every machine that is watched by one."""
-    watched = [machine for machine in settings.machines if machine.diagnoser == "model-based"]
-    return [_check(f"model {machine.asset}", partial(_model, machine)) for machine in watched]
+def _machines(settings: Settings) -> list[Check]:
+    """Every machine of the settings: whether its signals, its model and its baseline are there."""
+    return [_check(f"machine {machine.asset}", partial(_machine, settings, machine)) for machine in settings.machines]
 
 
-def _model(machine: MachineSettings) -> str:
-    if machine.model is None:
-        return "none in the settings; its baseline has the one that it was trained with"
-    model = load_model(machine.model)
-    return f"{machine.model}: reads {', '.join(model.inputs)}, gives {', '.join(model.outputs)}"
+def _machine(settings: Settings, machine: MachineSettings) -> str:
+    says, lacks = machine_check(machine, _baseline(settings, machine))
+    if lacks:
+        raise Wrong("; ".join(lacks))
+    return says
+
+
+def _baseline(settings: Settings, machine: MachineSettings) -> tuple[bool, int] | None:
+    """Whether the machine has a baseline and how many windows are recorded; None before the first start."""
+    database = _existing(settings)
+    if database is None or database.revision() != newest_revision():
+        return None
+    database.close()
+    store = DiskStore(settings.data, settings.database_url)
+    try:
+        return has_baseline(store, machine.asset, machine.baseline), len(store.recorded_windows(machine.asset))
+    finally:
+        store.close()
 
 
 def _database(settings: Settings) -> str:
@@ -129,6 +152,25 @@ def _audit(settings: Settings) -> str:
         return f"{head.entries} entries, none changed or missing; its head is {head.digest[:16]}…{head.digest[-8:]}"
     finally:
         database.close()
+
+
+def _rows(settings: Settings) -> str:
+    database = _existing(settings)
+    if database is None:
+        return "none yet"
+    try:
+        if database.revision() != newest_revision():
+            return "are looked at once the schema is the newest"
+        with database.snapshot() as connection:
+            found = check_rows(connection)
+    except (ValueError, TypeError) as error:  # a document that is no JSON, a moment that is none
+        raise Wrong(f"one cannot be read: {error}; restore a backup") from None
+    finally:
+        database.close()
+    if found.wrong:
+        more = f" ({len(found.wrong)} such in all)" if len(found.wrong) > 1 else ""
+        raise Wrong(f"{found.wrong[0]}{more}; restore a backup")
+    return f"{found.rows} looked at, all agree"
 
 
 def _existing(settings: Settings) -> Database | None:
@@ -195,10 +237,20 @@ def _bus(source: SourceSettings) -> str:
         messages = len(read_dbc(source.map_file))
         open_bus(source.channel).close()
         return f"{source.channel} can be opened; {source.map} has {messages} messages"
-    streams = len(read_register_map(source.map_file).streams)
-    address = f"{source.host}:{source.port}"
+    if source.kind == "sparkplug":
+        metrics, broker = read_metric_map(source.map_file), broker_address(source.channel)
+        _let_in(broker)
+        return f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)} streams of {metrics.node}"
+    if source.kind == "opcua":
+        streams = len(read_node_map(source.map_file).streams)
+        url = urllib.parse.urlsplit(source.channel)
+        host, port = url.hostname or "", url.port or _OPCUA_PORT
+    else:
+        streams = len(read_register_map(source.map_file).streams)
+        host, port = source.host, source.port
+    address = f"{host}:{port}"
     try:
-        socket.create_connection((source.host, source.port), timeout=_PATIENCE).close()
+        socket.create_connection((host, port), timeout=_PATIENCE).close()
     except OSError as error:
         raise Wrong(f"{address}: no connection: {error}") from None
     return f"{address} accepts connections; {source.map} has {streams} streams"
@@ -206,20 +258,22 @@ def _bus(source: SourceSettings) -> str:
 
 def _broker(settings: Settings) -> str:
     address = broker_address(settings.mqtt)
-    where = f"{address.host}:{address.port}"
+    _let_in(address)
+    node = f"; Sparkplug B as {settings.sparkplug}" if settings.sparkplug else ""
+    return f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
+
+
+def _let_in(address: BrokerAddress) -> None:
+    """Whether a broker lets us in; Wrong when it does not."""
     try:
         Broker(address).try_connection()
     except OSError as error:
-        raise Wrong(f"{where}: {error}") from None
-    return f"{where} lets us in; topics begin with {address.prefix}/"
+        raise Wrong(f"{address.host}:{address.port}: {error}") from None
 
 
 def _compiled_code() -> str:
-    try:
-        from residuum.identification.physics.simulate.integration import new_memory  # noqa: PLC0415 - numba refuses at import
-    except RuntimeError as error:
-        raise Wrong(f"there is no folder to cache it in ({error}); set NUMBA_CACHE_DIR to one that can be written") from None
-    folder = Path(str(new_memory.stats.cache_path))
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder):
-        return f"is cached in {folder}"
+    places = {"loops": "NUMBA_CACHE_DIR", "kernels": "RESIDUUM_CACHE"}
+    for name, variable in places.items():
+        if (why := why_not_kept(name, variable)) is not None:
+            raise Wrong(f"{name} are not kept: {why}; set {variable} to a folder of this user alone")
+    return " and ".join(f"{name} are kept in {code_folder(name, variable)}" for name, variable in places.items())

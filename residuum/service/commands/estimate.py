@@ -19,7 +19,7 @@ from residuum.service.commands.records import (
     SampleTime,
     Units,
     load_records,
-    pairs,
+    signals,
 )
 from residuum.service.commands.report import AsJson, report
 
@@ -42,12 +42,12 @@ def estimate_command(
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
-    """Estimate the free parameters; a note `# split: 0.7` in a record keeps its rest for validation."""
+    """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for validation."""
     if method not in METHODS:
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     check_output_file(out)
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
-    estimation = read(model).estimate(loaded, map=pairs("--map", channel_map), method=method, steps=steps, hold=hold)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    estimation = read(model).estimate(loaded, map=signals(channel_map), method=method, steps=steps, hold=hold)
     estimation.model.save(out)
     found = estimation.to_dict() | {"model_file": str(out)}
     report(found, estimate_text(found), as_json=as_json)

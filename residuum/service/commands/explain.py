@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from residuum.library.model import model as read
+from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
@@ -14,17 +14,17 @@ from residuum.service.commands.records import (
     SampleTime,
     Units,
     load_records,
-    pairs,
+    signals,
 )
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
-Seconds = Annotated[float, typer.Option(help="Time for the search [s]; then the best answer so far.", min=0.0)]
+Seconds = Annotated[float, typer.Option(help="Longest time for the search [s]; the best answer so far is given.", min=0.0)]
 
 Learned = Annotated[
-    bool, typer.Option("--learned", help="Learn a curve over one signal where no effect with a name explains the error.")
+    bool, typer.Option("--learned", help="Learn a curve over one signal when no effect of the catalogue explains the error.")
 ]
 
 
@@ -44,9 +44,9 @@ def explain_command(
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
-    channels, wanted = pairs("--map", channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
-    given = read(model)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    channels, wanted = signals(channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
+    given, loaded = model_for(model, loaded, channels)
     keep_large_arrays()
     explanation = given.explain(loaded, map=channels, effects=wanted, learned=learned, seconds=seconds, progress=told)
     report(explanation.to_dict(), str(explanation), as_json=as_json)

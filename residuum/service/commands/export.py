@@ -1,7 +1,7 @@
-"""`residuum export`: a model file as source code for another tool."""
+"""`residuum export`: a model file for another tool."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,7 +12,7 @@ from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
 
-_TARGETS = ("c", "python", "matlab", "modelica")
+_TARGETS = ("c", "python", "matlab", "modelica", "fmu")
 
 
 @app.command(name="export")
@@ -22,7 +22,7 @@ def export_command(
     out: Annotated[Path, typer.Option(help="File to write.")],
     as_json: AsJson = False,
 ) -> None:
-    """Write a model, effects included, as source code for another tool."""
+    """Write a model, effects included, for another tool: source code, or an FMU (FMI 2.0) with sources and a library."""
     if to not in _TARGETS:
         raise BadInput(f"--to {to!r}: there is no such target; known are {', '.join(_TARGETS)}")
     check_output_file(out)
@@ -30,7 +30,8 @@ def export_command(
     from residuum.identification.physics.export import EXPORTS, explicit  # noqa: PLC0415
 
     made = explicit(load_model(model))
-    write_whole(out, EXPORTS[to](made))
+    content, binary = _fmu(made) if to == "fmu" else (EXPORTS[to](made), {})
+    write_whole(out, content)
     result = {
         "model": model,
         "to": to,
@@ -39,5 +40,16 @@ def export_command(
         "inputs": list(made.inputs),
         "outputs": list(made.outputs),
         "parameters": dict(made.values),
+        "components": {key: part.title for key, part in made.components.items()},
+        **binary,
     }
-    report(result, f"{model} written as {to}: {out}", as_json=as_json)
+    told = f" ({binary.get('library') or binary['without_library']})" if binary else ""
+    report(result, f"{model} written as {to}: {out}{told}", as_json=as_json)
+
+
+def _fmu(made: Any) -> tuple[bytes, dict[str, str | None]]:
+    """The FMU's bytes, and the folder of its library or why there is none."""
+    from residuum.identification.physics.export.fmu_file import fmu  # noqa: PLC0415  as above
+
+    found = fmu(made)
+    return found.content, {"library": found.library, "without_library": found.why or None}

@@ -1,21 +1,15 @@
 """`residuum fault`: switch a fault of a simulated machine in a running demo."""
 
-import json
-import os
-import urllib.error
 import urllib.parse
-import urllib.request
 from typing import Annotated, Any
 
 import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands.report import AsJson, report
+from residuum.service.commands.running_service import HERE, ServiceUrl, ask
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-_TIMEOUT = 10.0
-_KEY = "RESIDUUM_API_KEY"
 
 
 @app.command()
@@ -25,7 +19,7 @@ def fault(
         str | None, typer.Argument(metavar="FAULT[:size]", help="Fault, or none to clear all; left out: list them.")
     ] = None,
     clear: Annotated[bool, typer.Option("--clear", help="Clear the fault (or all, when none is named).")] = False,
-    url: Annotated[str, typer.Option(help="Address of the running service.")] = "http://127.0.0.1:8000",
+    url: ServiceUrl = HERE,
     as_json: AsJson = False,
 ) -> None:
     """Switch a fault of a simulated machine in a running demo; without a fault, list what it has.
@@ -33,7 +27,7 @@ def fault(
     A key, where the service asks for one, is taken from the environment variable RESIDUUM_API_KEY.
     """
     order = _order(fault, clear)
-    answer = _ask(f"{url.rstrip('/')}/api/v1/demo/machines/{urllib.parse.quote(machine, safe='')}/fault", order)
+    answer = ask(url, f"/demo/machines/{urllib.parse.quote(machine, safe='')}/fault", order)
     said = (
         f"{machine}: {order['fault']} switched {'off' if order.get('size') == 0 or order['fault'] == 'none' else 'on'}"
         if order
@@ -62,28 +56,3 @@ def _size(entry: dict[str, Any]) -> str:
     if entry["on"]:
         return f"ON, {entry['size']:g}{unit}"
     return f"off (default {entry['default_size']:g}{unit})" if "default_size" in entry else "off"
-
-
-def _ask(url: str, order: dict[str, Any] | None) -> dict[str, Any]:
-    if not url.startswith(("http://", "https://")):
-        raise BadInput(f"--url {url!r}: must begin with http:// or https://")
-    headers = {"Content-Type": "application/json"}
-    if key := os.environ.get(_KEY):
-        headers["X-API-Key"] = key
-    body = None if order is None else json.dumps(order).encode()
-    request = urllib.request.Request(url, data=body, headers=headers)
-    try:
-        with urllib.request.urlopen(request, timeout=_TIMEOUT) as answer:
-            result: dict[str, Any] = json.load(answer)
-            return result
-    except urllib.error.HTTPError as error:
-        raise BadInput(_problem(error)) from None
-    except (OSError, ValueError) as error:
-        raise BadInput(f"--url: no running service answers at {url}: {getattr(error, 'reason', error)}") from None
-
-
-def _problem(error: urllib.error.HTTPError) -> str:
-    try:
-        return str(json.load(error).get("detail") or error.reason)
-    except ValueError:
-        return f"the service answered {error.code} {error.reason}"

@@ -20,7 +20,7 @@ Source = Annotated[
     ),
 ]
 Data = Annotated[Path | None, typer.Option(help="Data folder of the service, for the signals of its database.")]
-Results = Annotated[Path, typer.Option("--out", help="Results, a line of JSON a file; an unfinished one is gone on with.")]
+Results = Annotated[Path, typer.Option("--out", help="Write one JSON line per record. An existing unfinished file is resumed.")]
 Workers = Annotated[int | None, typer.Option(min=1, max=256, help="Worker processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(metavar="tcp://…", help="Dask scheduler whose workers see the same files.")]
 

@@ -9,10 +9,11 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.service.broker_address import broker_address
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
 from residuum.service.machines.machine_line import MachineLine
-from residuum.service.settings import broker_address, load_settings
+from residuum.service.settings import load_settings
 from residuum.service.window_queue.gateway import Gateway
 from residuum.service.window_queue.spool import Spool
 
@@ -21,10 +22,12 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def gateway(
-    name: Annotated[str | None, typer.Option(help="Of this gateway, unlike any other's; default: this machine's name.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder in which windows wait until they are stored elsewhere.")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of this gateway; each needs its own. Default: this computer's name.")
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder that keeps windows until a scorer has stored them.")] = None,
 ) -> None:
-    """Read the machines of the settings and send their windows, each kept here until a scorer has stored it."""
+    """Read the machines that the settings name, and send their windows. Each window is kept here until a scorer has stored it."""
     settings = load_settings(data=data)
     if not settings.mqtt or not settings.machines:
         raise BadInput("settings mqtt and machines: a gateway needs a broker to send to and machines to read")

@@ -1,14 +1,20 @@
 """`residuum identify`: a record → a linear model with its uncertainty."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.identification.kernel_based.multivariable import identify_multivariable
+from residuum.identification.kernel_based.multivariable_file import multivariable_text as multivariable_text_of
+from residuum.identification.record import Record
 from residuum.library.answers.identification import identification_text
-from residuum.library.identification_methods import CRITERIA, METHODS, Request, check_method
-from residuum.library.plant import identified
+from residuum.library.answers.multivariable import multivariable_json, multivariable_text
+from residuum.library.identification_methods import CRITERIA, LAGS, METHODS, UNCERTAINTIES, Request, check_method
+from residuum.library.plant import identified, split_records
+from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, report, told
@@ -19,18 +25,37 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def identify(
     records: RecordFiles,
-    input: Annotated[str, typer.Option("--input", metavar="CH", help="Channel of the input.")],
-    output: Annotated[str, typer.Option("--output", metavar="CH", help="Channel of the output.")],
+    output: Annotated[
+        list[str],
+        typer.Option("--output", metavar="CH", help="Channel of the output. Repeat it for several outputs: one model each."),
+    ],
+    input: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="CH",
+            help="Channel of the input. Repeat it for several inputs that act together. Method ar needs none.",
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="File for the identified model (JSON).")] = None,
     method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "kernel",
     kernel: Annotated[str, typer.Option(help="Prior of the impulse response: tc, dc, ss or di.")] = "tc",
     order: Annotated[
         int | None, typer.Option(help="Impulse-response length (kernel: 100) or model order (others: by --criterion).")
     ] = None,
-    criterion: Annotated[str, typer.Option(help=f"What chooses the model order: one of {', '.join(CRITERIA)}.")] = "bic",
+    criterion: Annotated[str, typer.Option(help=f"How the model order is chosen: one of {', '.join(CRITERIA)}.")] = "bic",
     delay: Annotated[str, typer.Option(help="Samples before the input acts, or `estimate`.")] = "1",
     noise_variance: Annotated[str, typer.Option(help="`marginal`, `least-squares`, or a number [output unit²].")] = "marginal",
-    no_offset: Annotated[bool, typer.Option("--no-offset", help="The signals are deviations: fit no constant level.")] = False,
+    uncertainty: Annotated[
+        str, typer.Option(help=f"How far to trust the model: one of {', '.join(UNCERTAINTIES)}; all but own from the kept part.")
+    ] = "own",
+    noise_bound: Annotated[
+        float | None,
+        typer.Option(help="Largest noise of set-membership \\[output unit]; default: 1.1 times the smallest possible."),
+    ] = None,
+    no_offset: Annotated[
+        bool, typer.Option("--no-offset", help="Fit no constant level, because the signals are deviations already.")
+    ] = False,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -38,19 +63,42 @@ def identify(
     unit: Units = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a linear model from INPUT to OUTPUT; a note `# split: 0.7` in a record keeps its rest for validation."""
-    check_method(method, criterion)
+    """Identify a linear model from INPUT to OUTPUT; the note `# split: 0.7` in a record keeps the last 30 % for validation."""
+    inputs = input or []
+    check_method(method, criterion, uncertainty, inputs[0] if inputs else "")
     if out is not None:
         check_output_file(out)
-    request = Request(input, output, order, _delay(delay), kernel, _noise_variance(noise_variance), not no_offset, criterion)
+    noise, offset = _noise_variance(noise_variance), not no_offset
+    first = inputs[0] if inputs else ""
+    request = Request(first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound)
     loaded = load_records(
         records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
+    if len(inputs) > 1 or len(output) > 1:
+        several = _several(loaded, inputs, output, request, method, out)
+        return report(several, multivariable_text(several), as_json=as_json)
     plant = identified(loaded, request, method, told)
     if out is not None:
         plant.save(out)
     result = plant.to_dict() | {"file": None if out is None else str(out)}
     report(result, identification_text(plant.identified, result), as_json=as_json)
+
+
+def _several(
+    records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str], request: Request, method: str, out: Path | None
+) -> dict[str, Any]:
+    """One kernel model of every path; what belongs to single paths alone is refused."""
+    if method != "kernel" or request.uncertainty != "own" or request.delay is None:
+        raise BadInput("several inputs or outputs: need the method kernel, a delay in samples, and the model's own uncertainty")
+    estimation, held_out = split_records(records)
+    order = LAGS if request.order is None else request.order
+    model = identify_multivariable(
+        estimation, inputs, outputs, kernel=request.kernel, order=order, delay=request.delay,
+        noise_variance=request.noise_variance, offset=request.offset,
+    )  # fmt: skip
+    if out is not None:
+        write_whole(out, multivariable_text_of(model))
+    return multivariable_json(model, estimation, held_out) | {"file": None if out is None else str(out)}
 
 
 def _delay(text: str) -> int | None:

@@ -20,7 +20,7 @@ from residuum.service.commands.records import (
     SampleTime,
     Units,
     load_records,
-    pairs,
+    signals,
 )
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
@@ -32,7 +32,7 @@ app = typer.Typer(add_completion=False)
 def improve_command(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
     records: RecordFiles,
-    out: Annotated[Path, typer.Option(help="Model file to write; the previous file stays as it is.")],
+    out: Annotated[Path, typer.Option(help="Model file to write. The model that was read is not changed.")],
     add: Annotated[
         list[str] | None, typer.Option(metavar="ID…", help="Effects to add: ID or ID@TARGET, also with commas.")
     ] = None,
@@ -43,7 +43,7 @@ def improve_command(
         typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
     ] = None,
     learned: Learned = False,
-    seconds: Seconds = 24.0,
+    seconds: Seconds = 34.0,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -58,14 +58,14 @@ def improve_command(
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit)
+    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
     wanted = None if auto else names_of(add)
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()
     improvement = read(model).improve(
         loaded,
         add=wanted,
-        map=pairs("--map", channel_map),
+        map=signals(channel_map),
         effects=considered,
         free=names_of(free),
         learned=learned,

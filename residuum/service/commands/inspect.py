@@ -21,7 +21,7 @@ def inspect_command(
     time: Annotated[str | None, typer.Option(help="Form of the time column: seconds, epoch ms, excel, 'day first' …")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is understood of a logger's file: columns, units, times, rate, gaps; write the mapping that reads it."""
+    """Show how a logger's file is understood: columns, units, times, rate, gaps. Write a mapping file for it."""
     if out is not None:
         check_output_file(out)
     try:

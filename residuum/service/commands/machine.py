@@ -8,6 +8,7 @@ from typing import Annotated
 
 import orjson
 import typer
+from can import CanError
 
 from residuum.identification.errors import BadInput
 from residuum.service.simulated.device import Device
@@ -24,23 +25,29 @@ def machine(
         str | None, typer.Option(help="CAN bus, for example udp_multicast:239.74.163.2:43113 or socketcan:can0.")
     ] = None,
     modbus: Annotated[str | None, typer.Option(help="HOST:PORT to serve Modbus TCP on; port 0 takes a free one.")] = None,
-    speed: Annotated[float, typer.Option(min=0.01, max=100, help="How many times faster than real time it lives.")] = 1.0,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    exemplar: Annotated[int, typer.Option(min=0, help="Which specimen of the machine.")] = 0,
+    opcua: Annotated[
+        str | None, typer.Option(help="Address to offer its slow streams over OPC UA, for example opc.tcp://127.0.0.1:4840/.")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Speed of the simulation; 2 is twice real time.")] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise and start values.")] = 0,
+    exemplar: Annotated[int, typer.Option(min=0, help="Number of the specimen: no two machines of a series are equal.")] = 0,
     with_parent: Annotated[bool, typer.Option("--with-parent", help="End when standard input closes.")] = False,
 ) -> None:
     """Run a simulated machine on a real bus until it is interrupted.
 
-    Prints one JSON line when it is on its buses. A machine that is not told a bus is of no use to anybody, so one is needed.
+    Prints one JSON line when it is on its buses. Give at least one bus.
     """
     wiring = wiring_of(name)
-    if (can is None or not wiring.dbc) and (modbus is None or not wiring.registers):
-        needed = " and ".join(option for option, has in (("--can", wiring.dbc), ("--modbus", wiring.registers)) if has)
+    buses = (("--can", wiring.dbc, can), ("--modbus", wiring.registers, modbus), ("--opcua", wiring.registers, opcua))
+    if not any(has and told for _, has, told in buses):
+        needed = " or ".join(option for option, has, _ in buses if has)
         raise BadInput(f"machine {name!r}: needs a bus; give {needed}")
     device_machine = MACHINES[wiring.machine](seed=seed, exemplar=exemplar)
     try:
-        device = Device(device_machine, wiring, can if wiring.dbc else None, _address(modbus) if modbus else None, speed, _say)
-    except OSError as error:
+        device = Device(
+            device_machine, wiring, can if wiring.dbc else None, _address(modbus) if modbus else None, speed, _say, opcua
+        )
+    except (OSError, CanError) as error:
         raise BadInput(f"--can {can}: cannot open the bus: {error}") from None
     asyncio.run(_live(device, name, can, with_parent))
 

@@ -16,5 +16,6 @@ def _used(path: Path | None) -> Path | None:
 
 
 OwnCatalogue = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="YAML file with effects of your own, beside the catalogue.", callback=_used)
+    Path | None,
+    typer.Option(metavar="FILE", help="YAML file with your own effects, in addition to the catalogue.", callback=_used),
 ]

@@ -9,11 +9,15 @@ import typer
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats.csv import AS_LOGGER
+from residuum.identification.record_formats.even_time import RESAMPLED
 from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
 from residuum.service.commands.report import progress
 
-RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is an experiment of its own.")]
-Resample = Annotated[bool, typer.Option("--resample", help="Accept uneven time stamps; samples are interpolated.")]
+RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
+Resample = Annotated[
+    bool, typer.Option("--resample", help="Accept uneven time stamps; samples are interpolated, longer holes stay missing.")
+]
 SampleTime = Annotated[float | None, typer.Option(help="Seconds between samples, for files that do not say it.")]
 Units = Annotated[
     list[str] | None, typer.Option("--unit", metavar="CHANNEL=UNIT", help="Unit of a channel, for files without units.")
@@ -38,6 +42,11 @@ def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
     return found
 
 
+def signals(channel_map: Sequence[str] | None) -> dict[str, str]:
+    """What a model maps: all but the column of times."""
+    return {name: column for name, column in pairs("--map", channel_map).items() if name != "time"}
+
+
 def load_records(
     files: Sequence[Path],
     *,
@@ -45,11 +54,17 @@ def load_records(
     sample_time: float | None = None,
     units: Sequence[str] | None = None,
     channel_map: Sequence[str] | None = None,
+    model_map: Sequence[str] | None = None,
     mapping: Path | None = None,
 ) -> list[Record]:
-    """Read the record files of a command; `channel_map` renames column → name, `mapping` reads loggers' files."""
-    options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
-    renames = {column: name for name, column in pairs("--map", channel_map).items()}
+    """Read the record files of a command; `channel_map` renames column → name (`time`: the column of times), `mapping` reads
+    loggers' files, `model_map` is what a model maps itself (`signals`). A unit is said of a column, or of the name that it gets.
+    """
+    columns = pairs("--map", channel_map or model_map)
+    time = columns.pop("time", None)
+    told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
+    options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
+    renames = {column: name for name, column in columns.items()} if channel_map else {}
     return [_read(file, options, mapping).rename(renames) for file in files]
 
 
@@ -57,9 +72,8 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None) -> Record:
     """One record, by `mapping` or the mapping beside it where there is one; what was done to its samples is told."""
     beside = file.with_name(file.name + ENDING)
     chosen = mapping or (beside if beside.is_file() else None)
-    if chosen is None:
-        return read_record(file, options)
-    record = read_logger_file(file, read_mapping(chosen), options)
-    for note in record.notes:
+    record = read_record(file, options) if chosen is None else read_logger_file(file, read_mapping(chosen), options)
+    done = record.notes if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes) else ()
+    for note in done or [note for note in record.notes if RESAMPLED in note]:
         progress(f"{file}: {note}")
     return record

@@ -29,7 +29,10 @@ def reidentify(
     scheduler: Scheduler = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a model of every record of a folder, bucket or database, by all processors or a Dask cluster; resumable."""
+    """Identify a model of every record of a folder, bucket or database, on all processors or a Dask cluster.
+
+    An interrupted run can be resumed.
+    """
     if method not in METHODS:
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     source = fleet_source(records, data)

@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
-from residuum.service.fieldbus.can import open_bus
+from residuum.service.fieldbus.can_bus import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.register_trace import TracedPage, read_trace
@@ -38,9 +38,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def replay(
     file: Annotated[Path, typer.Argument(help="BLF or ASC log, register trace, or any record file.")],
     to: Annotated[str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")],
-    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How many times faster than recorded.")] = 1.0,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Playing speed; 2 is twice as fast as recorded.")] = 1.0,
     bus_map: Annotated[str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")] = None,
-    linger: Annotated[float, typer.Option(min=0, help="modbus: seconds to go on serving after the last page.")] = 3.0,
+    linger: Annotated[float, typer.Option(min=0, help="modbus: seconds to keep serving after the last page.")] = 3.0,
     channel_map: ChannelMap = None,
     unit: Units = None,
     sample_time: SampleTime = None,
@@ -48,7 +48,7 @@ def replay(
     mapping: MappingFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Send a recording to a CAN bus, or offer it as a Modbus device that begins when it is first asked."""
+    """Send a recording to a CAN bus, or offer it as a Modbus device. The device starts at its first request."""
     kind, _, address = to.partition(":")
 
     def load() -> Record:

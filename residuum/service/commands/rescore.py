@@ -5,19 +5,29 @@ from typing import Annotated
 
 import typer
 
+from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.errors import BadInput
-from residuum.service.commands.diagnoser_options import DiagnoserName, diagnoser_class
+from residuum.service.commands.diagnoser_options import diagnoser_class
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
-from residuum.service.work.fleet_source import fleet_source
+from residuum.service.work.fleet_source import StoredWindows, fleet_source
 from residuum.service.work.fleet_work import Rescore
+from residuum.service.work.own_judges import OWN, rescore_own
 
 app = typer.Typer(add_completion=False)
+
+_VERDICTS = {verdict: f"finding.verdict={verdict}" for verdict in ("healthy", "faulty", "not-assessable")}
 
 
 @app.command()
 def rescore(
-    diagnoser: DiagnoserName,
+    diagnoser: Annotated[
+        str,
+        typer.Argument(
+            metavar="DIAGNOSER|own",
+            help=f"One of {', '.join(DIAGNOSERS)}; of a database also own: each machine's own diagnoser, baseline and method.",
+        ),
+    ],
     records: Source,
     out: Results,
     baseline: Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")] = None,
@@ -26,7 +36,19 @@ def rescore(
     scheduler: Scheduler = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score every record of a folder, bucket or database, by all processors or a Dask cluster; can be gone on with."""
+    """Score every record of a folder, bucket or database, on all processors or a Dask cluster.
+
+    An interrupted run can be resumed.
+    """
+    if diagnoser == OWN:
+        if baseline is not None:
+            raise BadInput("--baseline: each has its own; leave it out")
+        source = fleet_source(records, data)
+        if not isinstance(source, StoredWindows):
+            raise BadInput(f"{records}: is no database; files and buckets have no diagnoser of their own, name one")
+        source.items()  # refused here where the database is none of this version
+        run_over_fleet(source, rescore_own(source), out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS)
+        return
     if baseline is not None:
         if not baseline.is_file():
             raise BadInput(f"{baseline}: no such baseline file")
@@ -35,5 +57,4 @@ def rescore(
         diagnoser_class(diagnoser)
     source = fleet_source(records, data)
     work = Rescore(diagnoser, None if baseline is None else str(baseline.resolve()), source)
-    verdicts = {verdict: f"finding.verdict={verdict}" for verdict in ("healthy", "faulty", "not-assessable")}
-    run_over_fleet(source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts=verdicts)
+    run_over_fleet(source, work, out, workers=workers, scheduler=scheduler, as_json=as_json, counts=_VERDICTS)

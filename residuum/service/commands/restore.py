@@ -25,7 +25,10 @@ def restore(
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Verify a backup and restore it, all of it or nothing; nothing that is there already is touched."""
+    """Verify a backup and restore all of it, or nothing. Existing data are never changed.
+
+    Files of settings come into the folder `settings-of-backup` of the data folder, for you to put in place.
+    """
     settings = load_settings(data=data, database=database)
     rows = Database(settings.database_url)
     try:

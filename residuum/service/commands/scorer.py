@@ -7,9 +7,10 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.notifications import Notifications
+from residuum.service.broker_address import broker_address
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
-from residuum.service.settings import broker_address, load_settings
+from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.scorer import Scorer
 from residuum.service.work.worker_pool import WorkerPool
@@ -20,12 +21,15 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def scorer(
     part: Annotated[
-        str, typer.Option(metavar="K/N", help="Which of how many scorers this is; each has its share of machines.")
+        str,
+        typer.Option(
+            metavar="K/N", help="Number of this scorer and of all scorers, as 1/3. Each scorer has its share of the machines."
+        ),
     ] = ("1/1"),
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, shared with the service.")] = None,
 ) -> None:
-    """Take windows from the broker of the settings, judge them, store each once, and tell its gateway, until interrupted."""
+    """Take windows from the broker that the settings name, judge them, and store each once. Runs until interrupted."""
     settings = load_settings(database=database, data=data)
     if not settings.mqtt:
         raise BadInput("setting mqtt: is empty; a scorer needs the broker that its windows come from")

@@ -15,8 +15,10 @@ from fastapi import FastAPI
 
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
+from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.security.http_connections import BoundedConnection
 from residuum.service.settings import Settings, is_loopback, load_settings
+from residuum.service.settled_memory import settle_memory
 from residuum.service.storage.database import Database
 from residuum.service.store import StorageUnavailable
 from residuum.service.work.large_arrays import give_back_large_arrays
@@ -33,9 +35,10 @@ def serve(
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
+    settings_file: SettingsFile = None,
 ) -> None:
     """Run the service until it is interrupted."""
-    settings = load_settings(demo=demo or None, host=host, port=port, database=database, data=data)
+    settings = load_settings(settings_file, demo=demo or None, host=host, port=port, database=database, data=data)
     _check_certificate(settings)
     _check_database(settings)
     give_back_large_arrays()
@@ -73,6 +76,7 @@ async def _serve(server: uvicorn.Server, sockets: list[socket.socket], settings:
     while not server.started and not running.done():
         await asyncio.sleep(0.02)
     if server.started:
+        settle_memory()
         sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
         sys.stdout.flush()
     await running

@@ -25,7 +25,7 @@ def simulate(
     event: Annotated[list[str] | None, typer.Option(help="Operating event ID or ID:size, at the next occasion.")] = None,
     duration: Annotated[float | None, typer.Option(help="Length of the record \\[s].")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise, disturbances and start values.")] = 0,
-    exemplar: Annotated[int, typer.Option(help="Which specimen; 0 is the nominal one.")] = 0,
+    exemplar: Annotated[int, typer.Option(help="Number of the specimen; 0 is the nominal one.")] = 0,
     profile: Annotated[str | None, typer.Option(help="Input profile, for machines that have several.")] = None,
     rate: Annotated[float | None, typer.Option(help="Sampling rate [Hz], for machines that offer it.")] = None,
     noise_color: Annotated[float | None, typer.Option(help="Correlation of the noise from sample to sample, 0 … 1.")] = None,
@@ -33,7 +33,7 @@ def simulate(
     reveal: Annotated[bool, typer.Option("--reveal", help="Write the truth into the file's notes.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a record of a simulated machine. The file does not say what is hidden in it, the report does."""
+    """Write a record of a simulated machine. The report says what is hidden in it; the file does not."""
     if machine not in MACHINES:
         raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
     check_output_file(out)

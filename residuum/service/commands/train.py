@@ -1,14 +1,16 @@
 """`residuum train`: records → a stored, trained diagnoser."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
+from residuum.library.answers.validation import validated, validation_says
 from residuum.service.commands.diagnoser_options import (
     DiagnoserName,
     FalseAlarms,
@@ -51,6 +53,12 @@ def train(
     model: ModelName = None,
     fix_undetermined: FixUndetermined = False,
     false_alarms_per_day: FalseAlarms = None,
+    validate: Annotated[
+        Literal["object-wise", "bootstrap"] | None,
+        typer.Option(
+            help="Also validate on exemplars (or records) left out of the training: each in turn, or by the .632+ bootstrap."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a diagnoser on records and store it for `score --baseline`."""
@@ -61,12 +69,25 @@ def train(
     loaded = load_records(
         records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
-    if exemplars is None:
-        untrained.fit(loaded, names).save(out)
-    elif isinstance(untrained, GateActuator):
-        untrained.fit(loaded, names, exemplars).save(out)
-    else:
-        raise BadInput(f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give record,label")
+    if exemplars is not None and validate is None and not isinstance(untrained, GateActuator):
+        raise BadInput(
+            f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give record,label, or --validate"
+        )
+    settings = diagnoser_settings(speed_rpm, orders, hertz, method) | of_model
+
+    def fit(judge: Diagnoser, kept: Sequence[int]) -> Diagnoser:
+        chosen = [loaded[k] for k in kept]
+        named = None if names is None else [names[k] for k in kept]
+        if isinstance(judge, GateActuator) and exemplars is not None:
+            return judge.fit(chosen, named, [exemplars[k] for k in kept])
+        return judge.fit(chosen, named)
+
+    fit(untrained, range(len(loaded))).save(out)
+    validation = None
+    if validate is not None:
+        truth = names or ["healthy"] * len(loaded)
+        objects = exemplars or [str(k) for k in range(len(loaded))]
+        validation = validated(validate, lambda kept: fit(new_diagnoser(diagnoser, settings), kept), loaded, truth, objects)
     seconds = sum(record.duration for record in loaded)
     result = {
         "diagnoser": diagnoser,
@@ -74,28 +95,15 @@ def train(
         "labels": names,
         "seconds_of_data": seconds,
         "file": str(out),
+        "validation": validation,
     }
     count = "1 record" if len(loaded) == 1 else f"{len(loaded)} records"
     learned = untrained.learned()
-    human = "\n".join([f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}", *learned.pop("says", [])])
+    human = "\n".join(
+        [
+            f"{diagnoser}: trained on {count}, {seconds:.4g} s of data → {out}",
+            *learned.pop("says", []),
+            *validation_says(validation),
+        ]
+    )
     report(result | learned, human, as_json=as_json)
-
-
-def read_labels(file: Path, records: Sequence[Path]) -> tuple[list[str], list[str] | None]:
-    """Label and exemplar of each record from a CSV of `record,label[,exemplar]` (record by file name or path)."""
-    try:
-        with file.open(encoding="utf-8", newline="") as rows:
-            table = [[cell.strip() for cell in row] for row in csv.reader(rows) if row and not row[0].startswith("#")]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInput(f"{file}: cannot be read as CSV: {error}") from None
-    columns = len(table[0]) if table else 2
-    if wrong := [number for number, row in enumerate(table, start=1) if len(row) != columns or columns not in (2, 3)]:
-        raise BadInput(f"{file}, row {wrong[0]}: must be record,label or record,label,exemplar, the same in every row")
-    known = {row[0]: row[1:] for row in table if row[:2] != ["record", "label"]}
-    found: list[list[str]] = []
-    for record in records:
-        row = known.get(str(record), known.get(record.name))
-        if row is None:
-            raise BadInput(f"{file}: has no label for {record}")
-        found.append(row)
-    return [row[0] for row in found], [row[1] for row in found] if columns == 3 else None

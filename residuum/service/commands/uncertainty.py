@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from residuum.identification.linear_models.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import UncertaintyWeight, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, UncertaintyWeight, design_uncertainty_weight
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,
-    WEIGHT_ORDER,
     ZETA,
     Epsilon,
     Lowest,
@@ -19,7 +19,6 @@ from residuum.service.commands.weight_options import (
     Rule,
     WeightOrder,
     Zeta,
-    frequencies,
 )
 
 app = typer.Typer(add_completion=False)
@@ -32,7 +31,7 @@ def uncertainty(
     zeta: Zeta = ZETA,
     rule: Rule = "chernoff",
     form: Annotated[
-        Literal["multiplicative", "additive", "inverse-multiplicative"], typer.Option(help="What error is bounded.")
+        Literal["multiplicative", "additive", "inverse-multiplicative"], typer.Option(help="Form of the error that is bounded.")
     ] = "multiplicative",
     weight_order: WeightOrder = WEIGHT_ORDER,
     points: Points = None,
@@ -42,7 +41,7 @@ def uncertainty(
 ) -> None:
     """Bound the error of a model at every frequency (Algorithm 1)."""
     model = load_identified(identified)
-    grid = frequencies(model.sample_time, points, lowest)
+    grid = asked_grid(model.sample_time, points, lowest)
     made = design_uncertainty_weight(
         model, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, form=form, order=weight_order, seed=seed
     )

@@ -1,4 +1,4 @@
-"""Sources of measured signals: CAN, Modbus.
+"""Sources of measured signals: CAN, Modbus, OPC UA, Sparkplug B over MQTT.
 
 A new kind of source is one file with a `Source` and one line in `SOURCES`.
 """
@@ -6,18 +6,46 @@ A new kind of source is one file with a `Source` and one line in `SOURCES`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
+from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.can import CanSource
-from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.frame_layout import BadBusDescription, read_dbc
+from residuum.service.fieldbus.metric_map import read_metric_map
 from residuum.service.fieldbus.modbus import ModbusSource
+from residuum.service.fieldbus.node_map import read_node_map
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.fieldbus.source import Sink, Source
 
 Open = Callable[[SourceSettings, Sink], Source]
 
+
+def _opcua(settings: SourceSettings, sink: Sink) -> Source:
+    """Imported when it is opened: the library is an extra."""
+    nodes = read_node_map(settings.map_file)
+    try:
+        made: Source = import_module("residuum.service.fieldbus.opcua").OpcuaSource(settings.channel, nodes, sink)
+    except ModuleNotFoundError:
+        raise BadBusDescription("an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'") from None
+    return made
+
+
+def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
+    """Imported when it is opened: the libraries are an extra."""
+    metrics = read_metric_map(settings.map_file)
+    try:
+        module = import_module("residuum.service.fieldbus.sparkplug")
+    except ModuleNotFoundError:
+        raise BadBusDescription("a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+    made: Source = module.SparkplugSource(broker_address(settings.channel), metrics, sink)
+    return made
+
+
 SOURCES: dict[str, Open] = {
     "can": lambda settings, sink: CanSource(settings.channel, read_dbc(settings.map_file), sink),
+    "opcua": _opcua,
+    "sparkplug": _sparkplug,
     "modbus": lambda settings, sink: ModbusSource(settings.host, settings.port, read_register_map(settings.map_file), sink),
 }
 """Kind of source → how to open it."""

@@ -9,100 +9,18 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import Block, StreamFormat
+from residuum.service.fieldbus.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.frame_batch import FrameBatch
 from residuum.service.fieldbus.frame_layout import FrameLayout
-from residuum.service.fieldbus.frames import FrameBatch, FrameBatchBuilder, FrameBus
 from residuum.service.fieldbus.sequence import SequenceCounter
 from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
-from residuum.service.fieldbus.udp_multicast import MulticastFrames
 
-_MULTICAST_PORT = 43113
 _POLL = 0.1
-_MOST_IN_ONE_READ = 2048
-_BUS_OFF = 0x40
+_GATHER = 0.01
+"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses keep some hundred."""
 COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
-
-
-class PythonCanFrames:
-    """Any bus that python-can opens (`socketcan`, `virtual`, adapters), read in batches."""
-
-    gather = 0.01  # the system keeps some hundred frames of such a bus, and 8000 come in a second at most
-
-    def __init__(self, interface: str, channel: str) -> None:
-        self._bus = can.Bus(interface=interface, channel=channel, fd=True, receive_own_messages=False)
-        self._off = False
-
-    def read(self, timeout: float) -> FrameBatch:
-        """Frames that came within `timeout` seconds; raises can.CanOperationError once a bus-off has been reported."""
-        if self._off:
-            raise can.CanOperationError("bus-off")
-        grouped: dict[tuple[int, int], list[bytes]] = {}
-        batch = FrameBatchBuilder()
-        for number in range(_MOST_IN_ONE_READ):
-            message = None if self._off else self._bus.recv(0 if number else timeout)
-            if message is None:
-                break
-            if message.is_error_frame:
-                self._off = bool(message.arbitration_id & _BUS_OFF)
-                batch.errors += not self._off  # a bus-off is counted when it ends the connection
-            elif not message.is_remote_frame:
-                grouped.setdefault((message.arbitration_id, len(message.data)), []).append(bytes(message.data))
-        for (frame_id, length), frames in grouped.items():
-            batch.add(frame_id, np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), length))
-        return batch.batch()
-
-    def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
-        """Send one frame."""
-        extended = frame_id > 0x7FF
-        self._bus.send(
-            can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended, is_fd=is_fd, bitrate_switch=is_fd),
-            timeout=0.2,
-        )
-
-    def send_many(self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False) -> None:
-        """Send frames of one message, shape (n, length), in order."""
-        for data in frames:
-            self.send(frame_id, data.tobytes(), is_fd=is_fd)
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._bus.shutdown()
-
-
-def open_bus(channel: str) -> FrameBus:
-    """Open `interface:channel`, for example `socketcan:can0`, `virtual:bench`, `udp_multicast:239.74.163.2:43113`.
-
-    Raises BadInput for an address that is none, OSError or can.CanError when the bus cannot be opened.
-    """
-    interface, colon, rest = channel.partition(":")
-    if not (interface and colon and rest):
-        raise BadInput(f"CAN channel {channel!r}: must be interface:channel, for example socketcan:can0")
-    if interface != "udp_multicast":
-        return PythonCanFrames(interface, rest)
-    group, port, hops = multicast_address(rest)
-    return MulticastFrames(group, port, hops)
-
-
-def multicast_address(text: str) -> tuple[str, int, int]:
-    """Group, port and hops of `GROUP[:PORT][/HOPS]`; an IPv6 group with a port stands in brackets.
-
-    >>> multicast_address("239.1.2.3:5000/1"), multicast_address("[ff15::1]:5000")
-    (('239.1.2.3', 5000, 1), ('ff15::1', 5000, 0))
-    """
-    address, _, hops = text.partition("/")
-    if address.startswith("["):
-        group, _, port = address[1:].partition("]")
-        port = port.removeprefix(":")
-    elif address.count(":") > 1:
-        group, port = address, ""
-    else:
-        group, _, port = address.partition(":")
-    try:
-        return group, int(port or _MULTICAST_PORT), int(hops or 0)
-    except ValueError:
-        raise BadInput(f"CAN channel {text!r}: must be GROUP[:PORT][/HOPS] with whole numbers") from None
 
 
 class CanSource(Source):
@@ -111,7 +29,7 @@ class CanSource(Source):
     Parameters
     ----------
     channel : str
-        Bus address, see `open_bus`.
+        Bus address, see `can_bus.open_bus`.
     layouts : mapping of message name to FrameLayout
         Messages with a counter become streams; `FAULT_COMMAND` and `FAULT_STATE` switch the faults of simulated machines.
     sink : callable
@@ -128,7 +46,7 @@ class CanSource(Source):
         self._last_seen: dict[int, float] = {}
         self._was_empty = False
         self._clock = time.monotonic
-        self._bus: FrameBus | None = None
+        self._bus: CanBus | None = None
 
     @property
     def streams(self) -> Sequence[StreamFormat]:
@@ -185,7 +103,7 @@ class CanSource(Source):
             self._take(batch)
             backoff.reset()
             self._was_empty = False
-            self._stopped.wait(bus.gather)
+            self._stopped.wait(_GATHER)
 
     def _take(self, batch: FrameBatch) -> None:
         if batch.errors:

@@ -1,6 +1,7 @@
 """FrameLayout: where the signals of a CAN frame lie, from a DBC file; decodes and encodes many frames at once with NumPy.
 
-A frame that carries samples has a signal `counter` (its sequence counter) and the message attribute `SampleTime` [s].
+A frame that carries samples has a sequence counter and the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms]. The
+counter is the signal `counter`, else the only one that is called like an alive, rolling, message or sequence counter.
 Signals named `x_00`, `x_01`, … are successive samples of one channel `x`; any other signal is a channel of its own with one
 sample a frame.
 """
@@ -8,7 +9,7 @@ sample a frame.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from residuum.service.fieldbus.block import Samples, StreamFormat
 
 Bytes = npt.NDArray[np.uint8]
 COUNTER = "counter"
+_COUNTER_LIKE = re.compile(r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE)
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
 
 
@@ -63,7 +65,7 @@ class FrameLayout:
             signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()} for signal in signals
         }
         self._group(signals, where)
-        self.sample_time = _attribute(message, "SampleTime") / self.samples if self.counter_bits else 0.0
+        self.sample_time = _frame_time(message) / self.samples if self.counter_bits else 0.0
 
     def _set_positions(self, signals: list[Any], where: str) -> None:
         spans = [_span(signal.start, signal.length, signal.byte_order) for signal in signals]
@@ -85,8 +87,9 @@ class FrameLayout:
     def _group(self, signals: list[Any], where: str) -> None:
         groups: dict[str, list[tuple[int, int]]] = {}
         self.counter_bits = 0
+        counter = _counter_of(self._names)
         for k, signal in enumerate(signals):
-            if signal.name == COUNTER:
+            if signal.name == counter:
                 self.counter_bits, self._counter = signal.length, k
                 if not 4 <= signal.length <= 32:
                     raise BadBusDescription(f"{where}: the counter has {signal.length} bits; 4 to 32 are needed")
@@ -171,11 +174,24 @@ def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
     return list(range(first, last + 1)), 8 * (last + 1) - (begin + length)
 
 
-def _attribute(message: Any, name: str) -> float:
+def _counter_of(names: Sequence[str]) -> str | None:
+    """The signal that counts frames."""
+    if COUNTER in names:
+        return COUNTER
+    alike = [name for name in names if _COUNTER_LIKE.fullmatch(name)]
+    return alike[0] if len(alike) == 1 else None
+
+
+def _frame_time(message: Any) -> float:
+    """Seconds from one frame to the next."""
     attributes = message.dbc.attributes if message.dbc else {}
-    if name not in attributes:
-        raise BadBusDescription(f"message {message.name}: has a counter and no attribute {name}; a stream needs one")
-    return float(attributes[name].value)
+    for name, unit in (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3)):
+        if name in attributes and float(attributes[name].value) > 0:
+            return float(attributes[name].value) * unit
+    raise BadBusDescription(
+        f"message {message.name}: has a counter and no time between frames; give it the attribute SampleTime [s] or "
+        "GenMsgCycleTime [ms]"
+    )
 
 
 def read_dbc(path: str | Path) -> dict[str, FrameLayout]:

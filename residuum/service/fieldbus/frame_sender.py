@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from residuum.service.fieldbus.can_bus import CanBus
 from residuum.service.fieldbus.frame_layout import Bytes, FrameLayout
-from residuum.service.fieldbus.frames import FrameBus
 
 
 class FrameSender:
@@ -34,6 +34,6 @@ class FrameSender:
         self._sent += n
         return self.layout.encode(counter, {name: values[:whole] for name, values in waiting.items()})
 
-    def send(self, bus: FrameBus, channels: Mapping[str, npt.NDArray[np.float64]]) -> None:
+    def send(self, bus: CanBus, channels: Mapping[str, npt.NDArray[np.float64]]) -> None:
         """Send the frames that these samples complete."""
         bus.send_many(self.layout.frame_id, self.frames(channels), is_fd=self.layout.is_fd)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import TimeoutError as WaitTimeout
+from typing import Any
 
 import numpy as np
+from pymodbus.exceptions import ModbusException
 
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import Block, StreamFormat
-from residuum.service.fieldbus.modbus_client import BadReply, DeviceRefused, StrictModbusClient
+from residuum.service.fieldbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
 from residuum.service.fieldbus.register_map import (
     MOST_REGISTERS,
     Pages,
@@ -53,7 +54,7 @@ class ModbusSource(Source):
         self._sizes: dict[str, float] = {}
         self._backoff = Backoff(first=0.05)
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._client: StrictModbusClient | None = None
+        self._client: CheckedModbusClient | None = None
 
     @property
     def streams(self) -> Sequence[StreamFormat]:
@@ -89,7 +90,7 @@ class ModbusSource(Source):
         waiting = asyncio.run_coroutine_threadsafe(client.write(address, registers), loop)
         try:
             waiting.result(_SWITCH_TIMEOUT)
-        except (BadReply, DeviceRefused, TimeoutError, WaitTimeout, RuntimeError) as error:
+        except (BadReply, DeviceRefused, TimeoutError, RuntimeError) as error:
             waiting.cancel()
             return f"the device did not take the command: {error}"
         return None
@@ -104,20 +105,18 @@ class ModbusSource(Source):
 
     async def _keep_reading(self) -> None:
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._note)
         opened_before = False
         while not self._stopped.is_set():
-            client = StrictModbusClient(self._host, self._port, self._map.unit_id, self._timeout, self.health)
+            client = CheckedModbusClient(self._host, self._port, self._map.unit_id, self._timeout)
             try:
-                if not await client.connect():
-                    raise BadReply("bus_errors", "nobody answers at this address")
+                await client.connect()
                 if opened_before:
                     self.health.count("reconnects")
                 opened_before, self._client = True, client
                 await self._read_while_it_works(client)
             except BadReply as error:
                 self.health.count(error.counter, 1, str(error))
-            except TimeoutError as error:
-                self.health.count("timeouts", 1, str(error))
             except OSError as error:
                 self.health.count("bus_errors", 1, str(error))
             finally:
@@ -125,7 +124,15 @@ class ModbusSource(Source):
                 client.close()
             await self._pause(self._backoff.next())
 
-    async def _read_while_it_works(self, client: StrictModbusClient) -> None:
+    def _note(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Count what pymodbus cannot decode: it lets that end the connection, and the reply does not come."""
+        error = context.get("exception")
+        if isinstance(error, ModbusException):
+            self.health.count("undecodable", 1, str(error))
+        else:
+            loop.default_exception_handler(context)
+
+    async def _read_while_it_works(self, client: CheckedModbusClient) -> None:
         period = min(reader.period for reader in self._readers)
         state_due, due = 0.0, time.monotonic()
         while not self._stopped.is_set():
@@ -140,7 +147,7 @@ class ModbusSource(Source):
             due = max(due + period, time.monotonic() - period)
             await self._pause(due - time.monotonic())
 
-    async def _read_state(self, client: StrictModbusClient) -> None:
+    async def _read_state(self, client: CheckedModbusClient) -> None:
         if faults := self._map.faults:
             words = await client.read(faults.state, 2 * len(faults.ids))
             sizes = [registers_float(high, low) for high, low in words.reshape(-1, 2).tolist()]
@@ -163,7 +170,7 @@ class _PagedReader:
         self._next: int | None = None
         self._base = 0
 
-    async def read(self, client: StrictModbusClient) -> None:
+    async def read(self, client: CheckedModbusClient) -> None:
         """Deliver every page that is complete and not read yet."""
         newest = await self._newest(client)
         if self._next is not None and newest < self._next:
@@ -186,18 +193,15 @@ class _PagedReader:
         self._next = first + len(whole)
         self._source.deliver(Block(self._name, number, self._stream.decode(np.concatenate(whole))), len(whole))
 
-    async def _read_pages(self, client: StrictModbusClient, first: int, end: int, whole: list[Registers]) -> None:
+    async def _read_pages(self, client: CheckedModbusClient, first: int, end: int, whole: list[Registers]) -> None:
         """Add the samples of pages `first` … `end` − 1 to those that are whole, until one of them has been written over."""
-        requests = list(self._requests(first, end))
-        for begin in range(0, len(requests), self._pages.at_once):
-            wanted = requests[begin : begin + self._pages.at_once]
-            replies = await client.read_all([self._place(*each) for each in wanted])
-            for (number, count), reply in zip(wanted, replies, strict=True):
-                for k, registers in enumerate(reply.reshape(count, self._stream.page_registers)):
-                    page = self._checked(number + k, registers)
-                    if page is None:
-                        return
-                    whole.append(page)
+        for number, count in self._requests(first, end):
+            reply = await client.read(*self._place(number, count))
+            for k, registers in enumerate(reply.reshape(count, self._stream.page_registers)):
+                page = self._checked(number + k, registers)
+                if page is None:
+                    return
+                whole.append(page)
 
     def _requests(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """Each read as the first of its pages and how many: neighbours in the ring, as many as one read takes."""
@@ -221,11 +225,11 @@ class _PagedReader:
             raise BadReply("corrupt_replies", f"{self._name}: page {page.number} came, {number} was asked for")
         return page.registers
 
-    async def _newest(self, client: StrictModbusClient) -> int:
+    async def _newest(self, client: CheckedModbusClient) -> int:
         high, low = (await client.read(self._pages.newest, 2)).tolist()
         return int(high << 16 | low)
 
-    async def _confirm_restart(self, client: StrictModbusClient, newest: int) -> int:
+    async def _confirm_restart(self, client: CheckedModbusClient, newest: int) -> int:
         """The device counts from 0 again; asked anew and anew, because this number alone has no checksum."""
         for _ in range(_CONFIRMATIONS):
             again = await self._newest(client)
@@ -247,7 +251,7 @@ class _PolledReader:
         self._started: float | None = None
         self._last = -1
 
-    async def read(self, client: StrictModbusClient) -> None:
+    async def read(self, client: CheckedModbusClient) -> None:
         """Deliver one sample when its time has come."""
         now = time.monotonic()
         if self._started is None:

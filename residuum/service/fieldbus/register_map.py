@@ -8,8 +8,7 @@ wrong reply from a right one:
 The page number p counts from 0 since the device started; page p lies at `address + stride · (p mod count)`. The checksum is
 the low 16 bits of the CRC-32 (zlib) over the other registers of the page, big-endian. A sample is one or more registers,
 described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet). Pages that lie
-side by side (`stride` is the length of a page) are read several at once, and `at_once` says how many requests the device takes
-before it has answered the first (1 unless its maker says more).
+side by side (`stride` is the length of a page) are read several at once.
 
 A stream of a device that has no such pages is polled: the plain registers at `address` are read every `sample_time` seconds,
 on the reader's clock.
@@ -105,7 +104,6 @@ class Pages(_Strict):
     stride: int = Field(ge=PAGE_HEAD + 1, le=MOST_REGISTERS + 3)
     count: int = Field(ge=4, le=4096)
     samples: int = Field(ge=1, le=MOST_REGISTERS)
-    at_once: int = Field(default=1, ge=1, le=16)
 
 
 class Poll(_Strict):

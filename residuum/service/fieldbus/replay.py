@@ -15,8 +15,9 @@ import numpy as np
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
+from residuum.service.fieldbus.can_bus import CanBus
+from residuum.service.fieldbus.device_registers import DeviceRegisters
 from residuum.service.fieldbus.frame_layout import BadBusDescription, FrameLayout, read_dbc
-from residuum.service.fieldbus.frames import FrameBus
 from residuum.service.fieldbus.register_map import RegisterMap, StreamRegisters
 from residuum.service.fieldbus.register_server import RegisterServer
 from residuum.service.fieldbus.register_trace import TracedPage
@@ -118,7 +119,7 @@ def _carries(record: Record, units: Mapping[str, str], sample_time: float) -> bo
     return bool(fits and abs(record.sample_time - sample_time) <= _SAME_RATE * sample_time)
 
 
-def replay_to_can(frames: Iterable[TimedFrame], bus: FrameBus, speed: float = 1.0) -> int:
+def replay_to_can(frames: Iterable[TimedFrame], bus: CanBus, speed: float = 1.0) -> int:
     """Send frames at their pace, `speed` times as fast; returns how many were sent.
 
     A computer that falls behind by more than 0.2 s takes longer: what it missed is not sent in one burst, which no bus could
@@ -150,7 +151,8 @@ async def replay_to_modbus(
 
     Serves for `linger` seconds more after the last page, and returns how many were published. `ready` is told the port.
     """
-    server = RegisterServer(registers, *address, on_fault=lambda _fault, _size: None)
+    device = DeviceRegisters(registers, on_fault=lambda _fault, _size: None)
+    server = RegisterServer(device, *address)
     ready(await server.start())
     published = 0
     try:
@@ -160,7 +162,7 @@ async def replay_to_modbus(
         for page in pages:
             while (ahead := page.time / speed - (time.monotonic() - begun)) > 0:
                 await asyncio.sleep(min(ahead, _SLICE))
-            server.pages[page.stream].append_registers(page.samples)
+            device.pages[page.stream].append_registers(page.samples)
             published += 1
         await asyncio.sleep(linger)
     finally:

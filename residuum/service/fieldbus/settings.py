@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from residuum.service.alarms.alarm_rules import AlarmRule
+from residuum.service.broker_address import broker_address
 
 MAPS = Path(__file__).parent / "maps"
 
@@ -26,10 +27,12 @@ class SourceSettings(_Strict):
     """One bus connection.
 
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`) and a DBC file; `modbus`
-    needs `host`, `port` and a register map. `map` is a file, or the name of one that comes with Residuum.
+    needs `host`, `port` and a register map; `opcua` needs `channel` (`opc.tcp://host:4840`) and a node map; `sparkplug`
+    needs `channel` (`mqtt://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of one that comes with
+    Residuum.
     """
 
-    kind: Literal["can", "modbus"]
+    kind: Literal["can", "modbus", "opcua", "sparkplug"]
     map: str
     channel: str = ""
     host: str = "127.0.0.1"
@@ -39,6 +42,10 @@ class SourceSettings(_Strict):
     def _complete(self) -> SourceSettings:
         if self.kind == "can" and not self.channel:
             raise ValueError("a CAN source needs a channel, for example socketcan:can0")
+        if self.kind == "opcua" and not self.channel.startswith("opc.tcp://"):
+            raise ValueError("an OPC UA source needs a channel, for example opc.tcp://192.168.0.10:4840")
+        if self.kind == "sparkplug":
+            broker_address(self.channel)
         return self
 
     @property
@@ -60,6 +67,14 @@ class WindowSettings(_Strict):
     step: float = Field(default=10.0, gt=0, le=3600, description="From one sliding window to the next [s].")
 
 
+class SecondOpinion(_Strict):
+    """Who else judges the windows of a machine: its findings are shown beside the first one's and raise no alarm."""
+
+    diagnoser: Literal["model-based"] = "model-based"
+    model: str = Field(description="The machine's model, stored, built in, or a file.")
+    baseline: str | None = Field(default=None, description="Name of its trained baseline; None: the asset's, with `.second`.")
+
+
 class MachineSettings(_Strict):
     """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and alarm rule."""
 
@@ -72,12 +87,25 @@ class MachineSettings(_Strict):
         default=None,
         description="model-based: the machine's model, a file or a built-in name; its baseline has it too.",
     )
+    channels: dict[str, str] = Field(
+        default={},
+        max_length=100,
+        description="Names of signals: the one that the diagnoser or its model uses → the one on the bus.",
+    )
+    second: SecondOpinion | None = Field(default=None, description="A second opinion on every window; None: none.")
     method: Literal["source", "default"] | None = Field(
         default=None, description="gate-actuator, robust-residual: what decides; None: what the baseline was trained with."
     )
     alarms: AlarmRule | None = Field(
         default=None, description="Deadband, delays and latch of its alarms; None: those of the service."
     )
+
+    @model_validator(mode="after")
+    def _each_channel_once(self) -> MachineSettings:
+        if len(set(self.channels.values())) < len(self.channels):
+            twice = next(bus for bus in self.channels.values() if list(self.channels.values()).count(bus) > 1)
+            raise ValueError(f"channels: {twice!r} of the bus has two names")
+        return self
 
     @model_validator(mode="after")
     def _model_where_one_is_used(self) -> MachineSettings:

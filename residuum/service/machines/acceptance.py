@@ -19,18 +19,16 @@ from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import estimate, match
 from residuum.identification.record import Record
+from residuum.service.machines.model_texts import ModelText
 from residuum.service.views.model_view import model_of
-from residuum.service.work.command_job import RecordParts
 from residuum.service.work.jobs import Progress
+from residuum.service.work.record_parts import RecordParts
 
 FALSE_ALARM = 1e-3
 """Share of healthy windows whose model error may exceed its limit."""
 _MODELLED = 8
 """Healthy records, the newest, that both models are simulated beside: a movement at 5 kHz costs seconds a model."""
 _FEWEST_MODELLED = 5
-
-ModelText = tuple[str, bytes | None]
-"""A stored model's name and text; None for the text of a built-in one."""
 
 
 def propose(

@@ -14,7 +14,9 @@ import structlog
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.machines.deciding_method import deciding_method
 from residuum.service.machines.scoring import PlainRecord, score_window
+from residuum.service.machines.second_opinion import with_second_opinion
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.work.worker_pool import WorkerPool
 
@@ -36,15 +38,18 @@ class JudgeAndStore:
 
     def __init__(self, pool: WorkerPool, store: Store) -> None:
         self._pool, self._store = pool, store
+        self.second_baselines: dict[str, str] = {}
+        """Machine → file of the baseline of its second opinion, once there is one."""
 
     def __call__(
-        self, machine: MachineSettings, window: Record, baseline: str, stopped: threading.Event
+        self, machine: MachineSettings, window: Record, baseline: str | None, stopped: threading.Event
     ) -> Callable[[], Finding | None]:
         """Begin to judge; the call that is returned stores the window and gives its finding.
 
+        Without a baseline nothing is judged: the window is kept, so that one can be trained.
         It gives None when the service stopped before the window could be stored.
         """
-        judged = self._pool.begin(score_window, machine.diagnoser, baseline, PlainRecord.of(window), machine.method)
+        judged = self._judged(machine, window, baseline)
 
         def store() -> Finding | None:
             finding = judged()
@@ -58,3 +63,21 @@ class JudgeAndStore:
                         return None
 
         return store
+
+    def _method(self, machine: MachineSettings) -> str | None:
+        """What decides: as chosen for the machine while the service runs, else as its settings say."""
+        try:
+            return deciding_method(self._store, machine.asset, machine.diagnoser, machine.method)
+        except StorageUnavailable:  # the window is judged all the same, and stored when the store is back
+            return machine.method
+
+    def _judged(self, machine: MachineSettings, window: Record, baseline: str | None) -> Callable[[], Finding]:
+        if baseline is None:
+            return lambda: Finding.recorded(machine.diagnoser)
+        plain = PlainRecord.of(window)
+        first = self._pool.begin(score_window, machine.diagnoser, baseline, plain, self._method(machine))
+        second = self.second_baselines.get(machine.asset)
+        if machine.second is None or second is None:
+            return first
+        other = self._pool.begin(score_window, machine.second.diagnoser, second, plain, None)
+        return lambda: with_second_opinion(first(), other())

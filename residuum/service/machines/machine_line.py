@@ -6,17 +6,20 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Any
 
 import structlog
 
 from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.machines.channel_names import named
+from residuum.service.machines.live_values import LiveValues
 from residuum.service.machines.windows import make_cutter
 
 log = structlog.get_logger()
@@ -27,9 +30,9 @@ _AT_ONCE = 2
 _WAIT = 0.2
 _LAST_WINDOW = 3.0
 
-Handle = Callable[[MachineSettings, Record, str, threading.Event], Callable[[], Finding | None]]
-"""Begins with a window: (machine, window, file of the baseline, stopped). The call that it returns ends it, in the windows'
-order, and gives the finding that was stored, if any was."""
+Handle = Callable[[MachineSettings, Record, str | None, threading.Event], Callable[[], Finding | None]]
+"""Begins with a window: (machine, window, file of the baseline or None to record it only, stopped). The call that it returns
+ends it, in the windows' order, and gives the finding that was stored, if any was."""
 Changed = Callable[[str], None]
 """Told when the state of the machine of this name has changed."""
 
@@ -66,13 +69,16 @@ class MachineLine:
         ]
         streams = {stream.name: stream for source in self.sources for stream in source.streams}
         wanted = list(streams.values()) if settings.window.cut == "round" else list(streams.values())[:1]
+        _refuse_unknown(settings, {name for stream in wanted for name in stream.units})
         self._cutter = make_cutter(settings.window, wanted, settings.asset)
         self._source_of = {
             stream.name: number for number, source in enumerate(self.sources) for stream in source.streams if stream in wanted
         }
         self._baseline: str | None = None
+        self._recording = False
+        self.live = LiveValues(settings.channels)
         self._state, self._progress, self._doing = "idle", 0.0, "waiting for a baseline"
-        self._judged = self._dropped = self._errors = 0
+        self._judged = self._recorded = self._dropped = self._errors = 0
         self._last: tuple[float, Finding] | None = None
         self._threads = [
             threading.Thread(target=self._cut, name=f"windows {settings.asset}", daemon=True),
@@ -98,14 +104,20 @@ class MachineLine:
             if thread.ident is not None:
                 thread.join(_LAST_WINDOW)
 
+    def record_windows(self, doing: str) -> None:
+        """Keep windows from now on although nothing can judge them: a baseline is to be trained from them."""
+        self._baseline, self._recording = None, True
+        self.set_state("recording", 0.0, doing)
+        self._window_came.set()
+
     def use_baseline(self, file: str) -> None:
         """Judge from now on with the trained diagnoser in this file."""
-        self._baseline = file
+        self._baseline, self._recording = file, False
         self.set_state("running", 1.0, "judging windows")
         self._window_came.set()
 
     def set_state(self, state: str, progress: float, doing: str) -> None:
-        """What the interface shows: idle, training, running or failed, how far, and what is being done."""
+        """What the interface shows: idle, recording, training, running or failed, how far, and what is being done."""
         told = (state, round(progress, 2), doing)
         if told != (self._state, round(self._progress, 2), self._doing):
             self._state, self._progress, self._doing = state, progress, doing
@@ -120,7 +132,9 @@ class MachineLine:
             "doing": self._doing,
             "diagnoser": self.settings.diagnoser,
             "sources": [source.name for source in self.sources],
+            "simulated": any(source.fault_ids for source in self.sources),
             "windows_judged": self._judged,
+            "windows_recorded": self._recorded,
             "windows_waiting": len(self._windows) + len(self._begun),
             "windows_dropped": self._dropped,
             "scoring_errors": self._errors,
@@ -143,6 +157,7 @@ class MachineLine:
         """Queue a block; where two sources describe a stream of one name, the one that is listed last carries it."""
         if self._source_of.get(block.stream) != source:
             return True
+        self.live.take(block)
         try:
             self._blocks.put_nowait(block)
         except queue.Full:
@@ -162,7 +177,7 @@ class MachineLine:
                 log.exception("cutting windows", machine=self.settings.asset)
                 continue
             for window in windows:
-                self._add_window(window)
+                self._add_window(named(window, self.settings.channels))
 
     def _add_window(self, window: Record) -> None:
         if len(self._windows) >= _MOST_WINDOWS:
@@ -173,7 +188,7 @@ class MachineLine:
 
     def _judge(self) -> None:
         while not self._stopped.is_set():
-            if self._baseline is not None and self._windows and len(self._begun) < _AT_ONCE:
+            if (self._baseline is not None or self._recording) and self._windows and len(self._begun) < _AT_ONCE:
                 self._safely(partial(self._begin, self._windows.popleft(), self._baseline))
             elif self._begun:
                 self._safely(self._end_first)
@@ -191,11 +206,22 @@ class MachineLine:
             if not self._stopped.is_set():  # else its worker was ended with the service
                 log.exception("judging a window", machine=self.settings.asset)
 
-    def _begin(self, window: Record, baseline: str) -> None:
+    def _begin(self, window: Record, baseline: str | None) -> None:
         self._begun.append(self._handle(self.settings, window, baseline, self._stopped))
 
     def _end_first(self) -> None:
         finding = self._begun.popleft()()
-        if finding is not None:
+        if finding is not None and finding.only_recorded:
+            self._recorded += 1
+        elif finding is not None:
             self._judged += 1
             self._last = (time.time(), finding)
+
+
+def _refuse_unknown(settings: MachineSettings, there: Collection[str]) -> None:
+    """BadInput for a name in `channels` that the bus has not."""
+    for name, bus in settings.channels.items():
+        if bus not in there:
+            raise BadInput(
+                f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; it has {', '.join(sorted(there))}"
+            )

@@ -10,15 +10,19 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.fieldbus.source import FaultsUnavailable, Source
 from residuum.service.machines.baseline_files import baseline_file
 from residuum.service.machines.judge_and_store import JudgeAndStore
+from residuum.service.machines.kept_machines import kept_machines
 from residuum.service.machines.machine_line import MachineLine
+from residuum.service.machines.second_opinion import second_name
+from residuum.service.machines.stored_baselines import newest_baseline
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
-from residuum.service.store import NotFound, StorageUnavailable, Store
+from residuum.service.store import Conflict, NotFound, StorageUnavailable, Store
 from residuum.service.work.worker_pool import WorkerPool
 
 log = structlog.get_logger()
@@ -43,22 +47,26 @@ class Pipeline:
 
     def __init__(self, settings: Settings, store: Store, events: Events, executor: WorkerPool) -> None:
         self._settings, self._store, self._events, self._pool = settings, store, events, executor
-        self._demo = Demo(settings.demo_speed) if settings.demo else None
+        self._demo = Demo(settings.demo_speed, settings.demo_opcua) if settings.demo else None
         machines = [*settings.machines, *(self._demo.machines if self._demo else [])]
         names = [machine.asset for machine in machines]
         if twice := {name for name in names if names.count(name) > 1}:
             raise BadInput(f"settings, machines: {', '.join(sorted(twice))}: there are two of this name")
-        handle = JudgeAndStore(executor, store)
-        self._lines = {machine.asset: MachineLine(machine, handle, self._announce) for machine in machines}
+        self._of_settings = frozenset(names)
+        self._handle = JudgeAndStore(executor, store)
+        self._lines = {machine.asset: MachineLine(machine, self._handle, self._announce) for machine in machines}
         self._tasks: list[asyncio.Task[None]] = []
+        self._watched: dict[str, asyncio.Task[None]] = {}
+        self._changing = asyncio.Lock()
 
     async def start(self) -> None:
         """Begin to read; everything else goes on beside. A demo's machine is read once it is on its buses."""
+        await asyncio.to_thread(self._add_kept)
         for line in self._lines.values():
             self._store.ensure_asset(line.settings.asset, diagnoser=line.settings.diagnoser)
-        for machine in self._settings.machines:
-            self._lines[machine.asset].start()
-        self._tasks = [asyncio.create_task(self._find_baseline(machine)) for machine in self._settings.machines]
+        for name, line in self._lines.items():
+            if not self._demo or line.settings not in self._demo.machines:
+                self._watch(name)
         if self._demo:
             await asyncio.to_thread(self._demo.start)
             self._tasks += [asyncio.create_task(self._read_when_ready(self._demo, machine)) for machine in self._demo.machines]
@@ -66,7 +74,7 @@ class Pipeline:
 
     async def stop(self) -> None:
         """Stop reading, give what is being judged three seconds to finish, end the demo's machines and all worker processes."""
-        for task in self._tasks:
+        for task in (*self._tasks, *self._watched.values()):
             task.cancel()
         stops = [line.stop for line in self._lines.values()] + ([self._demo.stop] if self._demo else [])
         if stops:
@@ -74,6 +82,75 @@ class Pipeline:
             await asyncio.gather(*(asyncio.get_running_loop().run_in_executor(threads, stop) for stop in stops))
             threads.shutdown(wait=False)
         self._pool.terminate()
+
+    def _add_kept(self) -> None:
+        """The machines that were added while the service ran; one that can no longer be read is left out and logged."""
+        for machine in kept_machines(self._store, self._settings.data):
+            if machine.asset in self._lines:
+                log.warning("a machine of the settings stands before one of this name that was added", machine=machine.asset)
+                continue
+            try:
+                self._lines[machine.asset] = MachineLine(machine, self._handle, self._announce)
+            except BadInput as error:
+                log.error("a machine that was added cannot be read", machine=machine.asset, reason=str(error))
+
+    def _watch(self, asset: str) -> None:
+        line = self._lines[asset]
+        line.start()
+        self._watched[asset] = asyncio.create_task(self._find_baseline(line.settings))
+
+    async def put_machine(self, machine: MachineSettings) -> None:
+        """Watch a machine from now on, or watch it by other settings; Conflict for one of the settings or the demo."""
+        self.refuse_fixed(machine.asset)
+        async with self._changing:
+            line = await asyncio.to_thread(MachineLine, machine, self._handle, self._announce)
+            await self._end(machine.asset)
+            await asyncio.to_thread(self._store.ensure_asset, machine.asset, diagnoser=machine.diagnoser)
+            self._lines[machine.asset] = line
+            self._watch(machine.asset)
+        self._announce(machine.asset)
+
+    async def remove_machine(self, asset: str) -> None:
+        """Watch a machine no more; what was found of it stays."""
+        self.refuse_fixed(asset)
+        self._line(asset)
+        async with self._changing:
+            await self._end(asset)
+
+    async def _end(self, asset: str) -> None:
+        if (task := self._watched.pop(asset, None)) is not None:
+            task.cancel()
+        if (line := self._lines.pop(asset, None)) is not None:
+            await asyncio.to_thread(line.stop)
+
+    def refuse_fixed(self, asset: str) -> None:
+        """Conflict for a machine that stands in the settings' file or belongs to the demo."""
+        if asset in self._of_settings:
+            raise Conflict(f"machine {asset!r}: stands in the settings' file or is the demo's; change it there")
+
+    def machine(self, asset: str) -> MachineSettings:
+        """The settings of a watched machine; NotFound."""
+        return self._line(asset).settings
+
+    def live(self, asset: str) -> Mapping[str, Any]:
+        """What the signals of a machine read now: unit, value and the last half minute of each; NotFound."""
+        units = self.units(asset)
+        return {name: {"unit": units.get(name, ""), **value} for name, value in self._line(asset).live.now().items()}
+
+    def units(self, asset: str) -> Mapping[str, str]:
+        """Name and unit of every signal on a machine's buses; NotFound."""
+        sources = self._line(asset).sources
+        return {name: unit for source in sources for stream in source.streams for name, unit in stream.units.items()}
+
+    def alarm_rule(self, asset: str) -> AlarmRule:
+        """The rule of a machine's alarms: its own, or that of the service."""
+        own = self._lines[asset].settings.alarms if asset in self._lines else None
+        return own or self._settings.alarms
+
+    def _line(self, asset: str) -> MachineLine:
+        if asset not in self._lines:
+            raise NotFound(f"machine {asset!r}: there is none of this name; known are {', '.join(self._lines) or 'none'}")
+        return self._lines[asset]
 
     def status(self) -> dict[str, Any]:
         """State of every machine, and rates and loss counters of every source."""
@@ -107,9 +184,7 @@ class Pipeline:
             raise BadInput(str(error)) from None
 
     def _fault_source(self, machine: str) -> Source:
-        if machine not in self._lines:
-            raise NotFound(f"machine {machine!r}: there is none of this name; known are {', '.join(self._lines) or 'none'}")
-        sources = [source for source in self._lines[machine].sources if source.fault_ids]
+        sources = [source for source in self._line(machine).sources if source.fault_ids]
         if not sources:
             raise NotFound(f"machine {machine!r}: is not a simulated one; it has no faults to switch")
         return sources[0]
@@ -119,19 +194,37 @@ class Pipeline:
 
     async def _find_baseline(self, machine: MachineSettings) -> None:
         """Wait until the machine's baseline is in the store, and take up each new version of it."""
-        line, known = self._lines[machine.asset], ""
+        line, known, second = self._lines[machine.asset], "", ""
         while True:
             try:
-                version = (await asyncio.to_thread(self._store.model_versions, machine.baseline or machine.asset))[0]
+                version = await asyncio.to_thread(newest_baseline, self._store, machine.asset, machine.baseline)
                 if version.checksum != known:
                     content = await asyncio.to_thread(self._store.model_content, version.model, version.number)
                     line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
                     known = version.checksum
             except NotFound:
-                line.set_state("idle", 0.0, _waits_for_baseline(machine))
+                recorded = await asyncio.to_thread(self._store.recorded_windows, machine.asset)
+                line.record_windows(waits_for_baseline(machine, len(recorded)))
             except (OSError, StorageUnavailable):  # the disk may come back: ask again
                 log.exception("baseline not taken up", machine=machine.asset)
+            second = await self._look_for_second(machine, second)
             await asyncio.sleep(_LOOK_FOR_BASELINE)
+
+    async def _look_for_second(self, machine: MachineSettings, known: str) -> str:
+        """Take up a new version of the baseline of a machine's second opinion; gives the checksum that is at work."""
+        if machine.second is None:
+            return known
+        try:
+            name = await asyncio.to_thread(second_name, self._store, machine.asset, machine.second.baseline)
+            version = (await asyncio.to_thread(self._store.model_versions, name))[0]
+            if version.checksum == known:
+                return known
+            content = await asyncio.to_thread(self._store.model_content, version.model, version.number)
+            file = await asyncio.to_thread(baseline_file, self._settings.data, content)
+        except (NotFound, OSError, StorageUnavailable):  # there is none yet, or the disk may come back: ask again
+            return known
+        self._handle.second_baselines[machine.asset] = file
+        return version.checksum
 
     async def _read_when_ready(self, demo: Demo, machine: MachineSettings) -> None:
         await asyncio.to_thread(demo.wait_until_ready, machine.asset)
@@ -171,10 +264,7 @@ class Pipeline:
         return content
 
 
-def _waits_for_baseline(machine: MachineSettings) -> str:
-    model = f" --model {machine.model}" if machine.model else ""
-    name = machine.baseline or machine.asset
-    return (
-        f"waiting for a baseline: residuum train {machine.diagnoser} HEALTHY…{model} --out {name}.base, "
-        f"then store it as {name} (POST /api/v1/models?name={name}&kind=baseline&diagnoser={machine.diagnoser})"
-    )
+def waits_for_baseline(machine: MachineSettings, recorded: int) -> str:
+    """How a machine that has no baseline comes to one."""
+    windows = "1 window" if recorded == 1 else f"{recorded} windows"
+    return f"waiting for a baseline: {windows} recorded, train with: residuum watch train {machine.asset}"

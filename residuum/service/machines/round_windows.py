@@ -145,20 +145,19 @@ class RoundCutter:
             self._start = mark
 
     def _mark_after(self, start: int | None) -> int | None:
+        """The first marking pulse after `start`, or what stands for it where none has come for ten seconds."""
         pulses = list(self._indicator.pulses)
-        median = np.median([width for _, width in pulses[-_QUADRANTS * 4 :]]) if pulses else 0.0
-        longer = [at for at, width in pulses if width > _LONGER * median] if len(pulses) > _QUADRANTS else []
-        after = [at for at, _ in pulses if start is None or at > start]
-        if longer:
-            after = [at for at in after if at in set(longer)]
-        elif start is not None:
-            after = after[_QUADRANTS - 1 :]
-        elif len(pulses) <= _QUADRANTS:
+        longer = _longer_pulses(pulses)
+        if not longer and start is None and len(pulses) <= _QUADRANTS:
             return None
-        if after:
-            return after[0]
-        silent = start is not None and (self._machine.end - start) * self._machine.format.sample_time > _LONGEST_ROUND
-        return start + round(_LONGEST_ROUND / self._machine.format.sample_time) if silent and start is not None else None
+        after = [at for at in (longer or [at for at, _ in pulses]) if start is None or at > start]
+        if not longer and start is not None:
+            after = after[_QUADRANTS - 1 :]
+        return after[0] if after else self._silent_until(start)
+
+    def _silent_until(self, start: int | None) -> int | None:
+        longest = _LONGEST_ROUND / self._machine.format.sample_time
+        return start + round(longest) if start is not None and self._machine.end - start > longest else None
 
     def _arrived(self, stop: int) -> bool:
         """Whether both streams have come far enough beyond the round to be aligned there."""
@@ -202,3 +201,11 @@ class RoundCutter:
         if self._far_off >= _FAR_OFF_ROUNDS:
             self._alignment, self._far_off = None, 0
         return self._alignment
+
+
+def _longer_pulses(pulses: Sequence[tuple[int, int]]) -> list[int]:
+    """First samples of the pulses longer than the others, once there are enough to tell."""
+    if len(pulses) <= _QUADRANTS:
+        return []
+    median = np.median([width for _, width in pulses[-_QUADRANTS * 4 :]])
+    return [at for at, width in pulses if width > _LONGER * median]

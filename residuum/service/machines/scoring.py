@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,9 +46,19 @@ def score_window(diagnoser: str, baseline: str, window: PlainRecord, method: str
     """
     judge = _loaded(diagnoser, baseline, Path(baseline).stat().st_mtime_ns if baseline else 0)
     try:
-        return (judge if method is None else judge.with_settings(method=method)).score(window.record())
+        record = window.record()
+        finding = (judge if method is None else judge.with_settings(method=method)).score(record)
+        if "parameters" not in finding.evidence:
+            return finding
+        return replace(finding, evidence={**finding.evidence, "conditions": conditions(record)})
     except BadInput as error:
         return Finding.not_assessable(diagnoser, str(error))
+
+
+def conditions(record: Record) -> dict[str, Any]:
+    """Mean and unit of every signal of a window: what a value may be found to move with over many windows."""
+    means = {name: float(np.nanmean(values)) for name, values in record.channels.items() if not np.isnan(values).all()}
+    return {name: {"mean": mean, "unit": record.units[name]} for name, mean in means.items()}
 
 
 @lru_cache(maxsize=64)

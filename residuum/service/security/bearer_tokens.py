@@ -109,13 +109,13 @@ class BearerTokens:
             return self._keys.get(number)
 
     def _fetch(self) -> None:
+        # PyJWKClient fetches and reads. Its own cache is not used: it asks an issuer that is away once a token, and forgets
+        # what it knew as the hour ends.
         self._fetched = time.monotonic()
         try:
             place = _get(f"{self._issuer}/.well-known/openid-configuration")["jwks_uri"]
-            published = _get(str(place))["keys"]
-            self._keys = {
-                str(each.get("kid", "")): self._jwt.PyJWK(each) for each in published if each.get("use", "sig") == "sig"
-            }
+            published = self._jwt.PyJWKClient(str(place), timeout=_PATIENCE).get_jwk_set().keys
+            self._keys = {each.key_id or "": each for each in published if each.public_key_use in (None, "sig")}
         except (OSError, ValueError, KeyError, TypeError, AttributeError, self._jwt.PyJWTError) as error:
             log.error("the issuer's keys cannot be had; those known are used", reason=f"{type(error).__name__}: {error}"[:200])
 

@@ -1,4 +1,4 @@
-"""The gate every request passes: size of head and body, host and origin, rate, key and role, security headers, log, metrics."""
+"""The gate every request passes: id, size of head and body, host, origin, rate, key and role, security headers, log, metrics."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from residuum.service.problems import problem
+from residuum.service.request_ids import begin_request
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.rate_limit import RateLimit, retry_after
@@ -78,7 +79,8 @@ class Gate:
             return
         begun = time.perf_counter()
         status = 500
-        more = _DATA if scope["path"].startswith("/api/") else _PAGES
+        headers = dict(scope["headers"])
+        more = [begin_request(headers), *(_DATA if scope["path"].startswith("/api/") else _PAGES)]
 
         async def send_with_headers(message: Message) -> None:
             nonlocal status
@@ -88,7 +90,6 @@ class Gate:
                 message["headers"] = [*message["headers"], *(header for header in more if header[0] not in own)]
             await send(message)
 
-        headers = dict(scope["headers"])
         refusal = self._refusal(scope, headers)
         if refusal is None:
             key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)

@@ -13,6 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ import orjson
 import structlog
 
 import residuum
+from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.backoff import Backoff
-from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.fieldbus.settings import MachineSettings, SecondOpinion, SourceSettings, WindowSettings
 from residuum.service.simulated.demo_training import TRAINING_RECIPES, train
 from residuum.service.simulated.wiring import wiring_of
 from residuum.service.work.worker_pool import WorkerPool
@@ -31,6 +33,7 @@ log = structlog.get_logger()
 
 _STOP_TIMEOUT = 3.0
 _LOOK = 0.5
+_ON_OPCUA = "process-plant"
 
 
 class Demo:
@@ -40,10 +43,19 @@ class Demo:
     address. A machine's process ends when this one does, however it ends: it watches its standard input.
 
     Training has a worker process of its own: findings of a machine that is ready do not wait for the training of another.
+
+    Parameters
+    ----------
+    speed : float
+        How many times faster than real time the machines live.
+    opcua : str
+        Address at which the process plant offers itself over OPC UA beside Modbus; empty: none. BadInput without the extra.
     """
 
-    def __init__(self, speed: float = 1.0) -> None:
-        self._speed = speed
+    def __init__(self, speed: float = 1.0, opcua: str = "") -> None:
+        if opcua and find_spec("asyncua") is None:
+            raise BadInput("setting demo_opcua: needs the extra `opcua`: pip install 'residuum[opcua]'")
+        self._speed, self._opcua = speed, {_ON_OPCUA: opcua} if opcua else {}
         self._pool = WorkerPool(1)
         self.machines = _demo_machines()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -54,7 +66,7 @@ class Demo:
     def start(self) -> None:
         """Start every machine's process."""
         for machine in self.machines:
-            self._processes[machine.asset] = _start(machine, self._speed)
+            self._processes[machine.asset] = self._start(machine)
         self._watch.start()
 
     def wait_until_ready(self, machine: str) -> None:
@@ -81,6 +93,9 @@ class Demo:
             if process.stdout:
                 process.stdout.close()
 
+    def _start(self, machine: MachineSettings) -> subprocess.Popen[bytes]:
+        return _start(machine, self._speed, self._opcua.get(machine.asset))
+
     def _keep_alive(self) -> None:
         backoffs = {machine.asset: Backoff(first=0.5, longest=30.0) for machine in self.machines}
         while not self._stopped.wait(_LOOK):
@@ -89,7 +104,7 @@ class Demo:
                 if status is not None and not self._stopped.is_set():
                     log.warning("a demo machine ended and is started again", machine=machine.asset, status=status)
                     if not self._stopped.wait(backoffs[machine.asset].next()):
-                        self._processes[machine.asset] = _start(machine, self._speed)
+                        self._processes[machine.asset] = self._start(machine)
 
     def describe_faults(self, machine: str) -> Mapping[str, dict[str, Any]]:
         """Default size, unit and meaning of each fault of a demo machine."""
@@ -144,8 +159,14 @@ def _demo_machines() -> list[MachineSettings]:
     ]
 
 
+_MODEL_OF = {"gate-actuator": "gate-drive", "process-plant": "process"}
+"""Machines of which a second opinion can be trained, by the model that is built in for them."""
+
+
 def _machine(asset: str, diagnoser: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
-    return MachineSettings(asset=asset, diagnoser=diagnoser, window=window, sources=sources)
+    model = _MODEL_OF.get(asset)
+    second = None if model is None else SecondOpinion(model=model)
+    return MachineSettings(asset=asset, diagnoser=diagnoser, window=window, sources=sources, second=second)
 
 
 def _free_group() -> str:
@@ -164,9 +185,10 @@ def _free_port() -> int:
             return port
 
 
-def _start(machine: MachineSettings, speed: float) -> subprocess.Popen[bytes]:
+def _start(machine: MachineSettings, speed: float, opcua: str | None) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "machine", machine.asset, "--with-parent"]
     command += ["--speed", str(speed)]
     for source in machine.sources:
         command += ["--can", source.channel] if source.kind == "can" else ["--modbus", f"{source.host}:{source.port}"]
+    command += ["--opcua", opcua] if opcua else []
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -10,13 +10,15 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from residuum.service.fieldbus.can import COMMAND, STATE, open_bus
+from residuum.service.fieldbus.can import COMMAND, STATE
+from residuum.service.fieldbus.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.device_registers import DeviceRegisters
 from residuum.service.fieldbus.frame_layout import FrameLayout, read_dbc
 from residuum.service.fieldbus.frame_sender import FrameSender
-from residuum.service.fieldbus.frames import FrameBus
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.register_server import RegisterServer
 from residuum.service.fieldbus.settings import MAPS
+from residuum.service.simulated.node_streams import NodeStreams
 from residuum.service.simulated.wiring import Wiring
 from residuum.simulation.machine import BadSetting, Machine
 
@@ -42,6 +44,8 @@ class Device:
     speed : float
     say : callable
         Told, in one line, of every order that was refused.
+    opcua : str or None
+        Address of an OPC UA server for the streams that the wiring has in registers: `ns=2;s=MACHINE.STREAM.CHANNEL`.
     """
 
     def __init__(
@@ -52,26 +56,31 @@ class Device:
         modbus: tuple[str, int] | None,
         speed: float,
         say: Callable[[str], None],
+        opcua: str | None = None,
     ) -> None:
         self.machine = machine
         self._speed, self._say = speed, say
-        self._bus: FrameBus | None = open_bus(can_channel) if can_channel else None
+        self._bus: CanBus | None = open_bus(can_channel) if can_channel else None
         layouts = read_dbc(MAPS / wiring.dbc) if can_channel else {}
         self._command: FrameLayout | None = layouts.get(COMMAND)
         self._state: FrameLayout | None = layouts.get(STATE)
-        self._server: RegisterServer | None = None
+        self._registers = DeviceRegisters(read_register_map(MAPS / wiring.registers), self._switch) if modbus else None
+        self._server = RegisterServer(self._registers, *modbus) if self._registers and modbus else None
         self._register_streams = dict(wiring.register_streams) if modbus else {}
-        if modbus:
-            self._server = RegisterServer(read_register_map(MAPS / wiring.registers), *modbus, self._switch)
+        self._offered = NodeStreams(opcua, machine.name, wiring.register_streams, speed) if opcua else None
         on_can = {stream: message for stream, message in wiring.messages.items() if stream not in self._register_streams}
         self._senders = {stream: FrameSender(layouts[message]) for stream, message in on_can.items()} if self._bus else {}
 
     async def run(self, stopped: asyncio.Event, ready: Callable[[int | None], None]) -> None:
         """Live until stopped; `ready` is told the Modbus port once the device is on its buses."""
+        if self._offered:
+            await self._offered.start()
         ready(await self._server.start() if self._server else None)
         try:
             await self._live(stopped)
         finally:
+            if self._offered:
+                await self._offered.stop()
             if self._server:
                 await self._server.stop()
             if self._bus:
@@ -88,6 +97,8 @@ class Device:
             if due >= self._least_step:
                 self._advance(due)
                 lived += due
+            if self._offered:
+                await self._offered.write()
             self._take_orders()
             if now >= state_due:
                 self._show_state()
@@ -102,8 +113,10 @@ class Device:
     def _advance(self, duration: float) -> None:
         for stream, signals in self.machine.advance(duration).items():
             channels = {name: np.asarray(values, np.float64) for name, values in signals.channels.items()}
-            if self._server and stream in self._register_streams:
-                self._server.pages[self._register_streams[stream]].append(channels)
+            if self._offered:
+                self._offered.take(stream, channels, signals.sample_time)
+            if self._registers and stream in self._register_streams:
+                self._registers.pages[self._register_streams[stream]].append(channels)
             elif self._bus and stream in self._senders:
                 self._send(self._senders[stream], channels)
 
@@ -115,16 +128,18 @@ class Device:
                 self._say(f"cannot send: {error}")
 
     def _take_orders(self) -> None:
-        if self._bus is None:
+        """Read all that waits: behind what was sent here, which some buses bring back, an order would wait for long."""
+        while self._bus is not None and not (batch := self._bus.read(0.0)).empty:
+            if self._command is not None:
+                for frames in batch.frames.get(self._command.frame_id, ()):
+                    self._take_order(self._command, frames)
+
+    def _take_order(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
+        if frames.shape[1] != layout.length:
             return
-        batch = self._bus.read(0.0)
-        if self._command is None:
-            return
-        for frames in batch.frames.get(self._command.frame_id, ()):
-            if frames.shape[1] == self._command.length:
-                _, values = self._command.decode(frames)
-                for number, size in zip(values["fault"], values["size"], strict=True):
-                    self._switch(self._command.choices["fault"].get(int(number), ""), float(size))
+        _, values = layout.decode(frames)
+        for number, size in zip(values["fault"], values["size"], strict=True):
+            self._switch(layout.choices["fault"].get(int(number), ""), float(size))
 
     def _switch(self, fault: str, size: float) -> None:
         try:
@@ -138,8 +153,8 @@ class Device:
 
     def _show_state(self) -> None:
         active = self.machine.active_faults
-        if self._server:
-            self._server.show_faults(active)
+        if self._registers:
+            self._registers.show_faults(active)
         if self._bus and self._state:
             choices = self._state.choices["fault"]
             sizes = [active.get(fault, 0.0) for fault in choices.values()]

@@ -28,6 +28,8 @@ _SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
 
 def follow(connection: Connection, asset: str, window: int, finding: Finding, now: datetime, rule: AlarmRule) -> list[Alarm]:
     """Let an asset's alarms follow a finding; returns the alarms that changed their state."""
+    if finding.only_recorded:
+        return []
     rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
     changed = []
     for kind, faulty in _SHOWN[finding.verdict]:

@@ -8,9 +8,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, func, insert, select, update
 
-from residuum.diagnosis.finding import Finding, Verdict
+from residuum.diagnosis.finding import RECORDED, Finding, Verdict
 from residuum.service.storage import paging
-from residuum.service.storage.tables import assets, findings
+from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
 
@@ -67,13 +67,21 @@ def findings_page(connection: Connection, asset: str, cursor: str | None, limit:
         query = query.where(findings.c.id < paging.decode_number(cursor))
     if verdict:
         query = query.where(findings.c.verdict == verdict)
-    return paging.page(connection.execute(query).all(), limit, "id", _finding)
+    return paging.page(connection.execute(query).all(), limit, "id", stored_finding)
+
+
+def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence[int]:
+    """Windows with their signals that were kept before there was a baseline, oldest first."""
+    query = select(findings.c.window_id).join_from(findings, windows, windows.c.id == findings.c.window_id)
+    query = query.where(findings.c.asset_id == asset, findings.c.verdict == Verdict.NOT_ASSESSABLE.value)
+    query = query.where(findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None))
+    return connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
 
 
 def findings_after(connection: Connection, asset: str, number: int, limit: int) -> Sequence[StoredFinding]:
     """The first findings of an asset with a larger number, oldest first."""
     after = (findings.c.asset_id == asset) & (findings.c.id > number)
-    return [_finding(row) for row in connection.execute(select(findings).where(after).order_by(findings.c.id).limit(limit))]
+    return [stored_finding(row) for row in connection.execute(select(findings).where(after).order_by(findings.c.id).limit(limit))]
 
 
 def newest_finding(connection: Connection) -> int:
@@ -87,7 +95,7 @@ def finding_of(connection: Connection, window: int) -> StoredFinding:
     row = connection.execute(query).first()
     if row is None:
         raise NotFound(f"window {window}: has no finding")
-    return _finding(row)
+    return stored_finding(row)
 
 
 def indicators(connection: Connection, asset: str, limit: int) -> IndicatorHistory:
@@ -134,11 +142,12 @@ def _with_finding() -> Select[Any]:
 
 
 def _asset(row: Row[Any]) -> Asset:
-    last = _finding(row) if row.id is not None else None
+    last = stored_finding(row) if row.id is not None else None
     return Asset(row.asset, row.title, row.asset_diagnoser, row.created_at, row.windows, last)
 
 
-def _finding(row: Row[Any]) -> StoredFinding:
+def stored_finding(row: Row[Any]) -> StoredFinding:
+    """The finding in a row of its table."""
     finding = Finding(
         row.diagnoser,
         Verdict(row.verdict),

@@ -1,8 +1,9 @@
 """Backup: rows and signal blocks in one tar file, the same whichever database they came from, verified before it gets its name.
 
-Members, in this order: `begin.json` with the schema's revision; `blocks/DAY/NAME.block` as they are on disk; `rows/TABLE.jsonl`,
-a row a line, tables before those that point to them; `end.json` with every table's number of rows and SHA-256. A file that was
-cut off has no end and is refused.
+Members, in this order: `begin.json` with the schema's revision; `settings/NAME`, the files of the settings;
+`blocks/DAY/NAME.block` as they are on disk; `rows/TABLE.jsonl`, a row a line, tables before those that point to them; `end.json`
+with every table's number of rows and SHA-256, and the SHA-256 of every file of the settings. A file that was cut off has no end
+and is refused.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import io
 import os
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import orjson
@@ -22,12 +24,15 @@ from sqlalchemy import Connection, Table
 
 from residuum.service.storage import block_rows, plain_rows
 from residuum.service.storage.backup_contents import BEGIN, END, FORMAT, BackupReader, BadBackup, Contents
-from residuum.service.storage.blocks import BlockReference, sync_folder
+from residuum.service.storage.blocks import BlockReference
 from residuum.service.storage.database import Database, newest_revision
+from residuum.service.storage.durable_folder import sync_folder
 
 
-def write_backup(database: Database, blocks: Path, file: Path) -> Contents:
-    """Back up a running or a stopped service; returns what the file holds, after it has been read back and verified.
+def write_backup(database: Database, blocks: Path, file: Path, settings: Mapping[str, bytes] = MappingProxyType({})) -> Contents:
+    """Back up a running or a stopped service, with the files of its settings by name.
+
+    Returns what the file holds, after it has been read back and verified.
 
     Rows are those of one moment. A signal that the retention rule removes meanwhile is marked as let go in the backup.
     Raises BadBackup when `file` exists, a block is missing or differs from its checksum, or the schema is not up to date; OSError
@@ -40,10 +45,11 @@ def write_backup(database: Database, blocks: Path, file: Path) -> Contents:
             f"database: its schema is at revision {database.revision()}; a start of the service brings it to {newest_revision()}"
         )
     unfinished = file.with_name(f"{file.name}.unfinished")
+    unfinished.unlink(missing_ok=True)  # what lies there keeps its own mode
     try:
-        with open(unfinished, "wb") as raw:
+        with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as raw:
             with database.snapshot() as connection, tarfile.open(fileobj=raw, mode="w", format=tarfile.PAX_FORMAT) as archive:
-                _write_members(archive, database, connection, blocks)
+                _write_members(archive, database, connection, blocks, settings)
             raw.flush()
             os.fsync(raw.fileno())
         contents = BackupReader().read(unfinished)
@@ -55,8 +61,12 @@ def write_backup(database: Database, blocks: Path, file: Path) -> Contents:
     return contents
 
 
-def _write_members(archive: tarfile.TarFile, database: Database, connection: Connection, blocks: Path) -> None:
+def _write_members(
+    archive: tarfile.TarFile, database: Database, connection: Connection, blocks: Path, settings: Mapping[str, bytes]
+) -> None:
     _add_json(archive, BEGIN, {"format": FORMAT, "created_at": datetime.now(UTC), "revision": database.revision()})
+    for name, content in settings.items():
+        archive.addfile(_member(f"settings/{name}", len(content)), io.BytesIO(content))
     gone = {block.path for block in block_rows.references(connection) if not _add_block(archive, blocks, block)}
     _refuse_lost(database, gone)
     described = {}
@@ -64,7 +74,8 @@ def _write_members(archive: tarfile.TarFile, database: Database, connection: Con
         found = plain_rows.lines(connection, table)
         marked = _let_go(found, gone) if gone and table.name == "windows" else found
         described[str(table.name)] = _add_rows(archive, table, marked)
-    _add_json(archive, END, {"rows": described})
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in settings.items()}
+    _add_json(archive, END, {"rows": described, "settings": digests})
 
 
 def _add_block(archive: tarfile.TarFile, blocks: Path, block: BlockReference) -> bool:

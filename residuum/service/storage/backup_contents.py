@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tarfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +19,7 @@ FORMAT = "residuum-backup-1"
 BEGIN, END = "begin.json", "end.json"
 _BLOCK = re.compile(r"blocks/([0-9]{4}-[0-9]{2}-[0-9]{2}/[0-9a-f]{32}\.block)")
 _ROWS = re.compile(r"rows/([a-z_]{1,60})\.jsonl")
+_SETTINGS = re.compile(r"settings/([A-Za-z0-9][A-Za-z0-9._-]{0,199})")
 _PIECE = 2**20
 
 
@@ -35,6 +36,8 @@ class Contents:
     rows: Mapping[str, int]
     blocks: int
     size_bytes: int
+    settings: Sequence[str] = ()
+    """Names of the files of settings."""
 
 
 class BackupReader:
@@ -49,6 +52,9 @@ class BackupReader:
         """The rows of a table, line by line; every table comes after those it points to."""
         for _ in lines:
             pass
+
+    def take_settings(self, _name: str, _content: bytes) -> None:
+        """A file of the settings."""
 
     def read(self, file: Path) -> Contents:
         """Read the whole file: every block against the checksum in its row, every table against the manifest.
@@ -74,6 +80,8 @@ class BackupReader:
             self.take_block(match[1], seen.block(match[1], stream))
         elif match := _ROWS.fullmatch(name):
             self.take_rows(match[1], seen.rows(match[1], stream))
+        elif match := _SETTINGS.fullmatch(name):
+            self.take_settings(match[1], seen.settings_file(match[1], stream))
         elif name == BEGIN:
             seen.begin(file, orjson.loads(stream.read()))
         else:
@@ -89,6 +97,7 @@ class _Seen:
     blocks: dict[str, str] = field(default_factory=dict)
     referred: dict[str, str] = field(default_factory=dict)
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
+    settings: dict[str, str] = field(default_factory=dict)
     size_bytes: int = 0
 
     def begin(self, file: Path, described: Mapping[str, Any]) -> None:
@@ -115,9 +124,16 @@ class _Seen:
             yield line
         self.tables[table] = {"count": count, "sha256": digest.hexdigest()}
 
+    def settings_file(self, name: str, stream: IO[bytes]) -> bytes:
+        content = stream.read()
+        self.settings[name] = hashlib.sha256(content).hexdigest()
+        return content
+
     def verified(self, file: Path, described: Mapping[str, Any]) -> Contents:
         if described["rows"] != self.tables:
             raise BadBackup(f"{file}: the rows differ from their checksums")
+        if described.get("settings", {}) != self.settings:  # a backup of an earlier version has none
+            raise BadBackup(f"{file}: the settings differ from their checksums")
         for path, checksum in self.referred.items():
             if self.blocks.get(path) != checksum:
                 raise BadBackup(
@@ -126,4 +142,11 @@ class _Seen:
         if surplus := self.blocks.keys() - self.referred.keys():
             raise BadBackup(f"{file}: no row points to signal block {min(surplus)}")
         counts = {table: int(found["count"]) for table, found in self.tables.items()}
-        return Contents(datetime.fromisoformat(self.created_at), self.revision, counts, len(self.blocks), self.size_bytes)
+        return Contents(
+            datetime.fromisoformat(self.created_at),
+            self.revision,
+            counts,
+            len(self.blocks),
+            self.size_bytes,
+            tuple(self.settings),
+        )

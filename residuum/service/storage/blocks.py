@@ -19,6 +19,7 @@ import numpy as np
 import orjson
 
 from residuum.identification.record import Record
+from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.store import StorageUnavailable
 
 MAGIC = b"RESIDUUM-BLOCK-1\n"
@@ -50,7 +51,7 @@ class Blocks:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
 
     def write(self, record: Record, day: str) -> BlockReference:
         """Write a block and return only when the file and its folder entry are on disk.
@@ -121,9 +122,7 @@ class Blocks:
 
     def _day_folder(self, day: str) -> Path:
         folder = self.folder / day
-        if not folder.is_dir():
-            folder.mkdir(exist_ok=True)
-            sync_folder(self.folder)
+        make_folder(folder)
         return folder
 
 
@@ -174,15 +173,6 @@ def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
         while rest:
             rest = rest[os.write(descriptor, rest) :]
     return digest.hexdigest()
-
-
-def sync_folder(folder: Path) -> None:
-    """Return when the entries of a folder are on disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _header(file: Path) -> tuple[dict[str, Any], int]:

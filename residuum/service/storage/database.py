@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, DataError, DBAPIError, 
 
 from residuum.identification.errors import BadInput
 from residuum.service.settings import BadSettings
+from residuum.service.storage.durable_folder import make_folder
 from residuum.service.store import StorageUnavailable
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
@@ -76,6 +77,12 @@ class Database:
         with self.read() as connection:
             return MigrationContext.configure(connection).get_current_revision()
 
+    def refuse_other_revision(self) -> None:
+        """BadInput when the schema is not this program's: who only reads must not migrate what another program may be using."""
+        if self.revision() != newest_revision():
+            url = self.url.render_as_string(hide_password=True)
+            raise BadInput(f"{url}: is no database of this version of the service; start the service on it once")
+
     def close(self) -> None:
         """Close all connections."""
         self.engine.dispose()
@@ -108,7 +115,7 @@ def _engine(url: URL) -> Engine:
     if url.get_backend_name() != "sqlite":
         return create_engine(url, pool_pre_ping=True)
     if url.database and url.database != ":memory:":
-        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
+        make_folder(Path(url.database).parent)
     engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
 
     @event.listens_for(engine, "connect")

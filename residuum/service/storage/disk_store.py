@@ -21,9 +21,11 @@ from residuum.service.storage import (
     audit,
     block_rows,
     finding_hours,
+    finding_notices,
     models,
     records,
     retention,
+    time_range,
     windows,
 )
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
@@ -144,6 +146,7 @@ class DiskStore:
             assets.ensure(connection, asset, None, finding.diagnoser, now)
             window = windows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
             number = assets.add_finding(connection, asset, window, finding, now)
+            finding_notices.add(connection, number)
             changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset))
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -180,6 +183,20 @@ class DiskStore:
         with self._database.read() as connection:
             return assets.findings_after(connection, asset, number, limit)
 
+    def findings_between(
+        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
+    ) -> Sequence[StoredFinding]:
+        """The first findings of an asset in [begin, end) with a number larger than `after`, oldest first."""
+        with self._database.read() as connection:
+            return time_range.findings_between(connection, asset, begin, end, after, limit)
+
+    def windows_between(
+        self, asset: str, begin: datetime, end: datetime, after: int = 0, limit: int = 500
+    ) -> Sequence[StoredWindow]:
+        """The first windows of an asset received in [begin, end) with a number larger than `after`, oldest first."""
+        with self._database.read() as connection:
+            return time_range.windows_between(connection, asset, begin, end, after, limit)
+
     def newest_finding(self) -> int:
         """The largest number of a finding; 0 before there is one."""
         with self._database.read() as connection:
@@ -199,6 +216,11 @@ class DiskStore:
         """Hourly history of the findings whose rows were let go, oldest first."""
         with self._database.read() as connection:
             return finding_hours.newest(connection, asset, limit)
+
+    def recorded_windows(self, asset: str, limit: int = 500) -> Sequence[int]:
+        """The newest windows of an asset that are kept with their signals and were never judged, oldest first."""
+        with self._database.read() as connection:
+            return assets.recorded_windows(connection, asset, limit)
 
     def windows(self, asset: str, cursor: str | None = None, limit: int = 50) -> Page[StoredWindow]:
         """Windows of an asset, newest first."""

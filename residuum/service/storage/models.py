@@ -13,6 +13,9 @@ from residuum.service.storage import paging
 from residuum.service.storage.tables import model_versions, models
 from residuum.service.store import Conflict, ModelVersion, NotFound, Page
 
+MACHINE = "machine"
+"""Kind of the documents that hold a machine's settings; they are no models, and listed only when asked for."""
+
 _DESCRIPTION = [column for column in model_versions.c if column.name != "content"]
 
 
@@ -45,8 +48,7 @@ def page(connection: Connection, kind: str | None, cursor: str | None, limit: in
     """The newest version of every model, by name."""
     newest = (model_versions.c.model_id == models.c.id) & (model_versions.c.number == models.c.last_number)
     query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
-    if kind is not None:
-        query = query.where(models.c.kind == kind)
+    query = query.where(models.c.kind == kind if kind is not None else models.c.kind != MACHINE)
     if cursor:
         query = query.where(models.c.id > paging.decode(cursor))
     return paging.page(connection.execute(query).all(), limit, "model_id", _version)

@@ -1,30 +1,34 @@
-"""Outbox: changes of alarms that receivers are still to be told, written in the transaction of the change itself.
+"""Outbox: changes of alarms, and findings, that receivers are still to be told, written in the transaction of the change itself.
 
-A notice is numbered without gaps under the lock of the audit trail, so that numbers are in the order of the commits. How far a
-receiver has been told is kept beside; one process at a time tells it, and another takes over when that one was silent for `HELD`.
+A notice of an alarm is numbered without gaps under the lock of the audit trail, so that numbers are in the order of the commits.
+How far a receiver has been told is kept beside. A finding has a row for every receiver that waits for it, which goes when it was
+told. One process at a time tells a receiver, and another takes over when that one was silent for `HELD`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import orjson
-from sqlalchemy import Connection, delete, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, delete, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
+from residuum.service.storage import finding_notices
 from residuum.service.storage.database import Database
 from residuum.service.storage.tables import alarm_notices, receivers
-from residuum.service.store import Alarm
+from residuum.service.store import Alarm, StoredFinding
 
 KEPT = 1000
 """Notices that wait at most; the oldest go."""
 HELD = timedelta(seconds=20)
 """How long a receiver is of the process that told it last: longer than one attempt takes."""
+AT_ONCE = 100
+"""Findings that are handed out at once."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,14 @@ class Notice:
     number: int
     alarm: Mapping[str, Any]
     passed_over: int
+
+
+@dataclass(frozen=True)
+class WaitingFindings:
+    """Findings that wait for a receiver; `lost` are those that were let go untold."""
+
+    findings: Sequence[StoredFinding]
+    lost: int
 
 
 def add(connection: Connection, alarm: Alarm) -> None:
@@ -50,18 +62,21 @@ class Outbox:
         self._database = database
         self._holder = secrets.token_hex(16)
 
-    def register(self, address: str) -> str:
+    def register(self, address: str, *, findings: bool = False) -> str:
         """Make a receiver known: it is told what changes from its first registration on. Gives its id; addresses hold secrets."""
         receiver = hashlib.sha256(address.encode()).hexdigest()
         with self._database.read() as connection:
-            known = connection.execute(select(receivers.c.id).where(receivers.c.id == receiver)).first()
+            known = connection.execute(select(receivers.c.findings).where(receivers.c.id == receiver)).first()
         if known is None:
             try:
                 with self._database.write() as connection:
                     newest = connection.scalar(select(func.max(alarm_notices.c.number))) or 0
-                    connection.execute(insert(receivers).values(id=receiver, told=newest))
+                    connection.execute(insert(receivers).values(id=receiver, told=newest, findings=findings))
             except IntegrityError:
                 """Another process was faster."""
+        elif known.findings != findings:
+            with self._database.write() as connection:
+                connection.execute(update(receivers).where(receivers.c.id == receiver).values(findings=findings))
         return receiver
 
     def next(self, receiver: str) -> Notice | None:
@@ -73,18 +88,40 @@ class Outbox:
             first = connection.execute(query).first()
         if first is None:
             return None
+        with self._database.write() as connection:
+            taken = self._take(connection, here, receivers.c.told == row.told)
+        return Notice(first.number, first.alarm, first.number - row.told - 1) if taken else None
+
+    def _take(self, connection: Connection, *which: ColumnElement[bool]) -> bool:
+        """Whether this process may tell a receiver now; it then holds it for a while."""
         now = datetime.now(UTC)
         free = or_(receivers.c.holder.is_(None), receivers.c.holder == self._holder, receivers.c.held_until < now)
-        with self._database.write() as connection:
-            mine = update(receivers).where(here, receivers.c.told == row.told, free)
-            taken = connection.execute(mine.values(holder=self._holder, held_until=now + HELD)).rowcount
-        return Notice(first.number, first.alarm, first.number - row.told - 1) if taken else None
+        mine = update(receivers).where(*which, free).values(holder=self._holder, held_until=now + HELD)
+        return bool(connection.execute(mine).rowcount)
 
     def told(self, receiver: str, notice: Notice) -> None:
         """Note that the receiver knows it."""
         held = (receivers.c.id == receiver, receivers.c.told < notice.number)
         with self._database.write() as connection:
             connection.execute(update(receivers).where(*held).values(told=notice.number))
+
+    def findings(self, receiver: str) -> WaitingFindings:
+        """The findings that the receiver is to be told now by this process, the oldest first; none while another tells it."""
+        with self._database.read() as connection:
+            if not finding_notices.waiting(connection, receiver, 1):
+                return WaitingFindings([], 0)
+        with self._database.write() as connection:
+            if not self._take(connection, receivers.c.id == receiver):
+                return WaitingFindings([], 0)
+            lost = connection.scalar(select(receivers.c.findings_lost).where(receivers.c.id == receiver)) or 0
+            return WaitingFindings(finding_notices.waiting(connection, receiver, AT_ONCE), lost)
+
+    def told_findings(self, receiver: str, told: Collection[int], lost: int = 0) -> None:
+        """Note that the receiver knows these findings, and that it was noticed how many were let go before them."""
+        with self._database.write() as connection:
+            less = {"findings_lost": receivers.c.findings_lost - lost}  # its row first, as where notices are let go
+            connection.execute(update(receivers).where(receivers.c.id == receiver).values(less))
+            finding_notices.told(connection, receiver, told)
 
     def release(self) -> None:
         """Let others tell the receivers of this process at once."""

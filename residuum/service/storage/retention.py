@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, select, update
 
 from residuum.service.alarms.alarm_states import AlarmState
-from residuum.service.storage import finding_hours
+from residuum.service.storage import finding_hours, finding_notices
 from residuum.service.storage.tables import alarms, assets, findings, windows
 
 _DAY = 86_400.0
@@ -66,6 +66,7 @@ def forget(connection: Connection, retention: Retention, now: datetime) -> int:
         gone.append(row.id)
     if gone:
         theirs = findings.c.window_id.in_(gone)
+        finding_notices.forget(connection, theirs)
         finding_hours.add(connection, connection.execute(select(findings).where(theirs).order_by(findings.c.id)).all())
         connection.execute(delete(findings).where(theirs))
         connection.execute(delete(windows).where(windows.c.id.in_(gone)))

@@ -23,6 +23,8 @@ from sqlalchemy import (
     Text,
     TypeDecorator,
     UniqueConstraint,
+    false,
+    text,
 )
 from sqlalchemy.dialects.postgresql import JSONB
 
@@ -183,6 +185,15 @@ receivers = Table(
     Column("told", BigInteger, nullable=False),
     Column("holder", String(64)),
     Column("held_until", UtcDateTime),
+    Column("findings", Boolean, nullable=False, server_default=false()),
+    Column("findings_lost", BigInteger, nullable=False, server_default=text("0")),
+)
+
+finding_notices = Table(
+    "finding_notices",
+    metadata,
+    Column("receiver_id", ForeignKey("receivers.id"), primary_key=True),
+    Column("finding_id", ForeignKey("findings.id"), primary_key=True, index=True),
 )
 
 records = Table(

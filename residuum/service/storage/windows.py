@@ -58,7 +58,7 @@ def with_key(connection: Connection, asset: str, idempotency_key: str, digest: s
 
 def get(connection: Connection, asset: str, window: int) -> StoredWindow:
     """One window of an asset."""
-    return _window(row_of(connection, asset, window))
+    return stored_window(row_of(connection, asset, window))
 
 
 def row_of(connection: Connection, asset: str, window: int) -> Row[Any]:
@@ -76,10 +76,11 @@ def page(connection: Connection, asset: str, cursor: str | None, limit: int) -> 
     query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc()).limit(limit + 1)
     if cursor:
         query = query.where(windows.c.id < paging.decode_number(cursor))
-    return paging.page(connection.execute(query).all(), limit, "id", _window)
+    return paging.page(connection.execute(query).all(), limit, "id", stored_window)
 
 
-def _window(row: Row[Any]) -> StoredWindow:
+def stored_window(row: Row[Any]) -> StoredWindow:
+    """The window in a row of its table."""
     return StoredWindow(
         row.id,
         row.asset_id,

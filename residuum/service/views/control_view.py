@@ -17,11 +17,11 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
-from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Wishes
+from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
-from residuum.robust_control.state_space import weighted_loop
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
+from residuum.robust_control.weighted_loop import weighted_loop
 from residuum.robust_control.weights.nominal_performance import Infeasible, refined
 from residuum.service.views.residual_view import read_identified
 from residuum.service.work.jobs import Progress
@@ -39,6 +39,7 @@ def view_control_design(
     wishes: Mapping[str, Any],
     limits: tuple[float | None, float | None],
     seed: int,
+    weight: WeightChoice | None = None,
 ) -> Mapping[str, Any]:
     """Design controllers along the Pareto front, and say of each what it promises and how it behaves on drawn plants.
 
@@ -52,6 +53,8 @@ def view_control_design(
         Arguments of `Wishes`.
     limits : (lower, upper)
         Of the actuator, for the exported code; None: none.
+    weight : WeightChoice or None
+        How the uncertainty weight is made; None: as the source makes it.
 
     Returns
     -------
@@ -68,7 +71,7 @@ def view_control_design(
     """
     wanted = Wishes(**wishes)
     progress(0.05, "drawing models for the uncertainty weight")
-    problem = ControlProblem([read_identified(content) for content in contents], seed)
+    problem = ControlProblem([read_identified(content) for content in contents], seed, weight=weight)
     progress(0.15, "searching for the front")
     law = STRUCTURES[structure](problem.loop.sample_time)
     described = {
@@ -127,6 +130,8 @@ def _uncertainty(problem: ControlProblem) -> dict[str, Any]:
         "weight": _plain(problem.magnitude[kept]),
         "largest": _plain(problem.largest[kept]),
         "critical_frequency": problem.crossing / (2 * np.pi),
+        "samples": problem.choice.samples,
+        "order": len(problem.W_T.den) - 1,
     }
 
 

@@ -21,8 +21,8 @@ from residuum.identification.physics import (
 )
 from residuum.identification.record import Record
 from residuum.service.views.model_view import model_of
-from residuum.service.work.command_job import RecordParts
 from residuum.service.work.jobs import Progress
+from residuum.service.work.record_parts import RecordParts
 
 ESTIMATED_SHARE = 0.7
 """Part of each record that the parameters are estimated from; errors are told of the rest."""

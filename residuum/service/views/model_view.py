@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.diagnosis.residuals.movement_phases import phase_cells
 from residuum.identification.discrepancy.axes import signal_axes
 from residuum.identification.discrepancy.compare import Comparison, compare
 from residuum.identification.discrepancy.locate import Axis
@@ -26,10 +27,9 @@ from residuum.identification.physics import (
 )
 from residuum.identification.record import Record
 from residuum.library.answers.comparison import comparison_json
-from residuum.service.machines.movement_phases import phase_cells
 from residuum.service.views.signal_view import extremes
-from residuum.service.work.command_job import RecordParts
 from residuum.service.work.jobs import Progress
+from residuum.service.work.record_parts import RecordParts
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -18,14 +18,13 @@ from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.service.views.signal_view import extremes
-from residuum.service.work.command_job import RecordParts
 from residuum.service.work.jobs import Progress
+from residuum.service.work.record_parts import RecordParts
 
 FloatArray = npt.NDArray[np.float64]
-WEIGHT_ORDER = 2
 _POINTS, _LEVELS = 1500, 200
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
-from residuum.service.settings import BrokerAddress
+from residuum.service.broker_address import BrokerAddress
 
 log = structlog.get_logger()
 

@@ -12,9 +12,9 @@ import structlog
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
+from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.scoring import PlainRecord
-from residuum.service.settings import BrokerAddress
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.spool import Spool
 from residuum.service.window_queue.topics import receipt_topic, window_topic
@@ -77,7 +77,7 @@ class Gateway:
         if self._thread.ident is not None:
             self._thread.join(5.0)
 
-    def handle(self, machine: MachineSettings, window: Record, _baseline: str, stopped: threading.Event) -> Finding | None:
+    def handle(self, machine: MachineSettings, window: Record, _baseline: str | None, stopped: threading.Event) -> Finding | None:
         """Keep a window of a machine in the spool (what a `MachineLine` does with it); there is no finding yet."""
         message = WindowMessage(
             machine.asset, machine.diagnoser, machine.baseline or machine.asset, PlainRecord.of(window), machine.method

@@ -16,9 +16,10 @@ import structlog
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
+from residuum.service.broker_address import BrokerAddress
 from residuum.service.machines.baseline_files import baseline_file
+from residuum.service.machines.deciding_method import deciding_method
 from residuum.service.machines.scoring import score_window
-from residuum.service.settings import BrokerAddress
 from residuum.service.store import NotFound, StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.stored_news import StoredNews
@@ -140,7 +141,8 @@ class Scorer:
     def _judge(self, message: WindowMessage) -> Finding:
         try:
             baseline = self._baseline(message.baseline)
-            return self._pool.call(score_window, message.diagnoser, baseline, message.window, message.method)
+            method = deciding_method(self._store, message.asset, message.diagnoser, message.method)
+            return self._pool.call(score_window, message.diagnoser, baseline, message.window, method)
         except BrokenProcessPool:
             if self._stopped.is_set():
                 raise

@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from residuum.identification.errors import BadInput
+from residuum.service.storage.durable_folder import make_folder, sync_folder
 
 _ENDING = ".window"
 
@@ -26,7 +27,7 @@ class Spool:
     """
 
     def __init__(self, folder: Path, most_bytes: int) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         self._folder, self._most = folder, most_bytes
         self._lock = threading.Lock()
         for unfinished in folder.glob("*.part"):
@@ -61,7 +62,7 @@ class Spool:
                 opened.flush()
                 os.fsync(opened.fileno())
             part.replace(file)
-            self._sync_folder()
+            sync_folder(self._folder)
             self._list(key, machine, file)
             self._sizes[key] = len(payload)
             self._bytes += len(payload)
@@ -100,10 +101,3 @@ class Spool:
         if not keys:
             del self._keys_of[machine]
         self._bytes -= self._sizes.pop(key)
-
-    def _sync_folder(self) -> None:
-        handle = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

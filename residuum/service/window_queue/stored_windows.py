@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
-from residuum.service.settings import BrokerAddress
+from residuum.service.broker_address import BrokerAddress
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.stored_news import StoredNews

@@ -19,7 +19,10 @@ ASSET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 @dataclass(frozen=True)
 class WindowMessage:
-    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name `baseline` and `method`."""
+    """A window of `asset`, to be judged by `diagnoser` with the stored baseline of the name `baseline`.
+
+    `method` decides, where a diagnoser has two, unless another was chosen where the window is judged.
+    """
 
     asset: str
     diagnoser: str

@@ -80,10 +80,8 @@ def run_fleet(
     running: dict[Future[list[dict[str, Any]]], _Task] = {}
     with results.open("ab") as out:
         while waiting or running or alone:
-            while waiting and len(running) < _AHEAD * workers:
-                _submit(executor, work, waiting.popleft(), running)
-            if not running and alone:
-                _submit(executor, work, alone.popleft(), running)
+            for task in _next(waiting, alone, len(running), _AHEAD * workers):
+                running[executor.submit(_work_all, work, task.files)] = task
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 found = _found(future, task, mark)
@@ -103,8 +101,10 @@ def _tasks(files: list[str]) -> list[_Task]:
     return [_Task(files[begin : begin + _TOGETHER]) for begin in range(0, len(files), _TOGETHER)]
 
 
-def _submit(executor: Executor, work: Work, task: _Task, running: dict[Future[list[dict[str, Any]]], _Task]) -> None:
-    running[executor.submit(_work_all, work, task.files)] = task
+def _next(waiting: deque[_Task], alone: deque[_Task], running: int, most: int) -> list[_Task]:
+    """What to begin beside so many: tasks up to `most`, or one alone when nothing else is left."""
+    begun = [waiting.popleft() for _ in range(min(len(waiting), most - running))]
+    return begun if begun or running or not alone else [alone.popleft()]
 
 
 def _work_all(work: Work, files: list[str]) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import READERS, read_record
 from residuum.service.storage.blocks import Blocks, BrokenBlock
-from residuum.service.storage.database import Database, newest_revision, sqlite_file
+from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows
 
 _DATABASES = ("sqlite", "postgresql")
@@ -120,9 +120,8 @@ class StoredWindows:
         """Names of the windows, by asset, oldest first."""
         if (file := sqlite_file(self.url)) is not None and not file.is_file():
             raise BadInput(f"{self.url}: there is no such database")
-        database, _ = _store(self.url, self.data)
-        if database.revision() != newest_revision():
-            raise BadInput(f"{self.url}: is no database of this version of the service; start the service on it once")
+        database, _ = stored_in(self.url, self.data)
+        database.refuse_other_revision()
         query = select(windows.c.asset_id, windows.c.id).where(windows.c.signal_let_go_at.is_(None))
         with database.read() as connection:
             rows = connection.execute(query.order_by(windows.c.asset_id, windows.c.id)).all()
@@ -130,7 +129,7 @@ class StoredWindows:
 
     def read(self, item: str) -> Record:
         """The signals of a window, verified."""
-        database, blocks = _store(self.url, self.data)
+        database, blocks = stored_in(self.url, self.data)
         asset, _, number = item.rpartition("/")
         query = select(windows.c.block_path).where(windows.c.asset_id == asset, windows.c.id == int(number))
         with database.read() as connection:
@@ -168,7 +167,8 @@ def _file_system(url: str) -> tuple[Any, str]:
 
 
 @lru_cache(maxsize=4)
-def _store(url: str, data: str) -> tuple[Database, Blocks]:
+def stored_in(url: str, data: str) -> tuple[Database, Blocks]:
+    """A service's database and signal blocks, opened once a process."""
     return Database(url), Blocks(Path(data) / "blocks")
 
 

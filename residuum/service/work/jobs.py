@@ -53,7 +53,7 @@ class TooManyJobs(BadInput):
 
 @dataclass(frozen=True)
 class Job:
-    """One job: `refused` is bad input (the message says which), `failed` a fault of ours."""
+    """One job: `refused` is bad input (the message says which), `failed` an internal error."""
 
     id: str
     kind: str

@@ -1,73 +1,61 @@
-"""Uploaded files are read in a process of their own, with limits on memory, time, files and output: a hostile or broken file
-can end that process, and nothing else.
+"""Uploaded files, and bodies that are long, are read in a limited process of their own.
 
-As a program (`python -m residuum.service.work.upload_reader FILE MEMORY SECONDS`) it reads FILE and leaves the record beside it
-as plain arrays with a description in JSON; a refusal is one line on standard output and exit status 2.
+As a program (`python -m residuum.service.work.upload_reader MEMORY SECONDS FILE HOW`) it reads FILE and leaves the record
+beside it as plain arrays with a description in JSON.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import resource
-import subprocess
 import sys
 import tempfile
-import threading
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import orjson
 
+from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
+from residuum.service.bad_bodies import BadBody, TooLarge
+from residuum.service.work.limited_process import run_limited, within_limits
 
-_REFUSED = 2
+_OF_READING = (*vars(errors).values(), BadBody, TooLarge)
+_REFUSALS = {each.__name__: each for each in _OF_READING if isinstance(each, type) and issubclass(each, BadInput)}
+"""What reading may raise, by the name under which the process tells it: a refusal is the same as without a process."""
 _DESCRIPTION = "record.json"
-_FILES = 64
-_PATIENCE = 3
-"""Waiting time a second of processor time: a busy machine gives less than one processor."""
-_MOST_AT_ONCE = threading.BoundedSemaphore(2)
 
 
-def read_upload(content: bytes, ending: str, name: str, *, memory: int, seconds: int) -> Record:
-    """The record of an uploaded file. `name` is what messages call it; the file's name on disk is ours.
+def read_upload(
+    content: bytes, ending: str, name: str, *, memory: int, seconds: int, options: Mapping[str, object] | None = None
+) -> Record:
+    """The record of an uploaded file. `name` is what messages call it; the file's name on disk is ours; `options` are those of
+    `ReadOptions`, as plain values.
 
-    `memory` [bytes] and `seconds` (of processor time) limit the process that reads it. Two are read at once, others wait.
-    Raises BadRecord with one line when the file is refused, or when reading it exceeds a limit or ends the process.
+    `memory` [bytes] and `seconds` (of processor time) limit the process that reads it.
+    Raises what reading raises, with one line (BadRecord, BadUnit, …; for an NPZ also BadBody and TooLarge), and BadRecord when
+    reading it exceeds a limit or ends the process.
     """
+    return _read(content, ending, name, {"options": options or {}, "unpacked": memory}, memory, seconds)
+
+
+def read_body(content: bytes, kind: str, *, memory: int, seconds: int, unpacked: int) -> Record:
+    """The record of a body of one of `FORMATS`, which may unpack to so many bytes; limits and refusals as of `read_upload`."""
+    return _read(content, "", "body", {"kind": kind, "unpacked": unpacked}, memory, seconds)
+
+
+def _read(content: bytes, ending: str, name: str, how: Mapping[str, object], memory: int, seconds: int) -> Record:
     with tempfile.TemporaryDirectory(prefix="residuum-upload-") as folder:
         file = Path(folder) / f"upload{ending}"
         file.write_bytes(content)
-        with _MOST_AT_ONCE:
-            refusal = _read_apart(file, memory, seconds)
+        arguments = (str(file), orjson.dumps(how).decode())
+        refusal = run_limited(__name__, arguments, file.parent, memory=memory, seconds=seconds)
         if refusal is not None:
-            raise BadRecord(refusal.replace(str(file), name) if str(file) in refusal else f"{name}: {refusal}")
+            kind, says = refusal
+            named = says.replace(str(file), name)
+            raise _REFUSALS.get(kind, BadRecord)(named if kind and named.startswith(name) else f"{name}: {named}")
         return _load(file.parent, name)
-
-
-def _read_apart(file: Path, memory: int, seconds: int) -> str | None:
-    """Why the file cannot be read, None when it was."""
-    command = [sys.executable, "-P", "-m", __name__, str(file), str(memory), str(seconds)]
-    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH", "LANG") if name in os.environ}
-    try:
-        done = subprocess.run(
-            command,
-            env=kept | threads | {"TMPDIR": str(file.parent)},  # libraries leave files there when they fail
-            cwd=file.parent,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_PATIENCE * seconds,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"reading it takes longer than {_PATIENCE * seconds} s"
-    if done.returncode == 0:
-        return None
-    if done.returncode == _REFUSED:
-        return done.stdout.decode("utf-8", "replace")
-    return f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and {seconds} s are given"
 
 
 def _load(folder: Path, name: str) -> Record:
@@ -87,36 +75,23 @@ def _keep(record: Record, folder: Path) -> None:
     (folder / _DESCRIPTION).write_bytes(orjson.dumps(described))
 
 
-def _limit(memory: int, seconds: int) -> None:
-    limits = {
-        resource.RLIMIT_DATA: memory,
-        resource.RLIMIT_CPU: seconds,
-        resource.RLIMIT_NOFILE: _FILES,
-        resource.RLIMIT_FSIZE: memory,
-        resource.RLIMIT_CORE: 0,
-    }
-    for kind, most in limits.items():
-        resource.setrlimit(kind, (most, most))
+def _record(file: Path, how: Mapping[str, Any]) -> Record:
+    from residuum.identification.record_formats import ReadOptions, read_record  # noqa: PLC0415 - within the limits
+    from residuum.service.work.signal_formats import FORMATS, check_npz  # noqa: PLC0415
+
+    if "kind" in how:
+        return FORMATS[how["kind"]](file.read_bytes(), how["unpacked"])
+    if file.suffix == ".npz":
+        with file.open("rb") as archive:
+            check_npz(archive, how["unpacked"], str(file))
+    return read_record(file, ReadOptions(**how["options"]))
 
 
-def main(name: str, memory: int, seconds: int) -> int:
-    """Read a file within the limits; gives the exit status. They stay: this is for a process of its own."""
-    _limit(memory, seconds)
+def main(memory: int, seconds: int, name: str, described: str) -> int:
+    """Read a file within the limits; gives the exit status."""
     file = Path(name)
-    try:
-        from residuum.identification.record_formats import read_record  # noqa: PLC0415 - within the limits
-
-        with contextlib.redirect_stdout(sys.stderr):  # a library's chatter is no refusal
-            record = read_record(file)
-        _keep(record, file.parent)
-    except BadInput as error:
-        sys.stdout.buffer.write(str(error).encode("utf-8", "replace"))
-        return _REFUSED
-    except MemoryError:
-        sys.stdout.write(f"reading it takes more than {memory} bytes of memory")
-        return _REFUSED
-    return 0
+    return within_limits(lambda: _keep(_record(file, orjson.loads(described)), file.parent), memory, seconds)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]))

@@ -35,6 +35,13 @@ def test_faulty_rounds_are_found_at_once_and_the_plier_named():
     assert np.median(np.abs(np.array(centres) - FRAME.frequency)) < 150
 
 
+@pytest.mark.parametrize("plier", [1, 2, 3, 4])
+def test_damage_in_any_plier_is_found_and_named(plier):
+    findings = [trained().score(run(20.0, seed=seed, fault=1.0, damaged_plier=plier)) for seed in range(30, 33)]
+    assert {finding.verdict for finding in findings} == {Verdict.FAULTY}
+    assert [finding.evidence["loudest_plier"] for finding in findings] == [plier] * 3
+
+
 def test_healthy_rounds_of_other_runs_stay_healthy():
     judged = trained().score(run(120.0, seed=5))
     assert judged.verdict is Verdict.HEALTHY and judged.evidence["exceeding_rounds"] == 0 and judged.evidence["rounds"] >= 58

@@ -8,12 +8,11 @@ import pytest
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.model_based.filtered_window import TrackingFilter
+from residuum.diagnosis.model_based.filtered_window import FilterNoise, TrackingFilter
 from residuum.diagnosis.model_based.healthy_values import Undetermined
 from residuum.diagnosis.model_based.hypotheses import Column, Hypothesis, slopes_of
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model, match
-from residuum.identification.physics.simulate.kalman import tune
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
@@ -121,7 +120,7 @@ def test_without_a_model_that_fits_it_asks_for_one():
 
 def test_slopes_of_the_innovations_are_those_of_finite_differences():
     model, (e,) = match(load_model("linear-axis"), axis_windows(6)[0][:1])
-    noise = tune(model, [e], [np.zeros(2)])
+    noise = FilterNoise(np.array([1e-10, 1e-6]), np.diag([1e-12, 1e-7]))
     base = TrackingFilter(model, noise, np.ones(2), 1)
     step = 1e-3
     up, down = (base.run(e, {"M": 95.0 * (1.0 + sign * step)}).normalised for sign in (1.0, -1.0))

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.discrepancy.averaged import averaged
-from residuum.identification.discrepancy.structures import fit_structure
+from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.physics import Experiment, block_means, load_model
 
 

@@ -29,7 +29,7 @@ def driven(u, drag):
     return speed, current
 
 
-def record(drag=0.0, n=6000):
+def record(drag=0.0, n=3000):
     rng = np.random.default_rng(2)
     u = np.repeat(9.0 * rng.standard_normal(n // 40), 40)
     speed, current = driven(u, drag)

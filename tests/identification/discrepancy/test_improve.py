@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numba import njit
 
+from residuum.identification.discrepancy.final_estimate import vanished
 from residuum.identification.discrepancy.held_out import split, split_experiments
-from residuum.identification.discrepancy.improve import Step, _vanished, improve, quantities_of
+from residuum.identification.discrepancy.improve import improve
+from residuum.identification.discrepancy.improvement import Step, quantities_of
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
 
@@ -42,20 +44,31 @@ def van(throttle, v, rng):
     return Record({"throttle": throttle, "speed": noisy}, {"throttle": "%", "speed": "m/s"}, 0.2)
 
 
+def driving_and_coasting(seed):
+    rng = np.random.default_rng(seed)
+    throttle = np.concatenate([np.full(n, rng.uniform(8.0, 60.0)) for n in rng.integers(40, 220, 60)])[:4500]
+    return [van(throttle, 12.0, rng), van(np.zeros(450), 25.0, rng)]
+
+
 def test_two_effects_that_only_together_lower_the_error_of_a_van_that_coasts():
     """Under way either makes up for the other, with the losses; where the engine drives nothing each alone is wrong. A dead zone
     of the throttle, which the drive cannot tell from a load, does not slow a van that coasts.
     """
-    rng = np.random.default_rng(7)
-    throttle = np.concatenate([np.full(n, rng.uniform(8.0, 60.0)) for n in rng.integers(40, 220, 60)])[:4500]
-    driving, coasting = van(throttle, 12.0, rng), van(np.zeros(450), 25.0, rng)
-    found = improve(read_model(VAN), [driving, coasting])
+    found = improve(read_model(VAN), driving_and_coasting(7))
     first, second = found.history[1:]
     assert (first.together, second.together, first.error) == (True, True, second.error)
     assert second.error < 0.12
     assert found.history[0].error > 0.5
     assert found.model.values["quadratic-drag@body.c"] == pytest.approx(0.75, rel=0.05)
     assert found.verdict == "adequate"
+
+
+def test_two_effects_whose_model_simulates_better_at_its_least_simulation_error():
+    """Either estimate keeps both effects: the one that simulates better is told as the error of the last step."""
+    found = improve(read_model(VAN), driving_and_coasting(9))
+    assert sorted(use.id for use in found.added) == ["coulomb-friction", "quadratic-drag"]
+    assert found.model.values["quadratic-drag@body.c"] == pytest.approx(0.75, rel=0.05)
+    assert found.history[-1].error < 0.12
 
 
 @njit
@@ -107,9 +120,9 @@ def test_an_effect_without_size_is_no_part_of_the_model():
     history = [Step(None, 1.0), Step("input-delay", 0.9), Step("viscous-friction", 0.5)]
     delay = "input-delay@voltage.delay"
     found = SimpleNamespace(model=model, parameters=(delay,), std=np.array([1e-6]))
-    assert [use.id for use in _vanished(found, history, [])] == ["input-delay"]  # the offset was the user's own
+    assert [use.id for use in vanished(found, history, [])] == ["input-delay"]  # the offset was the user's own
     found.model = model.with_values({delay: 3e-6})
-    assert _vanished(found, history, []) == []
-    assert [use.id for use in _vanished(found, history, [("input-delay", "voltage")])] == ["input-delay"]
+    assert vanished(found, history, []) == []
+    assert [use.id for use in vanished(found, history, [("input-delay", "voltage")])] == ["input-delay"]
     found.model = model.with_values({delay: 5e-6})
-    assert _vanished(found, history, [("input-delay", "voltage")]) == []
+    assert vanished(found, history, [("input-delay", "voltage")]) == []

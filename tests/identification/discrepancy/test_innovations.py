@@ -7,8 +7,9 @@ from scipy.signal import lfilter
 from scipy.stats import t
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise
-from residuum.identification.discrepancy.innovation_sums import FREEDOM, log_density, squared_scale
+from residuum.identification.discrepancy.innovation_sums import log_density, squared_scale
 from residuum.identification.discrepancy.innovations import fit_noises, pointwise_log_likelihood
+from residuum.identification.discrepancy.policy.noise import FREEDOM
 
 
 def coloured(n, rho, seed=0):

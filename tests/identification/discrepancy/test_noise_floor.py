@@ -5,13 +5,8 @@ import pytest
 from scipy.signal import lfilter, medfilt, welch
 
 from residuum.identification.discrepancy import noise_floor
-from residuum.identification.discrepancy.noise_floor import (
-    PLAINLY,
-    STANDS_OUT,
-    UNDER_STRUCTURE,
-    times_the_noise,
-    times_the_quiet_noise,
-)
+from residuum.identification.discrepancy.noise_floor import times_the_noise, times_the_quiet_noise
+from residuum.identification.discrepancy.policy.noise import AN_EVENT, BEYOND_NOISE, UNDER_STRUCTURE
 
 
 @pytest.mark.parametrize("length", [64, 255, 1024])
@@ -30,7 +25,7 @@ def test_noise_of_any_colour_does_not_stand_out(rho):
     rng = np.random.default_rng(7)
     for _ in range(20):
         noise = lfilter([1.0], [1.0, -rho], rng.standard_normal(6000))[2000:]
-        assert times_the_quiet_noise([noise]) < 0.6 * STANDS_OUT
+        assert times_the_quiet_noise([noise]) < 0.6 * AN_EVENT
 
 
 def test_a_sensor_that_sticks_stands_out_though_its_jumps_are_fast():
@@ -38,10 +33,10 @@ def test_a_sensor_that_sticks_stands_out_though_its_jumps_are_fast():
     moving = 40.0 * np.sin(np.arange(4000) / 9.0)
     error = rng.standard_normal(4000)
     error[1500:1900] = moving[1500] - moving[1500:1900]
-    assert times_the_quiet_noise([error]) < STANDS_OUT  # 13 times the noise
+    assert times_the_quiet_noise([error]) < AN_EVENT  # 13 times the noise
     error[1500:1900] *= 3.0
-    assert times_the_quiet_noise([error]) > STANDS_OUT
-    assert times_the_noise([error]) < 3.0 * PLAINLY
+    assert times_the_quiet_noise([error]) > AN_EVENT
+    assert times_the_noise([error]) < 3.0 * BEYOND_NOISE
 
 
 def test_single_samples_and_noise_that_rests_say_nothing():

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from residuum.identification.discrepancy.linearisation import at_rest, linearised
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.structures import base_structure
+from residuum.identification.discrepancy.structure_fits import base_structure
 from residuum.identification.physics import candidates, load_model, match
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.record import Record
@@ -29,8 +30,8 @@ def test_effects_at_rest_take_the_slopes_of_the_base(screen):
         model = screen.base.model.with_effect(id, target, effect.at_rest(start))
         own = [f"{model.effects[-1].label}.{n}" for n in effect.sizes]
         own = [name for name in own if name in model.free]
-        found = screen._at_rest(model, own)
-        alone = screen._linearised(model, [*screen.base.parameters, *own])
+        found = at_rest(model, own, screen.where(model))
+        alone = linearised(model, [*screen.base.parameters, *own], screen.where(model))
         if found is None or alone is None:
             continue
         shared += 1
@@ -42,4 +43,4 @@ def test_effects_at_rest_take_the_slopes_of_the_base(screen):
 
 def test_an_effect_that_moves_the_outputs_is_not_at_rest(screen):
     model = screen.base.model.with_effect("constant-load", "shaft", {"tau_0": 0.05})
-    assert screen._at_rest(model, [f"{model.effects[-1].label}.tau_0"]) is None
+    assert at_rest(model, [f"{model.effects[-1].label}.tau_0"], screen.where(model)) is None

@@ -9,10 +9,11 @@ import pytest
 
 from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.growth import Search, _climbed_without, _leave_to_the_noise, _winner
-from residuum.identification.discrepancy.structures import base_structure, refit
-from residuum.identification.discrepancy.trials import that_say_more
-from residuum.identification.physics import load_model, match, read_model
+from residuum.identification.discrepancy.growth import _climbed_without, _leave_to_the_noise, winner
+from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.discrepancy.special_cases import that_say_more
+from residuum.identification.discrepancy.structure_fits import base_structure, refit
+from residuum.identification.physics import Key, load_model, match, read_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
@@ -187,8 +188,8 @@ def test_an_effect_that_few_moments_prefer_does_not_keep_out_one_that_all_of_the
     steady, lump = structure(np.full(n, 0.088), 5), structure(np.where(np.arange(n) // 10 == 7, 5.7, 0.0), 4)
     found = {("position-load", "shaft"): steady, ("resistance-heating", "winding"): lump}
     assert preferred(found, before) == ("resistance-heating", "winding")
-    assert _winner(found, before, 6.4) == (("position-load", "shaft"), True)
-    assert _winner(found, before, 90.0) == (("resistance-heating", "winding"), False)
+    assert winner(found, before, 6.4) == (("position-load", "shaft"), True)
+    assert winner(found, before, 90.0) == (("resistance-heating", "winding"), False)
 
 
 def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
@@ -257,7 +258,7 @@ def test_friction_in_two_directions_that_are_equal_is_friction(asymmetry, kept):
     model, experiments = match(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
     base = base_structure(model, experiments)
     starts = {"coulomb-friction": {"tau_c": 0.02}, "directional-friction": {"tau_plus": 0.02, "tau_minus": 0.021}}
-    fitted = {(id, "shaft"): refit(base, model.with_effect(id, "shaft", values), experiments) for id, values in starts.items()}
+    fitted = {Key(id, "shaft"): refit(base, model.with_effect(id, "shaft", values), experiments) for id, values in starts.items()}
     assert {id for id, _ in that_say_more(fitted)} == kept
 
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.discrepancy.coloured_noise import ColouredNoise, fit_coloured_noise
+from residuum.identification.discrepancy.structured_error import lasting_noise
 from residuum.identification.discrepancy.structured_error import test_structured_error as structured_error
 from residuum.identification.errors import BadInput
 
@@ -39,6 +40,30 @@ def test_an_error_that_follows_the_motion_is_found(rho):
     assert found.present and found.p_value < 1e-3
     assert np.corrcoef(found.predicted[0], structure)[0, 1] > 0.8
     assert found.noise_rms == pytest.approx(1.0, abs=0.2)
+
+
+def counted(rng):
+    """What a linear motor leaves of a concave one, whose encoder counts steps of 22 rpm; and features."""
+    u = np.concatenate([np.full(n, volts) for n, volts in zip(rng.integers(60, 250, 60), rng.uniform(3, 4.6, 60), strict=True)])[
+        :2900
+    ]
+    speed = lfilter([0.15], [1, -0.85], 900 * (1 - np.exp(-(u - 1) / 1.3)))
+    read = 22.4 * np.diff(np.floor(np.cumsum(np.r_[0, speed]) / 22.4))
+    linear = lfilter([0.15], [1, -0.85], u)
+    shapes = (np.ones(u.size), u, u**2, speed, speed**2)
+    X = np.stack([lfilter([1 - pole], [1, -pole], s / s.max()) for s in shapes for pole in (0, 0.8, 0.97)], axis=1)
+    return read - linear * (read @ linear) / (linear @ linear), X
+
+
+def test_noise_of_a_counted_reading_is_as_likely_as_noise_is():
+    """Its colour is not the likeliest one for any of its draws: their statistic was nought, and every p-value one."""
+    p_values = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        error, X = counted(rng)
+        draw = lasting_noise([error], 12).simulate(2900, rng)
+        p_values.append(structured_error([draw], [X], drifting=False, seed=seed).p_value)
+    assert 0.2 < np.mean(p_values) < 0.8 and max(p_values) < 0.999
 
 
 def test_gaps_are_left_out_and_stay_unknown():

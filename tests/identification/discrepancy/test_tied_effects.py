@@ -8,7 +8,7 @@ import pytest
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.discrepancy.share import search_by_share
+from residuum.identification.discrepancy.share_search import search_by_share
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import candidates, estimate, match, read_model, write_model
 from residuum.identification.record import Record
@@ -154,7 +154,8 @@ def test_the_search_learns_only_when_asked():
         ("learned", "tank", "say where as balance"),
         ("learned", "tank(nothing)", "cannot be tied to 'nothing'"),
         ("coupling", "tank(tank)", "cannot be tied to 'tank'"),
-        ("overflow", "tank(inflow)", "is tied to no signal"),
+        ("overflow", "tank(inflow)", "cannot be tied to 'inflow'"),
+        ("outflow", "tank(inflow)", "is tied to no signal"),
     ],
 )
 def test_a_place_that_does_not_fit_is_refused_in_one_line(id, target, says):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.discrepancy.prediction_windows import in_windows
-from residuum.identification.discrepancy.structures import base_structure, fit_structure
+from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions

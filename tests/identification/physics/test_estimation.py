@@ -19,7 +19,7 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
-from residuum.identification.physics.estimate.least_squares import covariance_of, solve_scaled
+from residuum.identification.physics.estimation.least_squares import covariance_of, solve_scaled
 from residuum.identification.record import Record
 
 SILVERBOX = Path(__file__).parents[4] / "shared/data/silverbox/SNLS80mV.mat"
@@ -121,7 +121,7 @@ def test_missing_samples_are_left_out_and_missing_inputs_refused(truth, records)
     assert result.model.values["K"] == pytest.approx(0.066, rel=0.01)
     voltage = np.array(record["voltage"])
     voltage[7] = np.nan
-    with pytest.raises(BadRecord, match="lacks sample 7"):
+    with pytest.raises(BadRecord, match="has no value at sample 7"):
         match(structure(), [Record({**record.channels, "voltage": voltage}, record.units, sample_time=0.005)])
     with pytest.raises(BadRecord, match="input 'voltage' is missing"):
         match(structure(), [record.select(["speed"])])

@@ -1,10 +1,13 @@
-"""Exported models behave as the original does: compiled C and plain Python against the product's own integration."""
+"""Exported models behave as the original does: compiled C, plain Python and FMUs against the product's own integration."""
 
 import ctypes
 import importlib.util
+import io
 import json
 import re
 import subprocess
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +15,15 @@ import pytest
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Simulator, load_model, read_model
 from residuum.identification.physics.export import EXPORTS, explicit
+from residuum.identification.physics.export.fmu_file import fmu
 from residuum.service.cli import BAD_INPUT, DONE, run
+
+fmpy = pytest.importorskip("fmpy")
+
+_reader = importlib.util.spec_from_file_location("modelica_reader", Path(__file__).with_name("modelica_reader.py"))
+modelica_reader = importlib.util.module_from_spec(_reader)
+_reader.loader.exec_module(modelica_reader)
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
 
 AXIS = """
 name: soft axis
@@ -28,26 +39,33 @@ effects:
   - {id: input-saturation, input: force, parameters: {u_max: 5.5}}
   - {id: output-lag, output: position, parameters: {tau: 0.05}}
 """
-DT, SUBSTEPS = 0.01, 10
+DT, SUBSTEPS, CLOSE = 0.01, 500, 1e-6
+BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 
 
 def models():
-    drive = (
-        load_model("gate-drive")
-        .with_effect("viscous-friction", "shaft", {"d": 3e-5})
-        .with_effect("inductance", "winding", {"L": 1e-3})
-    )
-    return [read_model(AXIS), drive, load_model("two-tanks")]
+    drive, axis = load_model("gate-drive"), load_model("linear-axis")
+    mended = [
+        read_model(AXIS),
+        drive.with_effect("viscous-friction", "shaft", {"d": 3e-5}).with_effect("inductance", "winding", {"L": 1e-3}),
+        drive.with_effect("coulomb-friction", "shaft", {"tau_c": 0.05}).with_effect("brush-drop", "winding", {"V_b": 1.0}),
+        axis.with_effect("coulomb-friction", "axis", {"tau_c": 0.5}).with_effect("output-quantisation", "position", {"q": 1e-3}),
+    ]
+    return [*map(load_model, BUILT_IN), *mended]
 
 
-def movement(model, n=400):
+def name_of(model):
+    return "+".join([model.name, *(use.id for use in model.effects)])
+
+
+def movement(model, n=120):
     rng = np.random.default_rng(6)
     return np.repeat(rng.uniform(-6.0, 6.0, (n // 40, len(model.inputs))), 40, axis=0)
 
 
 def expected(model, U):
     experiment = Experiment(U, np.full((len(U), len(model.outputs)), np.nan), np.zeros(U.shape[1]), DT)
-    return Simulator(model).run(experiment, substeps=4 * SUBSTEPS).Y
+    return Simulator(model).run(experiment, substeps=SUBSTEPS).Y
 
 
 def from_c(model, U, tmp_path):
@@ -65,9 +83,8 @@ def from_c(model, U, tmp_path):
         held = u[k].ctypes.data_as(double)
         getattr(code, f"{made.name}_outputs")(ctypes.c_double(k * DT), at[0], held, p, at[1])
         seen[k] = y
-        for i in range(SUBSTEPS):
-            h = DT / SUBSTEPS
-            getattr(code, f"{made.name}_step")(ctypes.c_double(k * DT + i * h), ctypes.c_double(h), at[0], held, p)
+        at_time, h, tolerance = map(ctypes.c_double, (k * DT, DT, 1e-9))
+        getattr(code, f"{made.name}_advance")(at_time, h, at[0], held, p, tolerance)
     return seen
 
 
@@ -77,16 +94,107 @@ def from_python(model, U, tmp_path):
     specification = importlib.util.spec_from_file_location("exported_model", file)
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
-    return module.simulate(DT * np.arange(len(U)), U, substeps=SUBSTEPS)
+    return module.simulate(DT * np.arange(len(U)), U)
 
 
-@pytest.mark.parametrize("run_exported", [from_c, from_python])
-@pytest.mark.parametrize("model", models(), ids=lambda model: model.name)
-def test_the_exported_text_moves_as_the_model_does(model, run_exported, tmp_path):
+def unpacked(model, tmp_path):
+    file = tmp_path / "model.fmu"
+    found = fmu(explicit(model))
+    assert (found.library, found.why) == ("linux64", "")
+    file.write_bytes(found.content)
+    assert validate_fmu(str(file)) == []
+    description = fmpy.read_model_description(str(file))
+    return description, {
+        "guid": description.guid,
+        "unzipDirectory": fmpy.extract(str(file), str(tmp_path / "unpacked")),
+        "modelIdentifier": description.coSimulation.modelIdentifier,
+        "instanceName": "one",
+    }
+
+
+def from_fmu(model, U, tmp_path):
+    description, arguments = unpacked(model, tmp_path)
+    slave = fmpy.fmi2.FMU2Slave(**arguments)
+    ins, outs = ([v.valueReference for v in description.modelVariables if v.causality == kind] for kind in ("input", "output"))
+    slave.instantiate()
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.setReal(ins, list(U[0]))
+    slave.exitInitializationMode()
+    seen = []
+    for k, u in enumerate(U):
+        slave.setReal(ins, list(u))
+        seen.append(slave.getReal(outs))
+        slave.doStep(k * DT, DT)
+    slave.terminate()
+    slave.freeInstance()
+    return np.array(seen)
+
+
+def from_modelica(model, U, tmp_path):
+    return modelica_reader.ModelicaModel(EXPORTS["modelica"](explicit(model))).run(U, DT)
+
+
+WAYS = [*((model, way) for model in models() for way in (from_python, from_fmu)), (models()[-1], from_c)]
+WAYS += [(model, from_modelica) for model in models()[: len(BUILT_IN) + 2]]
+"""The library of an FMU is the exported C, compiled; Modelica is read back where no dry friction needs its tool's events."""
+
+
+@pytest.mark.parametrize(("model", "run_exported"), WAYS, ids=[f"{name_of(m)}-{way.__name__}" for m, way in WAYS])
+def test_the_export_moves_as_the_model_does(model, run_exported, tmp_path):
     U = movement(model)
     truth, seen = expected(model, U), run_exported(model, U, tmp_path)
     assert np.ptp(truth, axis=0).min() > 0.0
-    np.testing.assert_allclose(seen, truth, atol=2e-4 * np.ptp(truth, axis=0).max())
+    np.testing.assert_allclose(seen, truth, rtol=0, atol=CLOSE * np.ptp(truth, axis=0).max())
+
+
+def held(U, names):
+    """A signal for fmpy whose values are held from each time to the next."""
+    signal = np.zeros(2 * len(U) - 1, dtype=[("time", float), *((name, float) for name in names)])
+    signal["time"][::2], signal["time"][1::2] = DT * np.arange(len(U)), DT * np.arange(1, len(U))
+    for k, name in enumerate(names):
+        signal[name][::2], signal[name][1::2] = U[:, k], U[:-1, k]
+    return signal
+
+
+@pytest.mark.parametrize("model", [models()[-2], models()[-1]], ids=name_of)
+def test_model_exchange_rests_and_breaks_away_as_the_model_does(model, tmp_path):
+    U = movement(model)
+    unpacked(model, tmp_path)
+    names = list(explicit(model).inputs)
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "model.fmu"),
+        fmi_type="ModelExchange",
+        start_time=0.0,
+        stop_time=DT * (len(U) - 1),
+        output_interval=DT,
+        relative_tolerance=1e-10,
+        input=held(U, names),
+    )
+    truth, outputs = expected(model, U), found.dtype.names[1:]
+    last = [np.flatnonzero(np.abs(found["time"] - DT * k) < 1e-9)[-1] for k in range(len(U))]
+    seen = np.column_stack([found[name][last] for name in outputs])
+    np.testing.assert_allclose(seen, truth, rtol=0, atol=CLOSE * np.ptp(truth, axis=0).max())
+
+
+def test_an_effect_is_a_component_of_the_fmu(tmp_path):
+    model = models()[-1]
+    description, _ = unpacked(model, tmp_path)
+    variables = {v.name: v for v in description.modelVariables}
+    assert variables["coulomb_friction_axis.tau_c"].start == "0.5"
+    assert variables["coulomb_friction_axis.term"].unit == "N"
+    assert "linear_axis_coulomb_friction_axis(" in EXPORTS["c"](explicit(model))
+    assert "def coulomb_friction_axis(" in EXPORTS["python"](explicit(model))
+    assert "coulomb_friction_axis = " in EXPORTS["modelica"](explicit(model))
+    assert "coulomb_friction_axis_of(" in EXPORTS["matlab"](explicit(model))
+
+
+def test_without_a_compiler_the_fmu_holds_its_sources(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    found = fmu(explicit(load_model("linear-axis")))
+    assert found.library is None and "no C compiler" in found.why
+    names = zipfile.ZipFile(io.BytesIO(found.content)).namelist()
+    assert sorted(names) == ["modelDescription.xml", "sources/fmi2.c", "sources/linear_axis.c"]
 
 
 def test_modelica_and_matlab_name_every_equation():
@@ -99,9 +207,10 @@ def test_modelica_and_matlab_name_every_equation():
     assert modelica.count("(") == modelica.count(")") and matlab.count("(") == matlab.count(")")
 
 
-def test_dry_friction_says_what_the_text_cannot_do():
+def test_dry_friction_says_what_the_text_does_at_rest():
     rubbing = explicit(load_model("linear-axis").with_effect("coulomb-friction", "axis", {"tau_c": 20.0}))
-    assert all("Standstill" in text(rubbing) for text in EXPORTS.values())
+    assert all("Standstill is exact" in EXPORTS[to](rubbing) for to in ("c", "python"))
+    assert all("Standstill: where" in EXPORTS[to](rubbing) for to in ("modelica", "matlab"))
 
 
 def test_a_delay_is_refused():
@@ -116,5 +225,9 @@ def test_the_command(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert (told["to"], told["inputs"], told["parameters"]["M"] > 0) == ("c", ["force"], True)
     assert "linear_axis_rates" in out.read_text()
+    package = tmp_path / "axis.fmu"
+    assert run(["export", "linear-axis", "--to", "fmu", "--out", str(package), "--json"]) == DONE
+    assert json.loads(capsys.readouterr().out)["library"] == "linux64"
+    assert fmpy.read_model_description(str(package)).modelName == "linear-axis"
     assert run(["export", "linear-axis", "--to", "cobol", "--out", str(out)]) == BAD_INPUT
-    assert "known are c, python, matlab, modelica" in capsys.readouterr().err
+    assert "known are c, python, matlab, modelica, fmu" in capsys.readouterr().err

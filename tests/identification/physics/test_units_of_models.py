@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from residuum.identification.errors import BadModel
 from residuum.identification.physics import Simulator, estimate, match, read_model
 from residuum.identification.record import Record
 
@@ -62,6 +63,23 @@ def test_a_normalised_motor_is_estimated_in_its_own_units():
     record = Record({"voltage": u, "speed": truth}, {"voltage": "V", "speed": "ticks/s"}, 0.02)
     found = estimate(*match(model, [record]))
     assert found.model.values == pytest.approx({"T": 0.2, "G": 45.0}, rel=1e-3)
+
+
+def test_a_word_that_nobody_knows_counts_as_a_radian_does_but_is_not_another_word():
+    turning = """
+name: belt
+inputs: {voltage: V}
+states: {phi: {unit: rad, rate: w}, w: {unit: rad/s}}
+parameters: {J: {value: 1, unit: kg*m**2}, b: {value: 2, unit: N*m/V}, a: {value: 1, unit: N*m*s/rad}, c: {value: 1, unit: rad}}
+balances:
+  shaft: {kind: torque, storage: J * der(w), terms: {drive: b * voltage, loss: -a * w}, position: phi, velocity: w}
+outputs: {angle: {value: phi + c, unit: rad}}
+"""
+    assert read_model(turning.replace("rad", "ticks")).balances["shaft"].kind == "torque"
+    with pytest.raises(BadModel, match=r"unit clash"):
+        read_model(turning.replace("rad", "ticks").replace("c: {value: 1, unit: ticks}", "c: {value: 1, unit: counts}"))
+    with pytest.raises(BadModel, match=r"unit clash"):
+        read_model(turning.replace("rad", "ticks").replace("c: {value: 1, unit: ticks}", "c: {value: 1, unit: V}"))
 
 
 def test_a_model_without_states_and_free_values_is_held_against_its_record():

@@ -51,10 +51,11 @@ def test_identify_then_residuals(client, plant, tmp_path):
     g = np.array(job["result"]["impulse_response"])
     np.testing.assert_allclose(g[:10], 0.3 * 0.7 ** np.arange(10), atol=0.02)
     assert job["result"]["stored"] == {"model": "plant", "version": 1}
-    asked = {"model": "plant", "healthy": [healthy], "records": [healthy, faulty]}
+    asked = {"model": "plant", "healthy": [healthy], "records": [healthy, faulty], "gamma": 0.2, "epsilon": 0.1, "points": 100}
     job = result(client, client.post("/api/v1/residuals", json=asked))
     assert job["state"] == "done", job
     assert [run["alarm"] for run in job["result"]["runs"]] == [False, True]
+    assert job["result"]["design"]["gamma"] == 0.2
     assert job["result"]["runs"][1]["first_alarm_time"] == pytest.approx(75, abs=3)
     assert job["result"]["runs"][1]["record"] == faulty
 
@@ -67,6 +68,13 @@ def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault
     samples, weight = np.array(found["samples"]), np.array(found["weight"])
     assert samples.shape == (20, len(found["frequency"])) and found["n_samples"] > 100
     assert np.mean(samples <= weight) > 0.99 and np.max(samples) > 0.3 * np.max(weight)
+    forms = {}
+    for form in ("additive", "inverse-multiplicative"):
+        chosen = {"samples": 20, "form": form, "epsilon": 0.1, "zeta": 0.2, "order": 1, "points": 80, "lowest": 0.1}
+        forms[form] = client.get("/api/v1/models/trusted/uncertainty", params=chosen).json()
+        assert forms[form]["form"] == form and forms[form]["n_samples"] == 116 and len(forms[form]["sampled_frequency"]) == 80
+        assert np.mean(np.array(forms[form]["samples"]) <= np.array(forms[form]["weight"])) > 0.99
+    assert np.median(forms["additive"]["samples"]) < np.median(forms["inverse-multiplicative"]["samples"])  # the gain is below 1
     asked = {"healthy": [healthy], "record": faulty, "offset": 0.2}
     job = result(client, client.post("/api/v1/models/trusted/residual-views", json=asked))
     assert job["state"] == "done", job

@@ -77,6 +77,10 @@ BAD_NPY = {
     "empty": (b"", 400, "is not an .npy array"),
     "no magic": (b"PK\x03\x04" + bytes(40), 400, "is not an .npy array"),
     "giant shape": (shaped("(99999999999999,)"), 400, "needs 799999999999992 bytes; 64 came"),
+    "negative shape": (shaped("(-8, -1)"), 400, "negative"),
+    "nested without end": (shaped("(" + "-" * 800 + "8,)"), 400, "only plain"),
+    "unlike keys": (header("{1: 2, 'shape': (8,)}\n") + bytes(64), 400, "only plain"),
+    "rows of a type": (shaped("(1,)", dtype="<f8', (99999999,), '<f8"), 400, "only plain"),
     "giant product": (shaped("(4294967296, 4294967296)"), 400, "bytes; 64 came"),
     "too short": (npy(np.zeros(9))[:-1], 400, "needs 72 bytes; 71 came"),
     "cut header": (npy(np.zeros(9))[:40], 400, "ends inside"),
@@ -186,10 +190,10 @@ def test_requests_for_what_is_not_there(refused, method, path, status, says):
     ("kind", "content", "says"),
     [
         ("physical", b"name: [", "line"),
-        ("physical", b"\xff\xfe\x00", "body"),
-        ("physical", b"name: a\nbalances: " + b"[" * 100_000, "body"),
-        ("identified", b"{}", "body"),
-        ("baseline", b"PK\x03\x04", "body"),
+        ("physical", b"\xff\xfe\x00", "model file"),
+        ("physical", b"name: a\nbalances: " + b"[" * 100_000, "model file"),
+        ("identified", b"{}", "model file"),
+        ("baseline", b"PK\x03\x04", "model file"),
     ],
 )
 def test_files_that_are_no_models(refused, kind, content, says):

@@ -67,6 +67,16 @@ def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
         assert "RobustController" in point["exports"]["st"] and "double" in point["exports"]["c"]
 
 
+def test_every_choice_of_the_weight_reaches_it(client, stored, refused):
+    asked = {"models": [{"model": stored}], "structure": "pi", "points": 60, "lowest": 0.05}
+    first = view(client, **asked)["uncertainty"]
+    assert (first["samples"], first["order"]) == (738, 2) and first["frequency"][0] == pytest.approx(0.05 / (2 * np.pi))
+    chosen = asked | {"epsilon": 0.1, "zeta": 0.2, "rule": "worst-case", "weight_order": 1}
+    other = view(client, **chosen)["uncertainty"]
+    assert (other["samples"], other["order"]) == (16, 1)
+    assert refused("POST", "/api/v1/control-designs/views", json=asked | {"epsilon": 0})[0] == 422
+
+
 def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refused):
     asked = {"models": [{"model": stored, "version": 1}], "structure": "pi", "only": "settling-time", "upper": 2.5}
     made = view(client, **asked)

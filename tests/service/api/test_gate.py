@@ -1,6 +1,7 @@
 """Who may in: sizes, hosts, origins, keys and roles, and what every answer carries."""
 
 import contextlib
+import re
 import socket
 
 import httpx
@@ -52,6 +53,18 @@ def test_every_answer_forbids_what_a_page_does_not_need(client):
         policy = headers["content-security-policy"]
         assert "default-src 'none'" in policy and "unsafe" not in policy and "frame-ancestors 'none'" in policy
         assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_a_request_has_an_id_that_answer_and_refusal_tell(client):
+    own = client.get("/api/v1/assets/nobody", headers={"X-Request-ID": "plc-7/line:42"})
+    assert own.headers.get_list("x-request-id") == ["plc-7/line:42"] and own.json()["request_id"] == "plc-7/line:42"
+    refused = client.get("/api/v1/assets", headers={"X-Request-ID": "turned-away", "Host": "evil.example"})
+    assert refused.headers["x-request-id"] == refused.json()["request_id"] == "turned-away"
+    named = [client.get("/api/v1/assets").headers["x-request-id"] for _ in range(2)]
+    assert all(re.fullmatch("[0-9a-f]{16}", number) for number in named) and named[0] != named[1]
+    for odd in ("a b", "x" * 129, 'x"', "ä", ""):
+        answer = client.get("/api/v1/nothing", headers={"X-Request-ID": odd.encode()})
+        assert re.fullmatch("[0-9a-f]{16}", answer.json()["request_id"]), "what could harm a log is not taken"
 
 
 ROLES = {"viewer": (200, 403, 403), "operator": (200, 404, 403), "engineer": (200, 404, 200), "admin": (200, 404, 200)}

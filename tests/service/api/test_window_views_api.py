@@ -77,3 +77,16 @@ def test_what_cannot_be_drawn_is_refused(refused):
     assert refused("GET", f"{windows}/1/envelope?channel=a&low=4000&high=3000")[0] == 422
     status, detail = refused("GET", f"{windows}/2/kurtogram")
     assert status == 422 and "missing samples" in detail
+
+
+def test_the_pictures_that_a_diagnoser_names_are_questions_about_a_window_or_its_machine(client):
+    known = client.get("/openapi.json").json()["paths"]
+    named = {each["name"]: each["views"] for each in client.get("/api/v1/diagnosers").json()["items"]}
+    assert named["robust-residual"] == ["residual"] and named["gate-actuator"] == ["decision-regions"]
+    assert named["model-based"] == ["tracks"]
+    asked = ("/api/v1/assets/{asset}/windows/{window}/", "/api/v1/assets/{asset}/")
+    assert all(any(about + view in known for about in asked) for views in named.values() for view in views)
+
+
+def test_the_failure_modes_say_whose_they_are(client):
+    assert client.get("/api/v1/failure-modes").json()["machine"] in DIAGNOSERS

@@ -82,6 +82,8 @@ def test_what_is_reported_in_time_is_what_the_loop_does(model, tmp_path, options
     assert measured["kept"] == held
     if options:
         assert held and found["robust_stability_norm"] < 1
+        margin = found["disk_margin"]
+        assert margin["gain_low"] < 1 < (margin["gain_high"] or 2) and margin["phase_deg"] > 0
         assert promised["overshoot"] == (0.05 if len(options) > 1 else 0.01)
         drawn = nominal.sample(60, seed=77)  # plants that nobody has looked at
         each = [stepped(controller["numerator"], controller["denominator"], g, 15.0) for g in drawn]

@@ -1,7 +1,10 @@
 """`residuum doctor` says of each thing the service needs whether it is well, and changes nothing."""
 
+import contextlib
 import json
+import re
 import socket
+import sqlite3
 
 import numpy as np
 import pytest
@@ -38,8 +41,8 @@ def test_a_healthy_installation(data, examine, capsys):
     assert examine(data) == (0, {})
     assert run(["doctor", "--data", str(data)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7 and all(line.startswith("ok") for line in lines)
-    assert "all 3 are there; 3 compared" in lines[2] and "revision" in lines[0]
+    assert len(lines) == 8 and all(line.startswith("ok") for line in lines)
+    assert "all 3 are there; 3 compared" in lines[3] and "7 looked at, all agree" in lines[2] and "revision" in lines[0]
 
 
 def test_before_the_first_start_nothing_is_wrong_and_nothing_is_made(tmp_path, examine):
@@ -80,7 +83,7 @@ def test_a_device_that_does_not_answer_and_one_that_does(data, examine, monkeypa
     with socket.socket() as absent, socket.create_server(("127.0.0.1", 0)) as present:
         absent.bind(("127.0.0.1", 0))  # bound and not listening: connections are refused
         sources = [{"kind": "modbus", "map": "process_plant.yaml", "port": each.getsockname()[1]} for each in (absent, present)]
-        machine = {"asset": "p", "diagnoser": "process", "window": {"cut": "sliding"}, "sources": sources}
+        machine = {"asset": "p", "diagnoser": "robust-residual", "window": {"cut": "sliding"}, "sources": sources}
         monkeypatch.setenv("RESIDUUM_MACHINES", json.dumps([machine]))
         status, wrong = examine(data)
     assert status == 1 and list(wrong) == ["modbus bus"] and str(sources[0]["port"]) in wrong["modbus bus"]
@@ -96,3 +99,34 @@ def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, ex
         status, wrong = examine(data)
         assert (status, list(wrong)) == ((0, []) if says is None else (1, ["broker"]))
         assert says is None or (says in wrong["broker"] and "secret" not in wrong["broker"])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("UPDATE windows SET n = 0 WHERE id = 2", "window 2 of 'a' has 0 samples"),
+        ("UPDATE windows SET n = 1000000 WHERE id = 2", "window 2 of 'a': .* cannot hold 1000000 samples"),
+        ("DELETE FROM findings WHERE id = 2", "window 2 of 'a' has no finding"),
+        ("UPDATE findings SET verdict = 'fine' WHERE id = 1", "finding 1 of 'a': its verdict is 'fine'"),
+        ("UPDATE findings SET evidence = '{' WHERE id = 1", "one cannot be read"),
+        ("UPDATE findings SET units = '[1]' WHERE id = 1", "finding 1 of 'a': its units are no object"),
+        ("UPDATE findings SET asset_id = 'b' WHERE id = 3", "finding 3 is of 'b', its window 3 of 'a'"),
+        ("UPDATE assets SET last_finding_id = 1", "its latest finding is said to be 1 and is 3"),
+        ("UPDATE assets SET windows = 1", "asset 'a': counts 1 windows and has 3"),
+        ("UPDATE alarms SET state = 'normal'", "is normal, and its journal ends with unacknowledged"),
+        ("UPDATE alarms SET state = 'asleep'", "its state is 'asleep'"),
+        ("UPDATE model_versions SET content = x'00'", "model 'm', version 1: its content differs"),
+        ("DELETE FROM model_versions WHERE number = 1", "model 'm': has 1 versions and counts 2"),
+    ],
+)
+def test_a_row_that_was_changed_by_hand_is_named(data, examine, change, says):
+    store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
+    store.add_window("b", Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0), Finding("bearing", "faulty", reason="-"))
+    for content in (b"one", b"two"):
+        store.add_model_version("m", "physical", content)
+    store.close()
+    assert examine(data) == (0, {})
+    with contextlib.closing(sqlite3.connect(data / "residuum.db")) as connection, connection:
+        connection.execute(change)
+    status, wrong = examine(data)
+    assert status == 1 and list(wrong) == ["rows"] and re.search(says, wrong["rows"])

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from residuum.identification.errors import BadModel
+from residuum.identification.kernel_based.multivariable_file import load_multivariable
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
@@ -113,3 +115,65 @@ def test_bad_requests_are_one_line_and_status_two(record_file, capsys, options, 
     assert captured.out == ""
     assert captured.err.count("\n") == 1
     assert match in captured.err
+
+
+@pytest.mark.parametrize("method", ["ridge", "lasso"])
+def test_penalised_impulse_responses_find_the_truth(record_file, capsys, method):
+    assert identify(record_file, "--order", "40", "--method", method, "--json") == DONE
+    result = json.loads(capsys.readouterr().out)
+    truth = np.concatenate([[0, 0], 0.8 ** np.arange(38)])
+    assert np.linalg.norm(result["impulse_response"] - truth) < 0.1 * np.linalg.norm(truth)
+    assert result["hyper_parameters"]["strength"] > 0
+
+
+def test_a_time_series_has_no_input(record_file, tmp_path, capsys):
+    file, rng = tmp_path / "series.csv", np.random.default_rng(3)
+    v = signal.lfilter([1.0], [1.0, -0.7], 0.5 * rng.standard_normal(2000))
+    write_record(Record({"v": v}, {"v": "mm"}, 0.1), file)
+    assert run(["identify", str(file), "--output", "v", "--method", "ar", "--order", "1"]) == DONE
+    said = capsys.readouterr().out
+    assert "A = [1, -0.7" in said and "innovation        0.4" in said
+    assert run(["identify", str(record_file), "--input", "voltage", "--output", "speed", "--method", "ar"]) == BAD_INPUT
+    assert "models an output alone" in capsys.readouterr().err
+    assert run(["identify", str(record_file), "--output", "speed"]) == BAD_INPUT
+    assert "needs an input" in capsys.readouterr().err
+
+
+def test_uncertainty_from_an_error_model_is_larger_than_the_estimates_own(record_file, capsys):
+    spread = {}
+    for choice in ("own", "model-error", "set-membership"):
+        assert identify(record_file, "--method", "oe", "--order", "1", "--delay", "1", "--uncertainty", choice, "--json") == DONE
+        spread[choice] = np.linalg.norm(json.loads(capsys.readouterr().out)["std"])
+    assert min(spread["model-error"], spread["set-membership"]) > 3 * spread["own"]
+    assert identify(record_file, "--noise-bound", "1") == BAD_INPUT
+    assert "is used by the uncertainty set-membership alone" in capsys.readouterr().err
+    assert identify(record_file, "--uncertainty", "guess") == BAD_INPUT
+    assert "known are own, model-error" in capsys.readouterr().err
+
+
+def test_several_inputs_and_outputs_make_one_model_of_every_path(tmp_path, capsys):
+    rng = np.random.default_rng(5)
+    valve, heater = rng.standard_normal((2, 1500))
+    level = (
+        signal.lfilter([0, 1.0], [1, -0.5], valve) - signal.lfilter([0, 0.2], [1, -0.5], heater) + 0.1 * rng.standard_normal(1500)
+    )
+    warmth = signal.lfilter([0, 0.5], [1, -0.7], heater) + 0.1 * rng.standard_normal(1500)
+    channels = {"valve": valve, "heater": heater, "level": level, "warmth": warmth}
+    units = {"valve": "%", "heater": "kW", "level": "m", "warmth": "K"}
+    file, out = tmp_path / "plant.csv", tmp_path / "plant.json"
+    write_record(Record(channels, units, 1.0, notes=("split: 0.8",)), file)
+    names = [option for name in ("valve", "heater") for option in ("--input", name)]
+    names += [option for name in ("level", "warmth") for option in ("--output", name)]
+    assert run(["identify", str(file), *names, "--order", "25", "--out", str(out), "--json"]) == DONE
+    found = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(found["static_gain"], [[2.0, -0.4], [0.0, 0.5 / 0.3]], atol=0.1)
+    np.testing.assert_allclose(np.sum(found["relative_gains"], axis=0), 1.0)
+    assert found["held_out_fit_percent"][0]["level"] > 80
+    read = load_multivariable(out)
+    assert (read.inputs, read.outputs) == (("valve", "heater"), ("level", "warmth"))
+    np.testing.assert_array_equal(read.models[0][1].impulse_response, found["impulse_responses"][0][1])
+    assert run(["identify", str(file), *names, "--method", "arx"]) == BAD_INPUT
+    assert "need the method kernel" in capsys.readouterr().err
+    (tmp_path / "wrong.json").write_text(out.read_text().replace("covariances", "covariance"))
+    with pytest.raises(BadModel, match="covariances"):
+        load_multivariable(tmp_path / "wrong.json")

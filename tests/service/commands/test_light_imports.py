@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-HEAVY = ("sympy", "scipy.io", "sklearn", "fastapi", "pyarrow", "h5py")
+HEAVY = ("sympy", "pint", "scipy.stats", "scipy.signal", "scipy.io", "sklearn", "fastapi", "pyarrow", "h5py")
 
 
 @pytest.mark.parametrize("command", ["compare", "explain", "improve", "estimate"])
@@ -13,3 +13,12 @@ def test_a_command_on_a_model_begins_without_what_it_seldom_needs(command):
     script = f"import sys, residuum.service.commands.{command}; print([name for name in {HEAVY!r} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_the_catalogue_is_listed_without_compiler_solver_or_registry():
+    script = (
+        "import sys; from residuum.service.cli import run; run(['effects', 'gate-drive']); run(['effects']);"
+        "print([name for name in ('sympy', 'numba', 'scipy', 'pint', 'sklearn', 'fastapi', 'pandas') if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines()[-1] == "[]" and "coulomb-friction" in found.stdout

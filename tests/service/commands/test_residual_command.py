@@ -48,6 +48,13 @@ def test_design_reports_what_it_verified(folder, capsys):
     assert noise["shape"] == 2.0 and noise["tails"] == "Gaussian" and 3500 < noise["degrees_of_freedom"] < 4000
 
 
+@pytest.mark.parametrize("method", ["observer", "kalman", "parity", "h-infinity"])
+def test_each_method_of_the_source_makes_a_detector(folder, capsys, method):
+    made = answer(capsys, "design", folder / "model.json", "--out", folder / method, "--method", method, "--rule", "worst-case")
+    assert made["method"] == method and made["stable"] and made["beta"] > 0
+    assert answer(capsys, "run", folder / method, folder / "good.csv")["alarm"] is False
+
+
 def test_design_says_where_healthy_samples_contradict_every_usual_tail(folder, capsys):
     rng = np.random.default_rng(9)
     u = rng.standard_normal(20_000)
@@ -105,3 +112,67 @@ def test_text_says_what_the_fault_is_and_since_when(folder, capsys):
     assert "sensor-offset (step): 1.0" in said[0] and " m, since 100" in said[0]
     assert f"stuck-sensor: the reading stays at {table[1000, 2]:.6g} m, since 100 s" in said[1]
     assert "since before 6 s, the first that is judged" in said[2]
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory):
+    """A model of two inputs and three outputs in a file, its record, and records with a fault."""
+    folder = tmp_path_factory.mktemp("several")
+    rng = np.random.default_rng(7)
+
+    def record(path, offset=0.0, without=()):
+        a, b = rng.standard_normal((2, 1500))
+        rows = [(1.0, 0.5, 0.4, 0.8), (0.3, 0.7, 0.5, 0.6), (0.2, 0.6, 0.4, 0.5)]
+        table = {"a": ("V", a), "b": ("V", b)}
+        for i, (k, p, m, q) in enumerate(rows):
+            y = TransferFunction([k], [1.0, -p], 0.1).simulate(a) + TransferFunction([m], [1.0, -q], 0.1).simulate(b)
+            table[f"y{i}"] = ("m", y + 0.2 * rng.standard_normal(1500) + (i == 1) * offset * (np.arange(1500) >= 800))
+        kept = {name: column for name, column in table.items() if name not in without}
+        header = ",".join(["time [s]", *(f"{name} [{unit}]" for name, (unit, _) in kept.items())])
+        columns = np.column_stack([0.1 * np.arange(1500), *(column for _, column in kept.values())])
+        np.savetxt(path, columns, delimiter=",", header=header, comments="", fmt="%.9g")
+
+    record(folder / "healthy.csv")
+    record(folder / "bad.csv", 0.5)
+    record(folder / "blind.csv", 0.5, without=("b",))
+    channels = [option for name in "ab" for option in ("--input", name)]
+    channels += [option for i in range(3) for option in ("--output", f"y{i}")]
+    model = folder / "model.json"
+    assert run(["identify", str(folder / "healthy.csv"), *channels, "--order", "30", "--out", str(model)]) == 0
+    return folder
+
+
+def test_several_inputs_and_outputs_make_one_detector_that_names_the_sensor(several, capsys):
+    made = answer(capsys, "design", several / "model.json", "--out", several / "d")
+    assert made["method"] == "robust" and made["residuals"] == 3 and made["healthy_samples"] > 1400
+    assert len(made["noise"]["innovation_std"]) == 3
+    assert answer(capsys, "run", several / "d", several / "healthy.csv")["alarm"] is False
+    found = answer(capsys, "run", several / "d", several / "bad.csv")
+    assert found["alarm"] and found["first_alarm_time"] >= 80.0 and found["false_alarm_rate"] == 1.0
+    fault = found["fault_estimate"]
+    assert (fault["kind"], fault["place"], fault["unit"]) == ("sensor-offset", "y1", "m")
+    assert fault["band_95"][0] < 0.5 < fault["band_95"][1]
+    assert run(["residual", "run", str(several / "d"), str(several / "bad.csv")]) == 0
+    assert "sensor-offset of y1" in capsys.readouterr().out
+
+
+def test_an_unknown_input_observer_needs_no_record_of_that_input(several, capsys):
+    options = ("--method", "unknown-input-observer", "--unknown-input", "b")
+    made = answer(capsys, "design", several / "model.json", "--out", several / "u", *options)
+    assert made["unknown_inputs"] == ["b"] and made["residuals"] == 2 and made["filter_order"] > 0
+    assert answer(capsys, "run", several / "u", several / "blind.csv")["fault_estimate"]["place"] == "y1"
+
+
+def test_what_belongs_to_one_kind_of_design_is_refused_of_the_other(several, folder, capsys):
+    def refused(*arguments):
+        capsys.readouterr()
+        assert run(["residual", *map(str, arguments)]) == 2
+        return capsys.readouterr().err
+
+    answer(capsys, "design", several / "model.json", "--out", several / "d2")
+    assert "threshold posterior alone" in refused("run", several / "d2", several / "bad.csv", "--threshold", "peak")
+    assert "'b'" in refused("run", several / "d2", several / "blind.csv")
+    one = ("design", folder / "model.json", "--out", folder / "no")
+    assert "several outputs" in refused(*one, "--method", "unknown-input-observer")
+    assert "several outputs" in refused(*one, "--unknown-input", "u")
+    assert not (folder / "no").exists()

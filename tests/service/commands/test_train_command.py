@@ -8,10 +8,10 @@ import pytest
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.gate.gate_examples import example_record
+from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats.npz import write_npz
 from residuum.service.cli import BAD_INPUT, run
-from residuum.service.commands.train import read_labels
 
 RECORDS = [Path("here/a.npz"), Path("b.npz")]
 
@@ -53,6 +53,20 @@ def test_movements_of_two_actuators_are_counted_as_two(tmp_path, monkeypatch, ca
     assert GateActuator.load("gate").baseline.exemplars == 2
     assert run(["train", "gripping-pliers", *files, *told]) == BAD_INPUT
     assert "only the gate-actuator diagnoser knows exemplars" in capsys.readouterr().err
+
+
+def test_actuators_left_out_in_turn_are_judged_by_the_others(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    files = [f"{k}.npz" for k in range(6)]
+    for k, file in enumerate(files):
+        write_npz(example_record("healthy", k), file)
+    labels_file(tmp_path, "".join(f"{k}.npz,healthy,gate {k // 2}\n" for k in range(6)))
+    told = ["--labels", "labels.csv", "--out", "gate", "--validate", "object-wise"]
+    capsys.readouterr()
+    assert run(["train", "gate-actuator", *files, *told, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["validation"]
+    assert found["how"] == "object-wise" and found["objects"] == 3 and sum(map(sum, found["confusion"])) == 6
+    assert found["accuracy"] >= 5 / 6
 
 
 def test_either_method_decides_and_both_are_shown(tmp_path, monkeypatch, capsys):

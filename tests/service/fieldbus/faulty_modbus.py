@@ -22,6 +22,9 @@ KINDS = (
     "away",
 )  # fmt: skip
 
+NO_REPLY_AT_ALL = ("unknown function", "count beyond the end")
+"""Replies that pymodbus cannot decode; they are no part of the campaign."""
+
 
 def truth(number):
     return {"u": np.float32(np.sin(number)), "y": np.float32(number * 0.5)}
@@ -149,6 +152,8 @@ class FaultyModbus:
             "flipped bit": lambda: _reply(transaction, unit, words),
             "old content": lambda: _reply(transaction, unit, before),
             "wrong protocol": lambda: struct.pack(">HHH", transaction, 9, len(reply) - 6) + reply[6:],
+            "unknown function": lambda: _reply(transaction, unit, words, function=0x55),
+            "count beyond the end": lambda: reply[:8] + bytes([reply[8] + 2]) + reply[9:],
             "garbage": lambda: bytes(range(200, 255)),
         }
         writer.write(wrong[fault]())

@@ -7,7 +7,7 @@ import pytest
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.can import open_bus
+from residuum.service.fieldbus.can_bus import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.settings import MAPS, SourceSettings
 

@@ -92,7 +92,7 @@ def test_a_fault_command_carries_a_float():
     ("change", "message"),
     [
         (("SG_ counter : 0|12", "SG_ counter : 0|3"), "counter has 3 bits"),
-        (('BA_ "SampleTime" BO_ 300 0.001;', ""), "no attribute SampleTime"),
+        (('BA_ "SampleTime" BO_ 300 0.001;', ""), "no time between frames"),
         (("BO_ 300 mixed: 8 A", "BO_ 300 mixed 8 A"), "cannot be read as a DBC file"),
         (
             ("SG_ flag", 'SG_ little_00 : 41|1@1+ (1,0) [0|1] "" A\n SG_ little_01 : 42|1@1+ (1,0) [0|1] "" A\n SG_ flag'),

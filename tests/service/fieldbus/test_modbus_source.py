@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.modbus_frames import FrameCutter, ModbusFrame, NoModbus
 from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
@@ -82,7 +81,7 @@ def test_pages_are_read_in_turn_from_the_oldest_one(make_bench):
     assert bench.counted() == {}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, *faulty_modbus.NO_REPLY_AT_ALL])
 def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench, kind):
     bench = make_bench(itertools.chain([None] * 3, [kind], itertools.repeat(None)))
     bench.server.publish(60)
@@ -93,6 +92,7 @@ def test_one_wrong_reply_of_each_kind_costs_no_sample_and_is_counted(make_bench,
     if kind != "old content":  # what was in the registers before: a page that is not the one asked for, or no page at all
         assert sum(bench.counted().values()) >= 1
     assert bench.server.done == 1
+    assert (kind in faulty_modbus.NO_REPLY_AT_ALL) <= bench.counted().get("undecodable", 0)
 
 
 def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
@@ -187,19 +187,3 @@ def test_pages_that_were_written_over_while_they_were_read_are_lost_and_end_no_c
     assert len(bench.read()) + bench.counted()["lost"] == 620
     assert set(bench.counted()) == {"lost"}
     bench.assert_all_values_are_true()
-
-
-@pytest.mark.parametrize("length", [1, 5, 9, 13, 1000])
-def test_frames_are_cut_out_of_pieces_of_any_length(length):
-    frames = [ModbusFrame(k, 1, 3, bytes(range(k))) for k in range(40)]
-    stream = b"".join(frame.packed() for frame in frames)
-    cutter = FrameCutter()
-    found = [frame for at in range(0, len(stream), length) for frame in cutter.cut(stream[at : at + length])]
-    assert found == frames
-
-
-def test_frames_before_bytes_that_are_no_modbus_are_not_lost():
-    good, found = ModbusFrame(7, 1, 3, b"\x02\x00\x01"), []
-    with pytest.raises(NoModbus):
-        found.extend(FrameCutter().cut(good.packed() + bytes(range(200, 255))))
-    assert found == [good]

@@ -123,3 +123,39 @@ def test_nothing_is_overwritten_and_no_broken_block_is_backed_up(tmp_path, backu
     block.unlink()
     assert f"{block.name}: is missing" in refused(capsys, tmp_path / "old", "backup", tmp_path / "c")
     assert not list(tmp_path.glob("c*"))
+
+
+def test_the_settings_and_what_they_name_come_back_beside_the_data(tmp_path, capsys, monkeypatch):
+    fill(tmp_path / "data", f"sqlite:///{tmp_path / 'data' / 'residuum.db'}")
+    (tmp_path / "hall 1").mkdir()
+    bus, file = tmp_path / "hall 1" / "press map.yaml", tmp_path / "settings.yaml"
+    bus.write_text("streams: {}\n")
+    machine = {
+        "asset": "press",
+        "diagnoser": "robust-residual",
+        "window": {"cut": "sliding"},
+        "sources": [{"kind": "modbus", "host": "127.0.0.1", "map": str(bus)}],
+    }
+    file.write_text(json.dumps({"port": 9000, "mqtt": "mqtt://plant:secret@broker", "machines": [machine]}))
+    monkeypatch.delenv("RESIDUUM_SETTINGS", raising=False)
+    monkeypatch.setenv("RESIDUUM_SETTINGS", str(file))
+    saved, back = tmp_path / "saved", tmp_path / "back"
+    left = tmp_path / "saved.unfinished"  # of a backup that was killed, open to all
+    left.write_bytes(b"")
+    left.chmod(0o644)
+    assert run(["backup", str(saved), "--data", str(tmp_path / "data")]) == 0
+    assert saved.stat().st_mode & 0o777 == 0o600
+    monkeypatch.delenv("RESIDUUM_SETTINGS")
+    capsys.readouterr()
+    assert run(["restore", str(saved), "--data", str(back), "--json"]) == 0
+    folder = back / "settings-of-backup"
+    assert json.loads(capsys.readouterr().out)["settings"] == ["000-settings.yaml", "001-press_map.yaml", "places.json"]
+    assert (folder / "000-settings.yaml").read_bytes() == file.read_bytes()
+    assert (folder / "001-press_map.yaml").read_bytes() == bus.read_bytes()
+    assert json.loads((folder / "places.json").read_bytes())["001-press_map.yaml"] == str(bus)
+    assert folder.stat().st_mode & 0o777 == 0o700 and (folder / "places.json").stat().st_mode & 0o777 == 0o600
+    content = saved.read_bytes()
+    saved.write_bytes(content.replace(b"plant:secret", b"plant:sEcret"))
+    assert run(["restore", str(saved), "--data", str(tmp_path / "other")]) == 2
+    assert "the settings differ from their checksums" in capsys.readouterr().err
+    assert not (tmp_path / "other" / "settings-of-backup").exists()

@@ -6,6 +6,8 @@ import shutil
 import pytest
 from playwright.sync_api import expect, sync_playwright
 
+from residuum.service.alarms.alarm_rules import AlarmRule
+
 PATIENCE = 60_000  # milliseconds; two busy cores take long to read the chart library
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -56,6 +58,9 @@ class NoMachines:
 
     def status(self):
         return {"machines": {}, "sources": {}}
+
+    def alarm_rule(self, _asset):
+        return AlarmRule()
 
 
 @pytest.fixture(scope="module")

@@ -75,6 +75,25 @@ def test_a_model_file_of_the_command_line_is_dropped_and_designed_for(service, o
     expect(page.get_by_role("checkbox", name="my-plant-2-, version 1")).to_be_checked()
 
 
+def test_inputs_of_the_source_are_on_the_page_with_its_defaults(service, open_page):
+    page = open_page(f"{service.url}/#/control?aim=robust")
+    page.locator(".choice", has_text="plant, version 1").last.get_by_role("checkbox").check()
+    page.get_by_text("Uncertainty weight: models drawn").click()
+    fields = {"accuracy ε": "0.1", "risk ζ": "0.2", "order of W_T": "1", "frequencies of the grid": "100"}
+    for name, before in {"accuracy ε": "0.05", "risk ζ": "0.05", "order of W_T": "2", "frequencies of the grid": ""}.items():
+        expect(page.get_by_label(name)).to_have_value(before)
+        page.get_by_label(name).fill(fields[name])
+    page.get_by_label("number of models by a bound").select_option("worst-case")
+    page.get_by_label("least gain h_g at high frequency [dB]").fill("-20")
+    with page.expect_request("**/control-designs/views") as sent:
+        page.get_by_role("button", name="Design", exact=True).click()
+    asked = sent.value.post_data_json
+    assert {key: asked[key] for key in ("epsilon", "zeta", "rule", "weight_order", "points", "low_gain_db")} == {
+        "epsilon": 0.1, "zeta": 0.2, "rule": "worst-case", "weight_order": 1, "points": 100, "low_gain_db": 120
+    }  # fmt: skip
+    assert asked["smallest_high_gain_db"] == -20 and "epsilon=0.1" in page.url
+
+
 def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):
     page = open_page(f"{service.url}/#/control?models=plant@1&structure=pi&settling=0.3")
     expect(page.get_by_text("No such controller")).to_be_visible(timeout=LONG_WORK)

@@ -10,8 +10,10 @@ from playwright.sync_api import expect
 
 import residuum.service.web
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
+from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
+from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.security.access import new_key
 from residuum.service.storage.retention import Retention
 from residuum.service.store import NotFound
@@ -59,9 +61,12 @@ class SwitchableMachines:
         source |= {"last_seen_seconds": 3.0, "counters": {"lost": 7, "timeouts": 0}, "last_trouble": "bus off"}
         training = {"state": "training", "progress": 0.25, "doing": "movement 5 of 20", "diagnoser": "gate-actuator"}
         return {
-            "machines": {"gate": training, "press": {"state": "running", "progress": 1.0}},
+            "machines": {"gate": training, "press": {"state": "running", "progress": 1.0, "simulated": True}},
             "sources": {"press udp:1": source},
         }
+
+    def alarm_rule(self, _asset):
+        return AlarmRule()
 
     def faults(self, machine):
         if machine != "press":
@@ -370,3 +375,41 @@ def test_our_own_part_of_the_page_is_small_on_the_wire(service):
         plain = client.get("/web/js/main.js", headers={"Accept-Encoding": "identity"})
     assert "content-encoding" not in plain.headers and plain.content == (folder / "js" / "main.js").read_bytes()
     assert len(files) > 30 and sum(sizes) <= 150_000
+
+
+def test_both_methods_are_shown_with_every_finding_and_either_may_decide(run_service, open_page):
+    service = run_service()
+    case = RobustResidual.examples()[0]
+    judge = RobustResidual().fit(case.training)
+    file = service.services.settings.data / "plant.baseline"
+    judge.save(file)
+    stored = service.services.store
+    stored.add_model_version("plant", "baseline", file.read_bytes())
+    source = judge.with_settings(method="source")
+    overlooked = next(record for record in case.faulty if source.score(record).verdict == "healthy")
+    stored.add_window("plant", case.healthy[0], judge.score(case.healthy[0]))
+    stored.add_window("plant", overlooked, judge.score(overlooked))
+    both = "Default method: Faulty (decides) · Source's method: Healthy"
+    page = open_page(service.url)
+    expect(page.locator(".machine", has_text="Plant")).to_contain_text(both)
+    page.goto(f"{service.url}/#/machines/plant")
+    expect(page.locator(".facts")).to_contain_text("Faulty (decides)")
+    windows = page.locator("section", has=page.get_by_role("heading", name="Windows", exact=True))
+    expect(windows.locator(".methods")).to_have_text(both)
+    windows.locator(".picker button").last.click()
+    expect(windows.locator(".methods")).to_contain_text("Default method: Healthy (decides) · Source's method: Healthy")
+    page.get_by_label("what decides").select_option("source")
+    expect(page.get_by_role("status").filter(has_text="the source's method decides from the next window on")).to_be_visible()
+    channels = {name: overlooked[name].tolist() for name in overlooked.names}
+    sent = {"sample_time": overlooked.sample_time, "t0": 0.0, "channels": channels, "units": dict(overlooked.units)}
+    httpx.post(f"{service.url}/api/v1/assets/plant/windows", json=sent, timeout=60).raise_for_status()
+    expect(page.locator(".facts")).to_contain_text("Healthy (decides)")
+    page.reload()
+    expect(page.get_by_label("what decides")).to_have_value("source")
+
+
+def test_a_machine_with_one_method_offers_no_choice(service, open_page):
+    page = open_page(f"{service.url}/#/machines/press")
+    expect(page.locator("h1")).to_have_text("Press")
+    expect(page.locator(".picker button").first).to_be_visible()
+    expect(page.get_by_label("what decides")).to_have_count(0)

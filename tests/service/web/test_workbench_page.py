@@ -128,6 +128,19 @@ def test_a_record_that_does_not_fit_is_refused_in_one_line(service, open_page, t
     expect(page.get_by_text("other.csv")).to_have_count(0)
 
 
+def test_what_a_loggers_file_leaves_open_is_said_on_the_page(service, open_page, tmp_path):
+    page = open_page(f"{service.url}/#/workbench", expected=["422"])
+    file = tmp_path / "log.csv"
+    file.write_text("Zeit [s];Drehzahl (rpm)\n" + "\n".join(f"{k};{1 + k % 7},125" for k in range(60)) + "\n")
+    page.set_input_files("#file", str(file))
+    page.get_by_text("give --decimal").wait_for()
+    page.get_by_text("How to read a logger's file").click()
+    page.get_by_label("decimal sign").select_option(",")
+    page.set_input_files("#file", str(file))
+    page.get_by_text("log.csv").first.wait_for()
+    page.get_by_text("60 samples").first.wait_for()
+
+
 def test_a_model_file_is_edited_and_a_wrong_one_refused(service, open_page):
     page = open_page(f"{service.url}/#/workbench?model=linear-axis", expected=["422"])
     page.get_by_text("Upload or edit the model file").click()

@@ -94,14 +94,8 @@ def identify(
         if structure.has_input:
             _check_excitation(data, min(o.nb + max(o.na, o.nf) for o in possible), input)
         first = FirstValues(data, possible[0].delay, max(max(o.nf, o.na, o.nb) for o in possible))
-        best, scores = 0, np.zeros(0)
-        if held_out:
-            scores = cross_validation(structure, held_out, possible, offset=offset)
-        elif len(possible) > 1:
-            fits = [rough_fit(structure, data, o, first, offset=offset) for o in possible]
-            scores = np.array([information(f, o, data.n)[criterion] for f, o in zip(fits, possible, strict=True)])
-        if scores.size:
-            best = int(np.argmin(scores))
+        scores = _scores(structure, data, held_out, possible, first, criterion, offset)
+        best = int(np.argmin(scores)) if scores.size else 0
         fit = best_fit(structure, data, possible[best], first, offset=offset)
     described = description(structure, records, input, output, possible[best], fit.normal.n)
     described["warnings"] = _warnings(fit, possible[best])
@@ -109,6 +103,24 @@ def identify(
     if scores.size:
         described["provenance"] |= {"candidates": [orders_text(o) for o in possible], criterion: scores.tolist()}
     return _finish(data, fit, possible[best], described, offset)
+
+
+def _scores(
+    structure: Structure,
+    data: Signals,
+    held_out: Sequence[Fold],
+    possible: Sequence[Orders],
+    first: FirstValues,
+    criterion: str,
+    offset: bool,
+) -> FloatArray:
+    """The criterion of each candidate; none where there is no choice."""
+    if held_out:
+        return cross_validation(structure, held_out, possible, offset=offset)
+    if len(possible) == 1:
+        return np.zeros(0)
+    fits = [rough_fit(structure, data, orders, first, offset=offset) for orders in possible]
+    return np.array([information(fit, orders, data.n)[criterion] for fit, orders in zip(fits, possible, strict=True)])
 
 
 def _folds(data: Signals, criterion: str, count: int) -> list[Fold]:

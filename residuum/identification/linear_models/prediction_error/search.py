@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.descent import LEAST_DAMPING, End, descend
 from residuum.identification.linear_models.prediction_error.criterion import Criterion, Normal
 
 FloatArray = npt.NDArray[np.float64]
@@ -25,32 +26,45 @@ def minimise(criterion: Criterion, start: FloatArray, *, iterations: int = 60, t
     """Walk down from `start`; steps that leave the stable region or raise the cost are shortened by damping.
 
     Stops when the predicted relative fall of the cost is below `tolerance`.
-
-    References
-    ----------
-    J. J. Moré, *The Levenberg–Marquardt algorithm*, LNM 630 (1978): damping scaled by the diagonal of ψᵀψ.
     """
-    x = start
-    normal = criterion.normal(x)
-    damping = 1e-4
-    for _ in range(iterations):
-        accepted = False
-        while damping < 1e10:
-            step, fall = _step(normal, damping)
-            if fall <= tolerance * normal.cost:
-                return Minimum(x, normal, converged=True)
-            cost = criterion.cost(x + step)
-            if cost < normal.cost:
-                gain = (normal.cost - cost) / fall
-                damping = max(damping * (0.2 if gain > 0.5 else 1.0), 1e-12)
-                accepted = True
-                break
-            damping *= 5.0
-        if not accepted:
-            return Minimum(x, normal, converged=False)
-        x = x + step
-        normal = criterion.normal(x)
-    return Minimum(x, normal, converged=False)
+    walk = _Walk(criterion, tolerance)
+    there, _, end = descend(walk, walk.point(start), steps=iterations)
+    return Minimum(there.x, there.normal, converged=end is End.SETTLED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    x: FloatArray
+    normal: Normal
+
+    @property
+    def cost(self) -> float:
+        return self.normal.cost
+
+
+class _Walk:
+    """The criterion as a landscape; where the predictor is unstable its cost is infinite."""
+
+    def __init__(self, criterion: Criterion, tolerance: float) -> None:
+        self.criterion, self.tolerance = criterion, tolerance
+
+    def trial(self, point: _Point, damping: float) -> FloatArray:
+        return np.asarray(point.x + _step(point.normal, damping)[0])
+
+    def cost(self, trial: FloatArray) -> float:
+        return self.criterion.cost(trial)
+
+    def point(self, trial: FloatArray) -> _Point:
+        cost = self.criterion.cost(trial)
+        return _Point(trial, self.criterion.normal(trial) if np.isfinite(cost) else _nowhere(len(trial)))
+
+    def ends(self, point: _Point) -> End | None:
+        _, fall = _step(point.normal, LEAST_DAMPING)
+        return End.SETTLED if fall <= self.tolerance * point.cost else None
+
+
+def _nowhere(size: int) -> Normal:
+    return Normal(np.inf, np.zeros((size, size)), np.zeros(size), 0)
 
 
 def _step(normal: Normal, damping: float) -> tuple[FloatArray, float]:

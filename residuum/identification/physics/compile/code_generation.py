@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import sympy as sp
 
 from residuum.identification.physics.compile.composition import TIME, Equations
+from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
 from residuum.identification.physics.compile.stepping_code import FREE, stepping
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
@@ -85,6 +86,7 @@ def generate(equations: Equations) -> str:
     A, B = _places(assignments[1], "r1", nx), _places(assignments[1], "r2", len(equations.p) + nx)
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
+    declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
     return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations, A, B)]) + "\n"
 
 
@@ -227,6 +229,22 @@ class _Function:
     def _heaviside(self, a: sp.Expr, *_: sp.Expr) -> str:
         return self._select(self._compare("ogt", a, sp.S.Zero), _constant(1.0), _constant(0.0))
 
+    def _external_value(self, k: sp.Expr, *arguments: sp.Expr) -> str:
+        return self._new(f"call double @{SYMBOLS[0]}(i64 {k}, ptr {self._array(arguments)})")
+
+    def _external_slope(self, k: sp.Expr, j: sp.Expr, *arguments: sp.Expr) -> str:
+        return self._new(f"call double @{SYMBOLS[1]}(i64 {k}, i64 {j}, ptr {self._array(arguments)})")
+
+    def _array(self, values: tuple[sp.Expr, ...]) -> str:
+        """Where values stand side by side."""
+        if values not in self.known:
+            registers = [self.value(value) for value in values]
+            array = self.known[values] = self._new(f"alloca [{len(values)} x double]")
+            for k, register in enumerate(registers):
+                place = self._new(f"getelementptr double, ptr {array}, i64 {k}")
+                self.lines.append(f"store double {register}, ptr {place}")
+        return self.known[values]
+
     def _nothing(self, *_: sp.Expr) -> str:
         return _constant(0.0)
 
@@ -296,6 +314,8 @@ class _Function:
         sp.Heaviside: _heaviside,
         sp.DiracDelta: _nothing,
         SteppedRound: _rounded,
+        ExternalValue: _external_value,
+        ExternalSlope: _external_slope,
         InverseRoot: _inverse_root,
         sp.Max: _max,
         sp.Min: _min,

@@ -209,7 +209,7 @@ class _Composer:
 
     def _tied(self, use: EffectUse, sides: Mapping[str, _Sides]) -> dict[str, sp.Expr]:
         """What an effect is tied to: signals by name, the other balance's variables as `other:role`."""
-        if use.effect.between:
+        if use.effect.joins(use.target):
             return {f"other:{role}": value for role, value in sides[tied_to(use.target)[0]].roles.items()}
         return {name: self._name(name) for name in tied_to(use.target)}
 

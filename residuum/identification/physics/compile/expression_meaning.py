@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
 
+EXTERNAL = "external"
+"""Name of the function that a compiled library holds; no model file can call it."""
 _FUNCTIONS: Mapping[str, str] = {"abs": "Abs", "min": "Min", "max": "Max"}
 _OPERATORS: Mapping[str, Callable[..., Any]] = {
     "+": lambda a, b: a + b,
@@ -23,6 +26,9 @@ def meaning(node: Operation | Call) -> Callable[..., Any]:
     """The operation or function of a node, on SymPy expressions."""
     if isinstance(node, Operation):
         return _OPERATORS[node.operator]
+    if node.function == EXTERNAL:
+        value = import_module("residuum.identification.physics.compile.external").ExternalValue
+        return lambda number, *operands: value(number, sp.Symbol("t", real=True), *operands)
     return getattr(sp, _FUNCTIONS.get(node.function, node.function))
 
 

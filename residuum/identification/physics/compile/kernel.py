@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from residuum.code_folder import code_folder
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
 from residuum.identification.physics.effects import EFFECTS
@@ -48,15 +49,8 @@ def kernel_of(model: PhysicalModel) -> Kernel:
 
 
 def cache_folder() -> Path:
-    """Where generated kernels are kept: `$RESIDUUM_CACHE`, else `~/.cache/residuum`, else a folder for temporary files."""
-    chosen = os.environ.get("RESIDUUM_CACHE")
-    folder = Path(chosen) if chosen else Path.home() / ".cache" / "residuum"
-    try:
-        (folder / "kernels").mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError:
-        folder = Path(tempfile.gettempdir()) / f"residuum-{os.getuid()}"
-        (folder / "kernels").mkdir(parents=True, exist_ok=True, mode=0o700)
-    return folder / "kernels"
+    """Where generated kernels are kept: in `$RESIDUUM_CACHE`, else `~/.cache/residuum`; this user's alone."""
+    return code_folder("kernels", "RESIDUUM_CACHE")
 
 
 class _Deferred:
@@ -75,7 +69,7 @@ class _Deferred:
 @lru_cache(maxsize=256)
 def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     machine = machine_code.target()
-    digest = hashlib.sha256((structure + machine + _sources()).encode()).hexdigest()[:24]
+    digest = hashlib.sha256((structure + machine + sources()).encode()).hexdigest()[:24]
     path = cache_folder() / f"kernel_{digest}"
     if not path.exists():
         _write(path, _made(deferred.model))
@@ -109,7 +103,8 @@ def _structure(model: PhysicalModel) -> str:
 
 
 @lru_cache(maxsize=1)
-def _sources() -> str:
+def sources() -> str:
+    """A digest of this Python and of what this package's kernels are made by."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256(sys.version.encode())
     for file in sorted(package.rglob("*.py")):

@@ -22,6 +22,8 @@ SIGNATURES: Mapping[str, Any] = {
 }
 """Of the functions that take more than nine pointers to doubles."""
 
+ADDRESSES: dict[str, int] = {}
+"""Functions of a library that this process has loaded, which code may call by these names."""
 _COUNT = count()
 """Numbers the libraries."""
 _PLACED = 1000
@@ -67,6 +69,8 @@ def loaded(code: bytes, names: Sequence[str]) -> tuple[Function, ...]:
     """The functions `names` of object code."""
     number = next(_COUNT)
     builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
+    for name, address in ADDRESSES.items():
+        builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)
     linker = _linker(number // _PLACED)

@@ -81,21 +81,14 @@ def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = 
     third = t.add(sixth, sixth)
     x0 = [t.load("%x", i) for i in range(nx)]
     xs = t.place("%work", 4 * nx)
-    A = [t.place("%work", 5 * nx + r * nx * nx) for r in range(4)]
-    B = [t.place("%work", 5 * nx + 4 * nx * nx + r * nx * width) for r in range(4)]
+    A, B = _slope_places(t, nx, width)
     slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
     rates: list[list[str]] = []
-    for r, j in enumerate(_STAGES):
+    for r in range(4):
         k = t.place("%work", r * nx)
-        inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
-        function, results = ("slopes", (k, A[r], B[r])) if slopes else ("rates", (k, k, k))
-        at = "%x" if r == 0 else xs
-        t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in results)})")
-        rates.append([t.load(k, i) for i in range(nx)])
+        rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, (A[r], B[r]) if slopes else None, nx))
         if r < 3:
-            reach = h if r == 2 else half
-            for i in range(nx):
-                t.store(t.add(x0[i], t.times(reach, rates[r][i])), xs, i)
+            _move(t, x0, h if r == 2 else half, rates[r], xs)
     for i in range(nx):
         t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
     if slopes:
@@ -103,6 +96,29 @@ def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = 
     t.say("  ret void")
     t.say("}")
     return "\n".join(t.lines)
+
+
+def _slope_places(t: _Lines, nx: int, width: int) -> tuple[list[str], list[str]]:
+    """Where in the working memory the slopes of each stage by states and by parameters stand."""
+    A = [t.place("%work", 5 * nx + r * nx * nx) for r in range(4)]
+    return A, [t.place("%work", 5 * nx + 4 * nx * nx + r * nx * width) for r in range(4)]
+
+
+def _stage(
+    t: _Lines, r: int, k: str, at: str, slopes_of_inputs: list[str], results: tuple[str, str] | None, nx: int
+) -> list[str]:
+    """Rates, written to k, of stage r at the states `at`, with their slopes where there are places for these results."""
+    j = _STAGES[r]
+    inputs = f"ptr %u{j}, ptr {slopes_of_inputs[int(j)]}, ptr %p, ptr %s, ptr %m"
+    function, written = ("slopes", (k, *results)) if results else ("rates", (k, k, k))
+    t.say(f"  call void @{function}(ptr {at}, {inputs}, {', '.join(f'ptr {q}' for q in written)})")
+    return [t.load(k, i) for i in range(nx)]
+
+
+def _move(t: _Lines, x0: list[str], reach: str, rates: list[str], xs: str) -> None:
+    """The states xs of the next stage: x0 + reach · rates."""
+    for i, rate in enumerate(rates):
+        t.store(t.add(x0[i], t.times(reach, rate)), xs, i)
 
 
 class _Column:

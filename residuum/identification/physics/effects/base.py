@@ -10,10 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import pint
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.units import parse_unit
+from residuum.identification.units import Unit, parse_unit
 
 Array = npt.NDArray[np.float64]
 
@@ -206,10 +205,20 @@ class Effect(ABC):
         Whether it does to each sample what means over several do not show: a shift in time by a sample, or steps of a reading.
     exact : bool
         Whether the search for a structure that leaves nothing but noise tries it; others are tried on blocks kept aside alone.
+    shifts : str
+        Parameter that says by how much it shifts a signal in time [s]; empty: none does.
+    of_the_reading : bool
+        Whether it is how an output is read: a part of the noise where that is larger.
+    takes_columns : bool
+        Whether it is tried with columns of the record that the model does not use.
+    curve : bool
+        Whether it is a curve to be learned: tried where nothing with a name is real, and begun where what its balance lacks lies.
     signals : int
         How many signals it is tied to; its target is then `balance(signal, …)`.
     between : bool
         Whether it stands between two balances; its target is then `balance(other)`.
+    reaches : bool
+        Whether what it takes from its balance may also run into another one: its target is then `balance(other)`, else `balance`.
     """
 
     id: ClassVar[str]
@@ -225,13 +234,22 @@ class Effect(ABC):
     generalises: ClassVar[str] = ""
     every_sample: ClassVar[bool] = False
     exact: ClassVar[bool] = True
+    shifts: ClassVar[str] = ""
+    of_the_reading: ClassVar[bool] = False
+    takes_columns: ClassVar[bool] = False
+    curve: ClassVar[bool] = False
     signals: ClassVar[int] = 0
     between: ClassVar[bool] = False
+    reaches: ClassVar[bool] = False
 
     @property
     def vanishes(self) -> bool:
         """Whether a zero of all `sizes` removes the effect, so that derivatives at zero screen it."""
         return bool(self.sizes)
+
+    def joins(self, target: str) -> bool:
+        """Whether it stands between two balances at this target."""
+        return self.between or (self.reaches and target.endswith(")"))
 
     @property
     def place(self) -> str:
@@ -312,17 +330,13 @@ def product(first: str, second: str) -> str:
     return _short(parse_unit(_DIFFERENCE.get(first, first)) * parse_unit(_DIFFERENCE.get(second, second)))
 
 
-def _short(unit: pint.Unit) -> str:
+def _short(unit: Unit) -> str:
     """Short symbols, force and voltage before lengths and times: N*m*s/rad."""
-    symbols = [(_symbol(name), exponent) for name, exponent in (1 * unit).unit_items()]
+    symbols = list(unit.symbols.items())
     symbols.sort(key=lambda item: (_ORDER.index(item[0]) if item[0] in _ORDER else len(_ORDER), item[0]))
     above = [_raised(name, exponent) for name, exponent in symbols if exponent > 0]
     below = [_raised(name, -exponent) for name, exponent in symbols if exponent < 0]
     return "/".join(["*".join(above) or "1", *below]) if symbols else ""
-
-
-def _symbol(name: str) -> str:
-    return f"{parse_unit(name):~C}".replace("Ω", "ohm")
 
 
 def _raised(name: str, exponent: float) -> str:

@@ -1,28 +1,33 @@
-"""A model as C99: rates, outputs, first states and a Runge–Kutta step, without any dependency but <math.h>."""
+"""A model as C99: rates, outputs, first states and steps, without any dependency but <math.h>."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
+from residuum.identification.physics.export.c_stepping import c_stepping
 from residuum.identification.physics.export.explicit_model import ExplicitModel
 
 
 def c_source(model: ExplicitModel) -> str:
-    """One file: `NAME_parameters`, `NAME_initial`, `NAME_rates`, `NAME_outputs`, `NAME_step` (inputs held over the step)."""
-    name, n = model.name, max(len(model.states), 1)
+    """One file: `NAME_parameters`, `NAME_initial`, `NAME_rates`, `NAME_outputs`, `NAME_step` and `NAME_advance` (inputs held).
+
+    Each effect's term is a function of its own, `NAME_EFFECT_PLACE`.
+    """
+    name = model.name
     counts = {
         "STATES": len(model.states),
         "INPUTS": len(model.inputs),
         "OUTPUTS": len(model.outputs),
         "PARAMETERS": len(model.parameters),
+        "COMPONENTS": len(model.components),
     }
     values = ", ".join(repr(model.values[p]) for p in model.parameters) or "0.0"
     of_all = "double t, const double *x, const double *u, const double *p"
-    stages = ("0.0", "0.5 * h", "0.5 * h", "h")
+    surfaces = [model.states.index(v) for v in model.directions]
     return "\n".join(
         [
-            *model.head("//"),
+            *model.head("//", at_rest=True),
             "#include <math.h>",
             "",
             *(f"#define {name.upper()}_{key} {count}" for key, count in counts.items()),
@@ -30,31 +35,25 @@ def c_source(model: ExplicitModel) -> str:
             *_table(model, "u", model.inputs),
             *_table(model, "p", model.parameters),
             *_table(model, "y", tuple(model.outputs)),
+            *(f"// s[{k}]: direction of {model.described(v)}" for k, v in enumerate(model.directions)),
             "",
             "static inline double residuum_sign(double v) { return (v > 0.0) - (v < 0.0); }",
             f"const double {name}_parameters[] = {{{values}}};",
             "",
             *_function(model, f"void {name}_initial(double t, const double *u, const double *p, double *x)", "x", model.initial),
-            *_function(model, f"void {name}_rates({of_all}, double *dx)", "dx", model.rates),
+            *(line for key in model.components for line in _component(model, key, of_all)),
+            *_function(model, f"void {name}_rates_by_direction({of_all}, const double *s, double *dx)", "dx", model.rates),
             *_function(model, f"void {name}_outputs({of_all}, double *y)", "y", model.outputs),
-            f"void {name}_step(double t, double h, double *x, const double *u, const double *p)",
-            "{",
-            f"    double k[4][{n}], at[{n}];",
-            *(line for stage, part in enumerate(stages) for line in _stage(name, stage, part, len(model.states))),
-            f"    for (int i = 0; i < {len(model.states)}; ++i)",
-            "        x[i] += h / 6.0 * (k[0][i] + 2.0 * k[1][i] + 2.0 * k[2][i] + k[3][i]);",
-            "}",
+            *c_stepping(name, len(model.states), surfaces),
             "",
         ]
     )
 
 
-def _stage(name: str, stage: int, part: str, n: int) -> list[str]:
-    last = f" + {part} * k[{stage - 1}][i]" if stage else ""
-    return [
-        f"    for (int i = 0; i < {n}; ++i) at[i] = x[i]{last};",
-        f"    {name}_rates(t + {part}, at, u, p, k[{stage}]);",
-    ]
+def _component(model: ExplicitModel, key: str, of_all: str) -> list[str]:
+    part = model.components[key]
+    signature = f"double {model.name}_{key}({of_all}, const double *s)"
+    return [f"// {part.title} [{part.unit}]", *_function(model, signature, "return", {key: part.expression})]
 
 
 def _table(model: ExplicitModel, letter: str, names: tuple[str, ...]) -> list[str]:
@@ -70,9 +69,15 @@ def _function(model: ExplicitModel, signature: str, target: str, expressions: An
         for k, name in enumerate(names)
         if model.symbols[name] in used and not (letter == "x" and target == "x")
     ]
+    local += [f"    const double {d.name} = s[{k}];" for k, d in enumerate(model.directions.values()) if d in used]
+    local += [
+        f"    const double {key} = {model.name}_{key}(t, x, u, p, s);" for key in model.components if model.symbols[key] in used
+    ]
     clock = ["    const double time = t;"] if model.symbols["time"] in used else ["    (void)t;"]
-    unused = [f"    (void){letter};" for letter in arrays if f"*{letter}," in signature + "," and letter != target]
-    body = [f"    {target}[{k}] = {_code(e)};" for k, e in enumerate(expressions.values())]
+    letters = (*arrays, "s")
+    unused = [f"    (void){letter};" for letter in letters if f"*{letter}," in signature.replace(")", ",") and letter != target]
+    places = ["return"] if target == "return" else [f"{target}[{k}] =" for k in range(len(expressions))]
+    body = [f"    {place} {_code(e)};" for place, e in zip(places, expressions.values(), strict=True)]
     return [signature, "{", *clock, *unused, *local, *body, "}", ""]
 
 

@@ -9,9 +9,14 @@ from typing import Any
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.compile.composition import TIME, compose
-from residuum.identification.physics.model import PhysicalModel, missing_name
+from residuum.identification.physics.compile.composition import TIME, Equations, compose
+from residuum.identification.physics.files.consistency import owners_of
+from residuum.identification.physics.model import PhysicalModel, missing_name, term_name
+from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
+AT_REST = (
+    "Standstill is exact: at zero velocity the machine rests until what drives it exceeds the friction (Filippov's condition).",
+)
 LIMITS = (
     "Standstill: where the model has dry friction, sign(v) of an exactly zero velocity is 0 here.",
     "The original holds a machine at rest until the forces exceed the friction; here it may creep by a step's length.",
@@ -19,12 +24,27 @@ LIMITS = (
 """What the text cannot do as the original does; stands in its head."""
 
 
+@dataclass(frozen=True)
+class Component:
+    """The term that an effect adds to a balance: `expression` [`unit`]; `title` is `effect in balance`.
+
+    `effect` is the effect's label, by which its parameters are named.
+    """
+
+    title: str
+    effect: str
+    expression: Any
+    unit: str
+
+
 @dataclass(frozen=True, eq=False)
 class ExplicitModel:
     """Names, units and expressions of one model.
 
-    `states`, `inputs`, `parameters` are identifiers in order; `symbols` has the symbol of each, and `time`; `rates` and `initial`
-    are by state, `outputs` by identifier; `units` and `meanings` by identifier; `values` by parameter.
+    `states`, `inputs`, `parameters` are identifiers in order; `symbols` has the symbol of each, of each component and of `time`;
+    `rates` and `initial` are by state, `outputs` by identifier; `units` and `meanings` by identifier; `values` by parameter.
+    `components` are the terms of effects by identifier; rates name them. `directions` has the symbol, in rates and components, of
+    the direction of each velocity that can stand still; `with_signs` puts the sign of the velocity there.
     """
 
     name: str
@@ -39,14 +59,19 @@ class ExplicitModel:
     units: Mapping[str, str]
     meanings: Mapping[str, str]
     values: Mapping[str, float]
+    components: Mapping[str, Component]
+    directions: Mapping[str, Any]
 
-    def head(self, comment: str) -> list[str]:
-        """The first lines of any text: what it is, and its limits."""
-        rubs = any(rate.has(sp.sign) for rate in self.rates.values())
+    def head(self, comment: str, *, at_rest: bool = False) -> list[str]:
+        """The first lines of any text: what it is, and what it does at standstill: `at_rest`, as the original does."""
         lines = [
             f"Model {self.title!r}, written by Residuum. Inputs, states, outputs and parameters in the units named beside them."
         ]
-        return [f"{comment} {line}" for line in [*lines, *(LIMITS if rubs else ())]]
+        return [f"{comment} {line}" for line in [*lines, *((AT_REST if at_rest else LIMITS) if self.directions else ())]]
+
+    def with_signs(self, expression: Any) -> Any:
+        """An expression with each direction as the sign of its velocity."""
+        return sp.sympify(expression).subs({d: sp.sign(self.symbols[v]) for v, d in self.directions.items()})
 
     def described(self, name: str) -> str:
         """`full name [unit]`."""
@@ -62,28 +87,34 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
     BadModel
         An input that an effect delays: no text here has a memory of its inputs.
     """
-    equations = compose(model)
-    if equations.delays:
-        delayed = next(iter(equations.delays))
-        raise BadModel(
-            f"export: input {delayed!r} is delayed (input-delay), which no exported text can hold; take the effect out"
-        )
-    missing = {equations.p[missing_name(balance)]: sp.S.Zero for balance in model.balances}
-    own = [name for name in equations.p if name not in {missing_name(balance) for balance in model.balances}]
-    taken: set[str] = {"time", "t", "x", "u", "p", "y", "dx"}
+    equations = _undelayed(model)
+    unknown = {missing_name(balance) for balance in model.balances}
+    taken: set[str] = {"time", "t", "x", "u", "p", "y", "s", "dx"}
     states, inputs = _identifiers(equations.x, taken), _identifiers(model.inputs, taken)
-    parameters, outputs = _identifiers(own, taken), _identifiers(equations.outputs, taken)
-    symbols = {new: sp.Symbol(new, real=True) for family in (states, inputs, parameters) for new in family.values()}
+    parameters = _identifiers([name for name in equations.p if name not in unknown], taken)
+    outputs = _identifiers(equations.outputs, taken)
+    places = _effect_terms(model, equations)
+    terms = _identifiers([title for title, _, _ in places.values()], taken)
+    symbols = {new: sp.Symbol(new, real=True) for family in (states, inputs, parameters, terms) for new in family.values()}
     symbols["time"] = sp.Symbol("time", real=True)
-    swap = missing | {TIME: symbols["time"]}
-    for family, known in ((equations.x, states), (equations.u, inputs), (equations.p, parameters)):
-        swap |= {symbol: symbols[known[name]] for name, symbol in family.items() if name in known}
-    at = list(equations.x)
-    swap |= {direction: sp.sign(symbols[states[at[k]]]) for k, direction in equations.surfaces.items()}
+    directions = _directions(equations, states, taken)
+    swap = {equations.p[name]: sp.S.Zero for name in unknown} | _renamed(equations, symbols, states, inputs, parameters)
+    swap |= {symbol: directions[states[list(equations.x)[k]]] for k, symbol in equations.surfaces.items()}
 
     def put(expression: Any) -> Any:
-        return sp.sympify(expression).subs(swap)
+        renamed = sp.sympify(expression).xreplace(swap)  # all at once: a model may call its own states x_1, x_2
+        return renamed.replace(SteppedRound, lambda a: sp.floor(a + sp.Rational(1, 2)))
 
+    def turned(expression: Any) -> Any:
+        return put(expression).subs({sp.sign(symbols[v]): d for v, d in directions.items()})
+
+    named = {signal: symbols[terms[title]] for signal, (title, _, _) in places.items()}
+    rates = {new: put(rate) for new, rate in zip(states.values(), equations.rates, strict=True)}
+    for balance, state in _owners(model, equations).items():
+        own = [signal for signal in equations.signals if signal.startswith(f"{balance}.")]
+        if not named.keys().isdisjoint(own):
+            total = sum(named[signal] if signal in named else turned(equations.signals[signal]) for signal in own)
+            rates[states[state]] = total / put(equations.signals[f"storage:{balance}"])
     own_first = {name: put(equations.initial.get(old, model.initial.get(old, 0.0))) for old, name in states.items()}
     first = {symbols[name]: value for name, value in own_first.items()}
     return ExplicitModel(
@@ -93,13 +124,61 @@ def explicit(model: PhysicalModel) -> ExplicitModel:
         inputs=tuple(inputs.values()),
         parameters=tuple(parameters.values()),
         symbols=symbols,
-        rates={new: put(rate) for new, rate in zip(states.values(), equations.rates, strict=True)},
+        rates=rates,
         initial={name: value.subs(first).subs(first) for name, value in own_first.items()},
         outputs={new: put(equations.outputs[old]) for old, new in outputs.items()},
         units=_units(model, states, inputs, parameters, outputs),
         meanings={new: old for family in (states, inputs, parameters, outputs) for old, new in family.items()},
         values={new: model.values[old] for old, new in parameters.items()},
+        components={
+            terms[title]: Component(title, effect, turned(equations.signals[signal]), model.balances[balance].unit)
+            for signal, (title, effect, balance) in places.items()
+        },
+        directions=directions,
     )
+
+
+def _owners(model: PhysicalModel, equations: Equations) -> dict[str, str]:
+    """The state whose derivative each balance gives."""
+    found = {b.name: next(iter(owners_of(b)), b.defines) for b in model.balances.values()}
+    return {balance: state for balance, state in found.items() if state is not None and state in equations.x}
+
+
+def _effect_terms(model: PhysicalModel, equations: Equations) -> dict[str, tuple[str, str, str]]:
+    """Signal `balance.term` → (title, effect's label, balance) of the terms of effects in balances that have a state."""
+    terms = {term_name(use): use for use in model.effects if use.effect.place == "balance"}
+    found = {}
+    for balance in _owners(model, equations):
+        for term, use in terms.items():
+            signal = f"{balance}.{term}"
+            if signal in equations.signals:
+                title = use.label if balance == use.place else f"{use.label} in {balance}"
+                found[signal] = (title, use.label, balance)
+    return found
+
+
+def _directions(equations: Equations, states: Mapping[str, str], taken: set[str]) -> dict[str, Any]:
+    velocities = [states[list(equations.x)[k]] for k in equations.surfaces]
+    names = _identifiers([f"direction of {velocity}" for velocity in velocities], taken)
+    return {v: sp.Symbol(new, real=True) for v, new in zip(velocities, names.values(), strict=True)}
+
+
+def _undelayed(model: PhysicalModel) -> Equations:
+    equations = compose(model)
+    for delayed in equations.delays:
+        raise BadModel(
+            f"export: input {delayed!r} is delayed (input-delay), which no exported text can hold; take the effect out"
+        )
+    return equations
+
+
+def _renamed(equations: Equations, symbols: Mapping[str, Any], *families: Mapping[str, str]) -> dict[Any, Any]:
+    """Every symbol of the equations by what stands for it in the text."""
+    states, inputs, parameters = families
+    swap = {TIME: symbols["time"]}
+    for family, known in ((equations.x, states), (equations.u, inputs), (equations.p, parameters)):
+        swap |= {symbol: symbols[known[name]] for name, symbol in family.items() if name in known}
+    return swap
 
 
 def _units(model: PhysicalModel, *families: Mapping[str, str]) -> dict[str, str]:

@@ -39,15 +39,25 @@ def matlab_source(model: ExplicitModel) -> str:
             "",
             *_function(model, "first_states(time, u, q)", model.initial, ("u",)),
             *_function(model, "rates(time, x, u, q)", model.rates, ("x", "u")),
+            *(
+                line
+                for key, part in model.components.items()
+                for line in [
+                    f"% {part.title} [{part.unit}]",
+                    *_function(model, f"{key}_of(time, x, u, q)", {key: part.expression}, ("x", "u")),
+                ]
+            ),
             *_function(model, "outputs(time, x, u, q)", model.outputs, ("x", "u")),
         ]
     )
 
 
 def _function(model: ExplicitModel, signature: str, expressions: Any, arrays: tuple[str, ...]) -> list[str]:
-    used = set().union(*(sp.sympify(e).free_symbols for e in expressions.values())) if expressions else set()
+    expressions = {name: model.with_signs(e) for name, e in expressions.items()}
+    used = set().union(*(e.free_symbols for e in expressions.values())) if expressions else set()
     families = {"x": model.states, "u": model.inputs}
     local = [f"{n} = {a}({k + 1});" for a in arrays for k, n in enumerate(families[a]) if model.symbols[n] in used]
     local += [f"{n} = q.{n};" for n in model.parameters if model.symbols[n] in used]
+    local += [f"{key} = {key}_of(time, x, u, q);" for key in model.components if model.symbols[key] in used]
     values = ", ".join(f"({sp.octave_code(e)})" for e in expressions.values())
     return [f"function value = {signature}", *local, f"value = [{values}];", "end", ""]

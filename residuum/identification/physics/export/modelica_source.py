@@ -13,6 +13,7 @@ def modelica_source(model: ExplicitModel) -> str:
     parameters = [f'  parameter Real {n} = {model.values[n]!r} "{model.described(n)}";' for n in model.parameters]
     inputs = [f'  input Real {n} "{model.described(n)}";' for n in model.inputs]
     states = [f'  Real {n} "{model.described(n)}";' for n in model.states]
+    terms = [f'  Real {n} "{part.title} [{part.unit}]";' for n, part in model.components.items()]
     outputs = [f'  output Real y_{n} "{model.described(n)}";' for n in model.outputs]
     return "\n".join(
         [
@@ -21,11 +22,13 @@ def modelica_source(model: ExplicitModel) -> str:
             *parameters,
             *inputs,
             *states,
+            *terms,
             *outputs,
             "initial equation",
             *(f"  {n} = {_code(e)};" for n, e in model.initial.items()),
             "equation",
-            *(f"  der({n}) = {_code(e)};" for n, e in model.rates.items()),
+            *(f"  der({n}) = {_code(model.with_signs(e))};" for n, e in model.rates.items()),
+            *(f"  {n} = {_code(model.with_signs(part.expression))};" for n, part in model.components.items()),
             *(f"  y_{n} = {_code(e)};" for n, e in model.outputs.items()),
             f"end {model.name};",
             "",

@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
-from residuum.identification.units import parse_unit
+from residuum.identification.units import is_own, parse_unit
 
 _PLAIN = {"%", "percent"}
 _OFFSET = {"°C": "K", "degC": "K", "C": "K", "°F": "delta_degF"}
@@ -42,10 +42,17 @@ class Dimension:
         return self * other ** Fraction(-1)
 
     def agrees(self, other: Dimension) -> bool:
-        """Same base units and same scale (a bare number agrees with everything)."""
+        """Same base units and same scale (a bare number agrees with everything).
+
+        A word that nobody knows counts things, as a radian does: `ticks` may stand where nothing does (kg·m²·ticks/s² beside
+        N·m), but not where another word stands.
+        """
         if self.literal or other.literal:
             return True
-        return self.exponents == other.exponents and math.isclose(self.scale, other.scale, rel_tol=1e-9)
+        mine, others = dict(self.exponents), dict(other.exponents)
+        odd = {base for base in {*mine, *others} if mine.get(base) != others.get(base)}
+        counted = not odd or (all(map(is_own, odd)) and not (odd & {*mine} and odd & {*others}))
+        return counted and math.isclose(self.scale, other.scale, rel_tol=1e-9)
 
     def __str__(self) -> str:
         bases = "·".join(base if e == 1 else f"{base}^{e}" for base, e in self.exponents) or "1"
@@ -67,10 +74,10 @@ def dimension_of_unit(unit: str) -> Dimension:
     if unit.strip() in _PLAIN:
         return PLAIN
     spelled = unit.replace("percent", "1").replace("%", "1")
-    base = (1 * parse_unit(_OFFSET.get(spelled.strip(), spelled))).to_base_units()
-    powers = {_short(name): Fraction(exponent).limit_denominator(64) for name, exponent in base.unit_items()}
+    parsed = parse_unit(_OFFSET.get(spelled.strip(), spelled))
+    powers = {_short(name): Fraction(exponent).limit_denominator(64) for name, exponent in parsed.base.items()}
     powers.pop("rad", None)
-    return Dimension(_sorted(powers), float(base.magnitude))
+    return Dimension(_sorted(powers), parsed.scale)
 
 
 def dimension_of(tree: Node, names: Mapping[str, Dimension]) -> Dimension:

@@ -19,7 +19,7 @@ Parameters with `size: true` vanish with the effect. `states` is a mapping of na
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -231,15 +231,20 @@ def _check(what: str, equation: Expression, states: Mapping[str, OwnState], defi
     for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
         if unknown := sorted(expression.names - allowed):
             raise expression.place.refuse(f"{what}: {unknown[0]!r} is not known here; there are {', '.join(sorted(allowed))}")
-    if not any(entry.get("size") for entry in definition["parameters"].values()):
+    sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
+    if not sizes or states:
         return
-    zero = {name: sp.S.Zero for name, entry in definition["parameters"].items() if entry.get("size")}
-    names = {n: sp.Symbol(n, real=True) for n in allowed} | zero
-    nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
-    if not states and sp.simplify(nothing) != 0:
-        raise equation.place.refuse(f"{what}: does not vanish where its sizes ({', '.join(zero)}) are zero")
-    if not on_path and not states and "supply" not in equation.names:
+    _check_vanishes(what, equation, allowed, sizes, on_path)
+    if not on_path and "supply" not in equation.names:
         _check_units(what, equation, definition)
+
+
+def _check_vanishes(what: str, equation: Expression, allowed: Iterable[str], sizes: list[str], on_path: bool) -> None:
+    """Where its sizes are zero an effect adds nothing, or leaves the signal as it is."""
+    names = {n: sp.Symbol(n, real=True) for n in allowed} | dict.fromkeys(sizes, sp.S.Zero)
+    nothing = symbolic(equation.tree, names, {}) - (names["signal"] if on_path else 0)
+    if sp.simplify(nothing) != 0:
+        raise equation.place.refuse(f"{what}: does not vanish where its sizes ({', '.join(sizes)}) are zero")
 
 
 def _check_units(what: str, equation: Expression, definition: Mapping[str, Any]) -> None:

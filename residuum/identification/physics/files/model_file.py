@@ -23,6 +23,7 @@ from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Tab
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
     Balance,
+    EffectUse,
     Input,
     Output,
     PhysicalModel,
@@ -31,6 +32,8 @@ from residuum.identification.physics.model import (
 from residuum.identification.units import parse_unit
 
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
+LINEAR = (".json", ".mat")
+"""Endings of files that hold a transfer function or a state space."""
 KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "own_effects", "effects", "initial")
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
 PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
@@ -57,8 +60,16 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         resource = files("residuum.identification.physics") / "models" / f"{str(name_or_path).replace('-', '_')}.yaml"
         return read_model(resource.read_text(encoding="utf-8"), str(name_or_path))
     path = Path(name_or_path)
+    if path.suffix.lower() == ".fmu":
+        raise BadModel(
+            f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in a process of its own"
+        )
     if not path.is_file():
         raise BadModel(f"model {str(name_or_path)!r}: no such file, and the built-in models are {', '.join(BUILT_IN)}")
+    if path.suffix.lower() in LINEAR:
+        from residuum.identification.physics.files.linear_model import read_linear_file  # noqa: PLC0415  SciPy, for these alone
+
+        return read_model(read_linear_file(path), path.name)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(1_000_000)
@@ -102,11 +113,7 @@ def write_model(model: PhysicalModel) -> str:
         },
         "states": {s.name: {"unit": s.unit} | ({"rate": s.rate} if s.rate else {}) for s in model.states.values()},
         "parameters": {name: _written(parameter) for name, parameter in model.parameters.items()},
-        "balances": {
-            b.name: {"kind": b.kind, "storage": b.storage.text, "terms": {n: t.text for n, t in b.terms.items()}}
-            | dict(b.variables)
-            for b in model.balances.values()
-        },
+        "balances": {balance.name: _written_balance(balance) for balance in model.balances.values()},
         "outputs": {o.name: {"value": o.value.text, "unit": o.unit} for o in model.outputs.values()},
     }
     if model.initial:
@@ -114,13 +121,19 @@ def write_model(model: PhysicalModel) -> str:
     if own := {use.id: use.effect.definition for use in model.effects if isinstance(use.effect, WrittenEffect)}:
         document["own_effects"] = list(own.values())
     if model.effects:
-        document["effects"] = [
-            {"id": use.id, use.effect.place: use.target}
-            | {"parameters": {name: _written(parameter) for name, parameter in use.parameters.items()}}
-            | ({"provenance": dict(use.provenance)} if use.provenance else {})
-            for use in model.effects
-        ]
+        document["effects"] = [_written_use(use) for use in model.effects]
     return str(yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
+
+
+def _written_balance(balance: Balance) -> dict[str, Any]:
+    terms = {name: term.text for name, term in balance.terms.items()}
+    return {"kind": balance.kind, "storage": balance.storage.text, "terms": terms, **balance.variables}
+
+
+def _written_use(use: EffectUse) -> dict[str, Any]:
+    parameters = {name: _written(parameter) for name, parameter in use.parameters.items()}
+    provenance = {"provenance": dict(use.provenance)} if use.provenance else {}
+    return {"id": use.id, use.effect.place: use.target, "parameters": parameters, **provenance}
 
 
 class _Dumper(yaml.SafeDumper):

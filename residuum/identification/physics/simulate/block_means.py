@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -31,7 +32,7 @@ def means_in_blocks(values: Array, starts: Integers, blocks: Sequence[int]) -> t
     return means.reshape(-1, *values.shape[1:]), found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def _add_means(rows, starts, blocks, found, means):  # type: ignore[no-untyped-def]
     for k in range(blocks.shape[0]):
         for j in range(found[k + 1] - found[k]):

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.autoregression import fit_autoregression
 from residuum.identification.linear_models.recursive_filter import all_pole
-from residuum.identification.physics.estimate.estimation import Estimate
-from residuum.identification.physics.estimate.least_squares import covariance_of, solve_scaled
+from residuum.identification.physics.estimation.estimation import Estimate
+from residuum.identification.physics.estimation.least_squares import covariance_of, solve_scaled
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Simulator
 

@@ -155,12 +155,18 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
 
 def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
-        raise BadRecord(f"record {record.source!r}: input {name!r} is missing; the columns are {', '.join(record.names)}")
+        how = f"map one of them: --map {name}=COLUMN, in Python map={{{name!r}: 'COLUMN'}}"
+        there = f"the columns are {', '.join(record.names)}; {how}"
+        raise BadRecord(f"{_named(record)}: input {name!r} is missing; {there}")
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
-        where = f"record {record.source!r}: input {column!r} lacks sample {int(gaps[0])}"
-        raise BadRecord(f"{where}; inputs must be complete: cut the record there and give its parts as records of their own")
+        where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}"
+        raise BadRecord(f"{where}; inputs must be complete: cut the record there and give the parts as separate records")
     return record.in_unit(column, unit)
+
+
+def _named(record: Record) -> str:
+    return f"record {record.source!r}" if record.source else "record"
 
 
 def _is_linear(how: str, u: Array) -> bool:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from residuum.identification.physics.simulate.integration import (
     crossed,
@@ -19,9 +18,10 @@ from residuum.identification.physics.simulate.integration import (
     set_stages,
     stand,
 )
+from residuum.kept_loops import njit
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def one_step_slopes(q, U, before, after, p, walking, columns, sample_time, substeps, hold):
     """What parameters do within one sample, along the track of a filter.
 
@@ -77,7 +77,7 @@ def one_step_slopes(q, U, before, after, p, walking, columns, sample_time, subst
     return G, C
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def put(z, x, p, walking):
     """The states of z go to x, its walking terms to their places in p."""
     nx = x.shape[0]
@@ -87,7 +87,7 @@ def put(z, x, p, walking):
         p[walking[j]] = z[nx + j]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def innovation_slopes(P, F, H, e, V, G, C, base, M):  # noqa: PLR0912  one pass over the samples, compiled
     """Derivative of the normalised innovations e/√V by the sizes of m causes, with the filter's gains held.
 

@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, types
+from numba import types
 from numba.extending import typeof_impl
+
+from residuum.kept_loops import njit
 
 Array = npt.NDArray[np.float64]
 
@@ -91,7 +93,7 @@ class Memory(NamedTuple):
     seen: Array
 
 
-@njit(cache=True, nogil=True)
+@njit()
 def new_memory(q, count):
     """Working arrays for `count` sensitivity columns."""
     nx, nu, n_p, ny, ns = q.sizes[0], q.sizes[1], q.sizes[2], q.sizes[3], q.surfaces.shape[0]
@@ -115,7 +117,7 @@ def new_memory(q, count):
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def interpolated(U, j, position, delayed):
     """Input j at a position in samples, and its step from the sample before that to the one after."""
     last = U.shape[0] - 1
@@ -127,7 +129,7 @@ def interpolated(U, j, position, delayed):
     return U[i, j] + (position - i) * step, step
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
     """Inputs at time (k + c) samples: held (`hold` 0) or linear between samples (1); delayed ones interpolated.
 
@@ -144,7 +146,7 @@ def set_inputs(delays, u, ur, U, k, c, sample_time, hold, p):
     u[U.shape[1]] = (k + c) * sample_time
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def lags_of(delays, sample_time, p):
     """Delay of each input in samples; none where one is not delayed, −1 of each that is not where others are."""
     found = np.full(delays.shape[0], -1.0)
@@ -156,7 +158,7 @@ def lags_of(delays, sample_time, p):
     return found if some else found[:0]
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def set_stages(inputs, U, k, c, ch, sample_time, hold):
     """Inputs of a step of `ch` samples from (k + c) samples on, none of them delayed."""
     following = min(k + 1, U.shape[0] - 1)
@@ -167,7 +169,7 @@ def set_stages(inputs, U, k, c, ch, sample_time, hold):
         inputs[i, U.shape[1]] = (k + at) * sample_time
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold):
     """Inputs of a step where some are delayed, with their slopes, as `set_inputs` has them."""
     width = U.shape[1] + 1
@@ -180,7 +182,7 @@ def set_delayed_stages(inputs, lags, U, k, c, ch, sample_time, hold):
         inputs[i, U.shape[1]] = (k + at) * sample_time
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def slip_or_stick(rates, at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B, s, m, k, i, j):
     """Slip where f⁺ > 0 or f⁻ < 0, stick otherwise, for surface j, whose state i is zero (f⁺ = f⁻: no friction, no sticking).
 
@@ -203,7 +205,7 @@ def slip_or_stick(rates, at_x, at_u, at_ur, at_p, at_s, at_m, at_k, at_A, at_B, 
     return forward, backward
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def resolve_standstill(q, w, p, j):
     """`slip_or_stick` by the inputs in `w`."""
     x, u, ur, s, m, k, A, B = w.x, w.u, w.ur, w.s, w.m, w.k, w.A, w.B
@@ -213,7 +215,7 @@ def resolve_standstill(q, w, p, j):
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def set_directions(x, surfaces, s, m):
     """Direction of every surface: the sign of its state. True when one of them stands still."""
     standing = False
@@ -225,7 +227,7 @@ def set_directions(x, surfaces, s, m):
     return standing
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def crossed(x, surfaces, s, m):
     """Whether a step has left the side of a surface that it was computed for."""
     found = False
@@ -234,7 +236,7 @@ def crossed(x, surfaces, s, m):
     return found
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def stand(q, w, U, k, c, sample_time, hold, p):
     """Directions of the surfaces that stand still, by the forces at time (k + c) samples (the middle of the step)."""
     set_inputs(q.delays, w.u, w.ur, U, k, c, sample_time, hold, p)
@@ -243,7 +245,7 @@ def stand(q, w, U, k, c, sample_time, hold, p):
             resolve_standstill(q, w, p, j)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def land(q, w, p, columns):
     """After a step: bring every surface that was crossed, and where the machine sticks, to zero.
 
@@ -270,7 +272,7 @@ def land(q, w, p, columns):
             w.x[i] = reached
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def add_rate_slopes(q, w, p, columns, j, side, factor):
     """Add to the derivatives of surface j's state those of its rate on one side, times a factor."""
     i = q.surfaces[j]
@@ -284,7 +286,7 @@ def add_rate_slopes(q, w, p, columns, j, side, factor):
         w.S[i, c] += factor * slope
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def integrate(  # noqa: PLR0912
     q, w, U, first, last, sample_time, substeps, hold, p, columns, X, Y, dY
 ):
@@ -337,7 +339,7 @@ def integrate(  # noqa: PLR0912
             forget(S)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def forget(S):
     """Sensitivities that have decayed to nothing are zero: a processor takes forty times as long for numbers that underflow."""
     for i in range(S.shape[0]):
@@ -346,7 +348,7 @@ def forget(S):
                 S[i, c] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def keep(x, row):
     """Copy the state into its row; whether it is finite."""
     finite = True
@@ -356,7 +358,7 @@ def keep(x, row):
     return finite
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def start(q, w, U, sample_time, hold, p, x0):
     """w.x = x0 with the effects' own states set from it, x0 being their deviation; w.A and w.B then hold their derivatives."""
     w.x[:] = x0
@@ -368,7 +370,7 @@ def start(q, w, U, sample_time, hold, p, x0):
         w.x[i] += x0[i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def start_slopes(q, w, columns):
     """Sensitivities of the initial states: identity, and for the effects' own the chain rule besides."""
     parameters = w.B.shape[1] - w.x.shape[0]
@@ -384,20 +386,20 @@ def start_slopes(q, w, columns):
     w.B[:] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def observe(q, w, U, k, sample_time, hold, p, y):
     """Outputs of w.x at sample k."""
     set_inputs(q.delays, w.u, w.ur, U, k, 0.0, sample_time, hold, p)
     q.outputs(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, y.ctypes, w.A.ctypes, w.B.ctypes)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def observe_slopes(q, w, p):
     """C and D of the outputs of w.x (the inputs are those that `observe` set)."""
     q.output_slopes(w.x.ctypes, w.u.ctypes, w.ur.ctypes, p.ctypes, w.s.ctypes, w.m.ctypes, w.C.ctypes, w.D.ctypes, w.B.ctypes)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def remember(q, w, U, sample_time, hold, p, columns, memory):
     """Values and sensitivities of the remembered states a sample after an experiment's last, in the columns of `memory`.
 
@@ -413,7 +415,7 @@ def remember(q, w, U, sample_time, hold, p, columns, memory):
             memory[number, c] = w.S[i, c] if columns[c] < parameters else 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def recall(q, w, memory):
     """The remembered states as they were left."""
     count = memory.shape[1] - 1
@@ -423,7 +425,7 @@ def recall(q, w, memory):
             w.S[q.remembered[number], c] = memory[number, c]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, columns):
     """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several experiments.
 
@@ -451,7 +453,7 @@ def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, column
     return X, Y, dY
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def evaluate_signals(q, U, X, p, sample_time, hold):
     """Signals Z (n, NZ) along given states."""
     Z, w = np.zeros((U.shape[0], q.sizes[4])), new_memory(q, 0)
@@ -462,7 +464,7 @@ def evaluate_signals(q, U, X, p, sample_time, hold):
     return Z
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def evaluate_outputs(q, U, X, p, sample_time, hold):
     """Outputs Y (n, NY) along given states."""
     Y, w = np.zeros((U.shape[0], q.sizes[3])), new_memory(q, 0)
@@ -472,7 +474,7 @@ def evaluate_outputs(q, U, X, p, sample_time, hold):
     return Y
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def rate_slopes(q, U, starts, X, p, sample_times, holds, samples):
     """A = ∂f/∂x at the given samples of several experiments laid out as in `simulate`, for the choice of sub-steps.
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from residuum.identification.physics.simulate.integration import (
     crossed,
@@ -21,9 +20,10 @@ from residuum.identification.physics.simulate.integration import (
     set_stages,
     stand,
 )
+from residuum.kept_loops import njit
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def update(z, P, H, y, k, Y, r, e, V, before, gain):
     """Use the outputs of sample k, one after the other; z and P are overwritten, e[k] and V[k] receive the innovations."""
     nz = z.shape[0]
@@ -46,7 +46,7 @@ def update(z, P, H, y, k, Y, r, e, V, before, gain):
                 P[i, j] -= gain[i] * gain[j] / variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def propagate(F, P, Q, work):
     """P ← F·P·Fᵀ + Q, kept symmetric."""
     nz = P.shape[0]
@@ -65,7 +65,7 @@ def propagate(F, P, Q, work):
             P[j, i] = total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold):
     """Extended Kalman filter of the states and of some parameters that walk at random (the missing terms).
 
@@ -129,7 +129,7 @@ def kalman_filter(q, U, Y, p, z0, P0, Q, r, columns, sample_time, substeps, hold
     return z, P, F, H, e, V, filtered
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def place(z, x, p, columns):
     """The states of z go to x, its missing terms to their places in p."""
     for i in range(z.shape[0]):
@@ -139,7 +139,7 @@ def place(z, x, p, columns):
             p[columns[i]] = z[i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def smooth(z, P, F, H, e, V):
     """Smoothed z and the diagonal of its covariance by the adjoint recursion of Bryson and Frazier (nothing is inverted)."""
     n, nz = z.shape
@@ -166,7 +166,7 @@ def smooth(z, P, F, H, e, V):
     return Z, variance
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def transposed_times(F, v, work):
     """v ← Fᵀ·v."""
     work[:] = 0.0
@@ -176,7 +176,7 @@ def transposed_times(F, v, work):
     v[:] = work
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def output_gains(P, H, e, V, gains):
     """Kalman gain P·Hᵀ/V of each output of one sample, taken one after the other; P is overwritten."""
     nz = P.shape[0]
@@ -193,7 +193,7 @@ def output_gains(P, H, e, V, gains):
                 P[i, j] -= gains[o, i] * gains[o, j] * V[o]
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@njit(error_model="numpy", inline="always")
 def pass_output(adjoint, Adjoint, a, gain, e, V, Ag):
     """Carry the adjoint vector and matrix back across one used output with slope a."""
     nz = a.shape[0]
@@ -212,7 +212,7 @@ def pass_output(adjoint, Adjoint, a, gain, e, V, Ag):
             Adjoint[i, j] += a[i] * a[j] * quadratic - a[i] * Ag[j] - Ag[i] * a[j]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(error_model="numpy")
 def predict_ahead(q, U, filtered, p, columns, steps, sample_time, substeps, hold):
     """Outputs at sample k + steps predicted from the filtered state at k, shape (n, NY); NaN in the first `steps` rows."""
     n, w = U.shape[0], new_memory(q, 0)

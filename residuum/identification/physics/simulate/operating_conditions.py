@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 
@@ -42,7 +44,7 @@ def conditions_at(
 
 def _tied(simulator: Simulator, effect: Effect, target: str, experiment: Experiment, X: Array) -> dict[str, Array]:
     """What an effect is tied to: signals by name (last), the other balance's variables as `other:role`."""
-    if effect.between:
+    if effect.joins(target):
         others = balance_variables(simulator, simulator.model.balances[tied_to(target)[0]], experiment, X)
         return {f"other:{role}": values for role, values in others.items()}
     known = {name: X[:, k] for k, name in enumerate(simulator.states)}
@@ -60,15 +62,27 @@ def balance_variables(simulator: Simulator, balance: Balance, experiment: Experi
     found = {role: _value(model, name, known, experiment.n) for role, name in balance.variables.items()}
     for use in model.effects:
         if use.effect.place == "balance" and use.place == balance.name:
-            found |= {name.removeprefix(f"{use.label}."): x for name, x in states.items() if name.startswith(f"{use.label}.")}
-    supply = model.supply_input(balance)
-    if supply is not None:
-        found["supply"] = inputs[supply]
-        with_input = [name for name, term in balance.terms.items() if supply in term.names]
-        found["supply_terms"] = np.sum([look[f"{balance.name}.{name}"] for name in with_input], axis=0)
-    prefix = f"{balance.name}."
-    found |= {f"term:{name.removeprefix(prefix)}": z for name, z in look.items() if name.startswith(prefix)}
+            found |= _inside(states, f"{use.label}.")
+    found |= _of_supply(model, balance, inputs, look)
+    found |= {f"term:{name}": z for name, z in _inside(look, f"{balance.name}.").items()}
     return found | {name: inputs[name] for name in ("conveyor", "door") if name in inputs}
+
+
+def _of_supply(
+    model: PhysicalModel, balance: Balance, inputs: Mapping[str, Array], look: Mapping[str, Array]
+) -> dict[str, Array]:
+    """What drives a balance, and the sum of the terms that it stands in; nothing where no input drives it."""
+    supply = model.supply_input(balance)
+    if supply is None:
+        return {}
+    with_input = [name for name, term in balance.terms.items() if supply in term.names]
+    terms = np.sum([look[f"{balance.name}.{name}"] for name in with_input], axis=0)
+    return {"supply": inputs[supply], "supply_terms": terms}
+
+
+def _inside(values: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+    """Those whose name begins so, by the rest of it."""
+    return {name.removeprefix(prefix): x for name, x in values.items() if name.startswith(prefix)}
 
 
 def _value(model: PhysicalModel, name: str, known: dict[str, Array], n: int) -> Array:

@@ -303,19 +303,52 @@ class Simulator:
         """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X of each experiment ask for."""
         return self._needed_along(_Joined.of(experiments), np.concatenate(X), p).tolist()
 
+    def resolves(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array, substeps: Sequence[int]) -> bool:
+        """Whether the most steps a sample that are taken follow the fastest mode along each run; else the integrator errs."""
+        joined, none = _Joined.of(experiments, _LOOKED_AT), self.columns(())
+        X, *_ = self._simulated(joined, np.array(initial), p, np.array(substeps), none)
+        return bool(np.all(self._asked_along(joined, X, p) <= MOST_SUBSTEPS))
+
     def _needed_along(self, joined: _Joined, X: Array, p: Array) -> Integers:
-        """Those of each of several experiments, at most 64."""
+        """Steps a sample of each of several experiments, at most 64."""
+        return np.minimum(np.ceil(self._asked_along(joined, X, p)), MOST_SUBSTEPS).astype(np.int64)
+
+    def _asked_along(self, joined: _Joined, X: Array, p: Array) -> Array:
+        """Steps a sample that the fastest mode of each experiment asks for, infinite where no sample is finite.
+
+        Looked at are samples all along, those where a state is largest or smallest, and where such a sample's change leads on:
+        there stops and valves are met, and too coarse steps jump off them before the next sample.
+        """
         lengths = np.diff(joined.starts)
-        samples = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(np.int64)
-        at = joined.starts[:-1, None] + samples
-        finite = np.all(np.isfinite(X[at]), axis=2)
+        if not X.shape[1]:
+            return np.ones(len(lengths))
+        along = np.linspace(0, lengths - 1, max(_LOOKS, _ALL_LOOKS // len(lengths)), axis=1).astype(np.int64)
+        far = _extremes(X, joined.starts)
+        at, before = joined.starts[:-1, None] + far, joined.starts[:-1, None] + np.maximum(far - 1, 0)
+        beyond = X.copy()
+        with np.errstate(over="ignore", invalid="ignore"):  # of a run that diverges
+            beyond[at] += X[at] - X[before]
+        looks = ((X, np.concatenate([along, far], axis=1)), (beyond, far))
+        return np.max([self._asked_at(joined, states, samples, p) for states, samples in looks], axis=0)
+
+    def _asked_at(self, joined: _Joined, X: Array, samples: Integers, p: Array) -> Array:
+        """What the states X at these samples of each experiment ask for, shape (experiments,); infinite where none is finite."""
+        finite = np.all(np.isfinite(X[joined.starts[:-1, None] + samples]), axis=2)
         A = integration.rate_slopes(
             self.kernel.system, joined.U, joined.starts, X, p, joined.sample_times, joined.holds, np.where(finite, samples, 0)
         )
         finite &= np.all(np.isfinite(A), axis=(2, 3))
         A[~finite] = 0.0
         steps = np.max(_steps_for(A) * joined.sample_times[:, None], axis=1, initial=1.0)
-        return np.where(np.any(finite, axis=1), np.minimum(np.ceil(steps), MOST_SUBSTEPS), MOST_SUBSTEPS).astype(np.int64)
+        return np.where(np.any(finite, axis=1), steps, np.inf)
+
+
+def _extremes(X: Array, starts: Integers) -> Integers:
+    """In each experiment the samples where each state is largest and smallest, shape (experiments, 2·states)."""
+    finite = np.isfinite(X)
+    high, low = np.where(finite, X, -np.inf), np.where(finite, X, np.inf)
+    parts = pairwise(starts.tolist())
+    return np.array([[*high[a:b].argmax(axis=0), *low[a:b].argmin(axis=0)] for a, b in parts], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)

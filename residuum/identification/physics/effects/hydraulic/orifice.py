@@ -12,7 +12,7 @@ _LEAST = 1e-4
 
 
 class Orifice(Effect):
-    """−c·sign(h − h_0)·√|h − h_0|, both ways: a pipe to a neighbour whose level h_0 stays.
+    """−c·sign(h − h_0)·√|h − h_0|, both ways: a pipe to a neighbour whose level h_0 stays, or that ends below the tank's zero.
 
     `c` [balance unit / √level unit] ≥ 0; `h_0` [level unit], the level beyond.
     """
@@ -38,7 +38,8 @@ class Orifice(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.magnitude / conditions.span("level") ** 0.5
-        return [{"c": size, "h_0": conditions.quantile("level", part)} for part in (0.1, 0.5)]
+        beyond = (conditions.quantile("level", 0.1), conditions.quantile("level", 0.5), -0.5 * conditions.span("level"))
+        return [{"c": size, "h_0": h} for h in beyond]
 
     def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
         """Liquid flows towards the lower level."""

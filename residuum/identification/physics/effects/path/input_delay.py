@@ -16,6 +16,7 @@ class InputDelay(Effect):
     reference = "O. J. M. Smith, Chem. Eng. Progress 53 (1957) 217"
     acts_on = ("input",)
     every_sample = True
+    shifts = "delay"
     sizes = ("delay",)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

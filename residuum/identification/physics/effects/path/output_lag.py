@@ -18,6 +18,7 @@ class OutputLag(Effect):
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3"
     acts_on = ("output",)
     every_sample = True
+    shifts = "tau"
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("tau", 1e-3, "s", lower=1e-9, meaning="time constant of the sensor"),)

@@ -28,6 +28,7 @@ class ForgottenInput(Effect):
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = ("gain",)
     signals = 1
+    takes_columns = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         unit = quotient(site.unit, site.units[site.signals[0]]) if site.signals else ""

@@ -25,6 +25,7 @@ class Learned(Effect):
     acts_on = ("torque", "force", "voltage", "heat", "volume", "signal")
     sizes = tuple(f"v{k}" for k in range(1, KNOTS + 1))
     signals = 1
+    curve = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         unit = site.units[site.signals[0]] if site.signals else ""

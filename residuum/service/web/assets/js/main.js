@@ -1,21 +1,23 @@
 // Start: theme, connection, pages by address (#/ and #/machines/NAME).
 
-import { apiKey } from "./api.js";
-import { h, notify, refresh, reveal, show } from "./dom.js";
-import { Live } from "./live.js";
-import { controlPage } from "./control.js";
-import { effectsPage } from "./effects.js";
-import { identifyPage } from "./identify.js";
-import { machinePage } from "./machine.js";
-import { plantPage } from "./plant.js";
-import { plant, readAll, readStatus, subscribe, take } from "./plant_state.js";
-import { assetTitle } from "./format.js";
-import { savePicture, saveReport } from "./report_file.js";
-import { risksPage } from "./risks.js";
-import { workbenchPage } from "./workbench.js";
+import { apiKey } from "./lib/api.js";
+import { h, notify, refresh, reveal, show } from "./lib/dom.js";
+import { assetTitle } from "./lib/format.js";
+import { Live } from "./lib/live.js";
+import { plant, readAll, readStatus, subscribe, take } from "./lib/plant_state.js";
+import { savePicture, saveReport } from "./lib/report_file.js";
+import { controlPage } from "./pages/control.js";
+import { effectsPage } from "./pages/effects.js";
+import { identifyPage } from "./pages/identify.js";
+import { machinePage } from "./pages/machine.js";
+import { plantPage } from "./pages/plant.js";
+import { risksPage } from "./pages/risks.js";
+import { workbenchPage } from "./pages/workbench.js";
+import { watchPage } from "./watch/page.js";
 
 const PAGES = [
   [/^#\/machines\/(.+)$/, (place, name) => machinePage(place, decodeURIComponent(name))],
+  [/^#\/watch(?:\?(.*))?$/, (place, query) => watchPage(place, query)],
   [/^#\/workbench(?:\?(.*))?$/, (place, query) => workbenchPage(place, query)],
   [/^#\/identify(?:\?(.*))?$/, (place, query) => identifyPage(place, query)],
   [/^#\/control(?:\?(.*))?$/, (place, query) => controlPage(place, query)],
@@ -37,10 +39,23 @@ function open() {
 function navigation() {
   const machines = [...plant.assets.values()];
   const few = machines.length <= MOST_LINKED ? machines : [];
-  const links = [["#/", "Plant"], ["#/workbench", "Workbench"], ["#/identify", "Identify"], ["#/control", "Control"], ["#/effects", "Effects"], ["#/failure-modes", "Failure modes"], ...few.map((asset) => [`#/machines/${encodeURIComponent(asset.id)}`, assetTitle(asset)])];
+  const links = [
+    ["#/", "Plant"],
+    ["#/watch", "Watch a machine"],
+    ["#/workbench", "Workbench"],
+    ["#/identify", "Identify"],
+    ["#/control", "Control"],
+    ["#/effects", "Effects"],
+    ["#/failure-modes", "Failure modes"],
+    ...few.map((asset) => [`#/machines/${encodeURIComponent(asset.id)}`, assetTitle(asset)]),
+  ];
   const here = (location.hash || "#/").split("?")[0];
   const nav = document.getElementById("nav");
-  refresh(nav, () => links.map(([address, text]) => h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text.slice(0, 40))));
+  refresh(nav, () =>
+    links.map(([address, text]) =>
+      h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text.slice(0, 40)),
+    ),
+  );
   reveal(nav, nav.querySelector("[aria-current]"));
 }
 
@@ -59,7 +74,10 @@ function theme() {
     apply();
     open();
   });
-  system.addEventListener("change", () => { apply(); open(); });
+  system.addEventListener("change", () => {
+    apply();
+    open();
+  });
   apply();
 }
 
@@ -72,14 +90,33 @@ function connection(state) {
 
 // The view of now as a file, named after its address.
 function reports() {
-  const name = () => (location.hash.replace(/^#\/?/, "").split("?")[0] || "plant").replaceAll(/[^A-Za-z0-9._-]+/g, "-") + (/[?&]step=([a-z]+)/.exec(location.hash)?.[1] ?? "").replace(/^(.)/, "-$1");
-  for (const [id, save] of [["save-html", saveReport], ["save-png", savePicture]]) document.getElementById(id).addEventListener("click", () => save(main, name()).catch((problem) => notify(problem.message)));
+  const name = () =>
+    (location.hash.replace(/^#\/?/, "").split("?")[0] || "plant").replaceAll(/[^A-Za-z0-9._-]+/g, "-") +
+    (/[?&]step=([a-z]+)/.exec(location.hash)?.[1] ?? "").replace(/^(.)/, "-$1");
+  for (const [id, save] of [
+    ["save-html", saveReport],
+    ["save-png", savePicture],
+  ])
+    document.getElementById(id).addEventListener("click", () => save(main, name()).catch((problem) => notify(problem.message)));
 }
 
 function askForKey() {
   const input = h("input", { type: "password", autocomplete: "off", id: "key", required: true });
-  const form = h("form", { class: "panel key-form", onsubmit: (event) => { event.preventDefault(); apiKey.set(input.value.trim()); location.reload(); } },
-    h("h1", {}, "API key"), h("label", { for: "key" }, "This service asks for a key. It is kept until this tab is closed."), input, h("button", {}, "Continue"));
+  const form = h(
+    "form",
+    {
+      class: "panel key-form",
+      onsubmit: (event) => {
+        event.preventDefault();
+        apiKey.set(input.value.trim());
+        location.reload();
+      },
+    },
+    h("h1", {}, "API key"),
+    h("label", { for: "key" }, "This service asks for a key. It is kept until this tab is closed."),
+    input,
+    h("button", {}, "Continue"),
+  );
   leave?.();
   leave = null;
   show(main, form);
@@ -90,7 +127,10 @@ async function start() {
   theme();
   reports();
   let asked = false;
-  document.addEventListener("key-needed", () => { if (!asked) askForKey(); asked = true; });
+  document.addEventListener("key-needed", () => {
+    if (!asked) askForKey();
+    asked = true;
+  });
   try {
     await readAll();
   } catch (problem) {
@@ -98,14 +138,23 @@ async function start() {
     notify(problem.message);
   }
   open();
-  window.addEventListener("hashchange", () => { open(); main.focus({ preventScroll: true }); scrollTo(0, 0); });
+  window.addEventListener("hashchange", () => {
+    open();
+    main.focus({ preventScroll: true });
+    scrollTo(0, 0);
+  });
   subscribe((kind) => (kind === "all" ? navigation() : null));
   const reread = () => readAll().catch((problem) => notify(problem.message));
-  new Live((kind, payload) => take(kind, payload)?.catch?.((problem) => notify(problem.message)), (state, resumed) => {
-    connection(state);
-    if (state === "live" && !resumed) reread();
-  });
-  setInterval(() => { if (!document.hidden) readStatus().catch(() => {}); }, 2000);
+  new Live(
+    (kind, payload) => take(kind, payload)?.catch?.((problem) => notify(problem.message)),
+    (state, resumed) => {
+      connection(state);
+      if (state === "live" && !resumed) reread();
+    },
+  );
+  setInterval(() => {
+    if (!document.hidden) readStatus().catch(() => {});
+  }, 2000);
 }
 
 start();

@@ -1,0 +1,125 @@
+"""In which phase of a movement, and in which direction, does a model err? Cells of a heat map, each with its worst moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.locate import Axis
+
+FloatArray = npt.NDArray[np.float64]
+
+STANDSTILL, STEADY, GAINING, LOSING = "standstill", "steady", "speeding up", "slowing down"
+_SLOW = 0.02  # of the largest speed: below it the machine stands, as `direction_of_movement` has it
+_STEADY = 0.1  # of the 95 % quantile of |dx/dt|
+_SMOOTHED = 0.005  # of the record's length: what dx/dt is averaged over
+_FEWEST = 5
+_LEVELS = ("low", "middle", "high")
+_MOVING = ("velocity",)
+_STORED = ("temperature", "level")
+
+
+def phase_cells(
+    records: Sequence[Sequence[Axis]], sample_times: Sequence[float], errors: Sequence[FloatArray]
+) -> dict[str, Any] | None:
+    """RMS of an error in every phase and direction of the movement.
+
+    Phases of a velocity v are standstill (|v| under 2 % of its largest), steady (|dv/dt| under a tenth of its 95 % quantile),
+    speeding up and slowing down (d|v|/dt > 0, < 0), directions forward and backward. Of a temperature or level the
+    phases are thirds of its range and the directions rising, falling and steady.
+
+    Parameters
+    ----------
+    records : sequence of axes, one a record
+    sample_times : sequence of float [s]
+    errors : sequence of array, one a record
+        Missing term or residual, NaN where unknown.
+
+    Returns
+    -------
+    mapping or None
+        `axis`, `phases`, `directions` and `cells`: `phase`, `direction`, `rms`, `share` of the error's power, `time_share`, and
+        `record` (index) and `time` [s] of the largest error. Cells of fewer than 5 samples are left out. None without a
+        velocity, temperature or level.
+    """
+    chosen = [_axis_of_movement(axes) for axes in records]
+    first = chosen[0] if chosen else None
+    if first is None:
+        return None
+    label = _movement if first.kind in _MOVING else _storage
+    scale = max((float(np.nanmax(np.abs(axis.values), initial=0.0)) for axis in chosen if axis is not None), default=0.0)
+    labels = [label(axis.values, dt, scale) for axis, dt in zip(chosen, sample_times, strict=True) if axis is not None]
+    phase, direction = np.concatenate(labels, axis=1)
+    number = np.repeat(np.arange(len(errors)), [len(error) for error in errors])
+    time = np.concatenate([dt * np.arange(len(error)) for dt, error in zip(sample_times, errors, strict=True)])
+    power = np.concatenate(errors) ** 2
+    known = np.isfinite(power)
+    phases, directions = _NAMES[label]
+    inside = {(p, d): known & (phase == p) & (direction == d) for p, d in product(phases, directions)}
+    cells = [_cell(p, d, at, power, known, number, time) for (p, d), at in inside.items() if np.count_nonzero(at) >= _FEWEST]
+    return {"axis": first.name, "phases": list(phases), "directions": list(directions), "cells": cells}
+
+
+def _axis_of_movement(axes: Sequence[Axis]) -> Axis | None:
+    """The first velocity, or else the first temperature or level."""
+    return next((axis for kinds in (_MOVING, _STORED) for axis in axes if axis.kind in kinds), None)
+
+
+def _cell(
+    phase: str,
+    direction: str,
+    inside: npt.NDArray[np.bool_],
+    power: FloatArray,
+    known: npt.NDArray[np.bool_],
+    number: npt.NDArray[np.int64],
+    time: FloatArray,
+) -> dict[str, Any]:
+    worst = int(np.argmax(np.where(inside, power, -1.0)))
+    total = float(power[known].sum())
+    return {
+        "phase": phase,
+        "direction": direction,
+        "rms": float(np.sqrt(power[inside].mean())),
+        "share": float(power[inside].sum()) / total if total > 0 else 0.0,
+        "time_share": float(np.count_nonzero(inside) / np.count_nonzero(known)),
+        "record": int(number[worst]),
+        "time": float(time[worst]),
+    }
+
+
+def _rate(x: FloatArray, sample_time: float) -> FloatArray:
+    """dx/dt of x averaged over half a percent of the record."""
+    width = min(len(x), 2 * (int(_SMOOTHED * len(x)) // 2) + 1)
+    padded = np.pad(np.where(np.isfinite(x), x, 0.0), width // 2, mode="edge")
+    smooth = np.convolve(padded, np.ones(width) / width, mode="valid")
+    return np.gradient(smooth, sample_time) if len(x) > 1 else np.zeros(len(x))
+
+
+def _steady(rate: FloatArray) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.abs(rate) <= _STEADY * np.quantile(np.abs(rate), 0.95))
+
+
+def _movement(v: FloatArray, sample_time: float, scale: float) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
+    rate = _rate(v, sample_time)
+    phase = np.where(rate * v > 0, GAINING, LOSING)
+    phase = np.where(_steady(rate), STEADY, phase)
+    phase = np.where(np.abs(v) <= _SLOW * scale, STANDSTILL, phase)
+    return phase, np.where(v >= 0, "forward", "backward")
+
+
+def _storage(x: FloatArray, sample_time: float, _scale: float) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
+    rate = _rate(x, sample_time)
+    low, span = float(np.nanmin(x)), float(np.ptp(x[np.isfinite(x)]))
+    third = np.clip(np.nan_to_num(3 * (x - low) / (span or 1.0)).astype(int), 0, 2)
+    direction = np.where(_steady(rate), "steady", np.where(rate > 0, "rising", "falling"))
+    return np.asarray(_LEVELS)[third], direction
+
+
+_NAMES = {
+    _movement: ((STANDSTILL, GAINING, STEADY, LOSING), ("forward", "backward")),
+    _storage: (_LEVELS, ("rising", "steady", "falling")),
+}

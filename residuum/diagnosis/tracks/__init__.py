@@ -1,0 +1,1 @@
+"""What a machine's values do over many windows."""

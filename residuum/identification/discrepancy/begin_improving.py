@@ -1,0 +1,109 @@
+"""Where an improvement begins: the model on the training data, and the effects that are to join it, found or asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
+from residuum.identification.discrepancy.explain import Explanation, explain
+from residuum.identification.discrepancy.held_out import Split
+from residuum.identification.discrepancy.held_values import freed
+from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.search import Tell
+from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.errors import BadModel
+from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
+from residuum.identification.physics.model import find_effect, tied_to
+from residuum.identification.record import Record
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked of `improve`, but for the model, the records and what is kept aside of them."""
+
+    mapping: Mapping[str, str] | None
+    add: Sequence[str] | None
+    effects: Sequence[str] | None
+    free: Sequence[str]
+    learned: bool
+    seconds: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """The training data, the model as it was on them, the base that effects join, what `explain` says, and the effects chosen."""
+
+    experiments: list[Experiment]
+    as_it_was: Structure
+    base: Structure
+    explanation: Explanation | None
+    chosen: list[Key]
+
+
+def asked_for(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, ids: Sequence[str]) -> Beginning:
+    """The base, and the effects that the user names."""
+    model = _with_columns_of(model, records, ids)
+    chosen = [_resolved(model, id) for id in ids]
+    experiments, base = experiments_and_base(model, parts.training, how.mapping)
+    return Beginning(experiments, base, _with_free(base, how.free, experiments), None, chosen)
+
+
+def explained(model: PhysicalModel, parts: Split, how: Request, tell: Tell) -> Beginning:
+    """The base on the experiments that `explain` settled on, and the effects that it accepts."""
+    found = explain(
+        freed(model, how.free),
+        parts.training,
+        how.mapping,
+        effects=how.effects,
+        learned=how.learned,
+        seconds=how.seconds,
+        tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
+    )
+    search, experiments = found.search, found.experiments
+    initial, chosen = search.base.initial, [*search.accepted, *search.timing]
+    if turned := at_turned_timing(search, experiments):
+        experiments, initial, chosen = turned[0], turned[1].initial, list(search.accepted)
+    started = experiments_and_base(with_inputs_of(model, search.base.model), parts.training, how.mapping, found.finer)
+    model = started[1].model
+    as_it_was = fit_structure(model, experiments, initial) or replace(search.base, model=model)
+    return Beginning(experiments, as_it_was, _with_free(as_it_was, how.free, experiments), found, chosen)
+
+
+def with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalModel:
+    """The model with the inputs that another one knows besides."""
+    for name, signal in knowing.inputs.items():
+        model = model.with_input(name, signal.unit)
+    return model
+
+
+def _with_free(base: Structure, names: Sequence[str], experiments: Sequence[Experiment]) -> Structure:
+    return (fit_structure(freed(base.model, names), experiments, base.initial) if names else None) or base
+
+
+def _with_columns_of(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]) -> PhysicalModel:
+    """The model with those columns of the records among its inputs that a forgotten input is to be tied to."""
+    for name in [n for id in ids for n in tied_to(id) if find_effect(_parts(id)[0]).takes_columns]:
+        if name not in model.inputs and all(name in record.names for record in records):
+            model = model.with_input(name, records[0].units.get(name, ""))
+    return model
+
+
+def _parts(id: str) -> Key:
+    """Effect and target of `id@target` or `id:target`; no target where none is said."""
+    name, _, target = id.replace(":", "@", 1).partition("@")
+    return Key(name, target)
+
+
+def _resolved(model: PhysicalModel, id: str) -> Key:
+    name, target = _parts(id)
+    fitting = [t for _, t in candidates(model, [name])]
+    if target:
+        model.with_effect(name, target)
+        return Key(name, target)
+    if not fitting:
+        raise BadModel(f"effect {name!r}: fits no balance, input or output of model {model.name!r}, or is in it already")
+    if len(fitting) > 1:
+        raise BadModel(f"effect {name!r}: fits {', '.join(fitting)}; say which, as {name}@{fitting[0]}")
+    return Key(name, fitting[0])

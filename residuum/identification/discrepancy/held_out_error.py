@@ -1,0 +1,61 @@
+"""The error on data kept aside, by which effects that were found are kept or dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.held_out import Split, held_out_rmse
+from residuum.identification.discrepancy.prediction_windows import in_windows
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.physics import Experiment, PhysicalModel, match
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class HeldOutError:
+    """Simulation error on the data that were kept aside, on one output: the one whose error stands highest above its noise."""
+
+    def __init__(
+        self,
+        parts: Split,
+        experiments: Sequence[Experiment],
+        base: Structure,
+        mapping: Mapping[str, str] | None,
+        finer: int,
+    ) -> None:
+        self.testing = _reduced(base.model, parts.testing, mapping, experiments, finer)
+        noise = [np.nan if n is None else np.sqrt(n.innovation_variance) for n in base.noises]
+        self.o = int(np.nanargmax(base.rmse / np.array(noise)))
+        self.output = list(base.model.outputs)[self.o]
+        self.unit = base.model.outputs[self.output].unit
+
+    def error(self, structure: Structure) -> float:
+        """RMS over the held-out samples; their records' first states come from what precedes them, or from themselves."""
+        return float(self.errors(structure)[self.o])
+
+    def errors(self, structure: Structure) -> FloatArray:
+        """The same of every output; NaN where one is never measured."""
+        return held_out_rmse(structure, self.testing)
+
+
+def _reduced(
+    model: PhysicalModel,
+    testing: Sequence[tuple[Record, int]],
+    mapping: Mapping[str, str] | None,
+    like: Sequence[Experiment],
+    finer: int,
+) -> list[tuple[Experiment, int]]:
+    """Held-out records with the training experiments' input timing, blocks and windows, and their first held-out sample."""
+    model, experiments = match(model, [record for record, _ in testing], mapping)
+    found = []
+    for e, (_, first) in zip(experiments, testing, strict=True):
+        timed = replace(e, hold=like[0].hold, block=like[0].block)
+        parts = in_windows(model, [timed], finer)
+        later = [(part, 0) for part in parts if round((part.t0 - timed.t0) / timed.sample_time) >= first]
+        found += [(timed, first)] if len(parts) == 1 else later
+    return found

@@ -1,0 +1,75 @@
+"""What is said?"""
+
+from collections.abc import Mapping
+
+NEGLIGIBLE_REST, LARGE_REST = 0.03, 0.30
+"""Shares of the explainable gain that a free term may take before the candidates lose probability, and lose all of it. Chosen."""
+REFUTED = 0.9
+"""How probable something else is where what the likelihood wanted failed, or nothing follows the error. Chosen."""
+DOUBTED = 0.3
+"""How probable it is where more is left than the right effects leave. Chosen."""
+UNKNOWN = 0.5
+"""Probability of something else from which on the verdict is that."""
+MUCH_ABOVE_NOISE = 3.0
+"""Times the noise floor that no error keeps with the right effect added (at most 2)."""
+NAMELESS_ABOVE_NOISE = 100.0
+"""Times the noise floor beyond which no name stands. Chosen."""
+MOST_OF_THE_EXCESS = 0.8
+"""Share of what stands above the noise that the right effect takes away at least, where more than noise is left. Chosen."""
+STANDS_COMPLETE_OR_NOT = 0.7
+"""Share of its error to which an output's fell where what was found stands, complete or not. Chosen."""
+OWN_SIGNALS_LEVEL = 1e-4
+"""Level of the test from which on a model errs by its own signals. Chosen."""
+OWN_SIGNALS_SHARE = 0.2
+"""And share of the error's power. Chosen."""
+
+MOST_OF_A_GROUP = 4
+"""Members of a group that are estimated in full. Chosen."""
+UNDECIDED = 0.8
+"""Probability of something else, where no effect is real. Chosen."""
+LEFT_OVER = 0.05
+"""Probability that remains for what the catalogue does not hold, once an effect is real. Chosen."""
+
+SENSOR_NOISE = 0.01
+"""[of its signal's RMS] Plausible noise of a sensor that is not there yet. Chosen."""
+DISTINCTION_LEVEL = 0.01
+"""Of the test that a proposed experiment is to pass. Chosen."""
+WORTH_SEPARATING = 0.02
+"""Probability from which on a candidate is worth an experiment against the leading one. Chosen."""
+MOST_PROPOSALS = 4
+"""Experiments that are proposed. Chosen."""
+
+FREE_TERM_KNOTS: Mapping[str, tuple[int, ...]] = {
+    "velocity": (9, 25),
+    "position": (9, 33),
+    "current": (9,),
+    "temperature": (9,),
+    "level": (9,),
+    "time": (17,),
+}
+"""Axes of the free term, and how many hat functions are tried on each. Chosen."""
+FACTOR_KNOTS = 5
+"""Hat functions by which an effect that was found may change. Chosen."""
+FORMULA_TERMS = 3
+"""Functions that a formula of the free term has at most. Chosen."""
+
+PREDICTED_SAMPLES = 2000
+"""[samples] Of which errors of prediction are told. Chosen."""
+HORIZONS = (1, 10, 100)
+"""[samples] Ahead of which they are."""
+LOCATION_BINS = 24
+"""Of an axis along which an error is located. Chosen."""
+FEWEST_IN_A_BIN = 12
+"""[samples] Chosen."""
+LOCATION_SCORE = 10.0
+"""[2 nat] Likelihood ratio that a region has to exceed, beside twice the logarithm of the number of bins. Chosen."""
+WIDEST_REGION = 0.7
+"""Part of the samples that a region may hold. Chosen."""
+ONE_WAY = 4.0
+"""Ratio of an error's power in the two directions of movement from which on it is one direction's. Chosen."""
+STANDSTILL_REGION = 0.2
+"""Part of an axis's largest value within which a region around zero is a standstill's. Chosen."""
+STANDSTILL_SPEED = 0.02
+"""Part of the largest speed up to which there is no direction. Chosen."""
+MOST_REGIONS = 8
+"""Regions that are told. Chosen."""

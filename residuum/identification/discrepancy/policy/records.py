@@ -1,0 +1,58 @@
+"""Which samples are used, and how are records cut?"""
+
+MOST_INNOVATIONS = 6_000
+"""[samples] Innovations that are judged at most: of longer records means over blocks. Chosen."""
+ANSWERED = 2
+"""Times as many samples where no means of them may be taken, for a controller answers the noise. Chosen."""
+SHORTENED = 3
+"""Times the innovations wanted from which on only the liveliest stretches of a record are used. Chosen."""
+FINEST = 1e-2
+"""Share of a signal's power that may lie above the Nyquist frequency of blocks; of an output's, its flat noise floor not counted.
+Chosen."""
+FEWEST_IN_A_SPECTRUM = 64
+"""[samples] From which on a spectrum is looked at, and that blocks leave of an experiment. Chosen."""
+
+NORMAL_MEDIAN = 0.6745
+"""Median of |z| of a standard normal z: a spread that outliers do not move is the median over this."""
+OUTLYING = 30.0
+"""Spreads of an output's error beyond which its first one is not of their kind. Chosen."""
+OUTLYING_INNOVATION = 4.0
+"""Spreads to which innovations are drawn in before an input is held against them. Chosen."""
+ANSWER_LAGS = 3
+"""[samples] After which a controller answers at most. Chosen."""
+ANSWER_SAMPLES = 6_000
+"""[samples] Of how many that is asked. Chosen."""
+ANSWER_SHARE = 0.05
+"""Share of an input's innovations that answers an output's from which on it is feedback. Chosen."""
+ANSWER_CERTAIN = 30.0
+"""That share times the number of samples (a χ² of one degree of freedom): p = 4e-8. Chosen."""
+
+LASTING = 0.6
+"""Part of the peak effect of a first state that is there at the end where a plant integrates; what forgets within two records'
+length (a furnace) shows more as a whole. Chosen."""
+WINDOWS = 25
+"""Into which the record of a plant that integrates is cut. Chosen."""
+SHORTEST_WINDOW, LONGEST_WINDOW = 80, 1200
+"""[samples] Of those. Chosen."""
+FINER_WINDOWS = 4
+"""How many times shorter windows are tried where the usual ones leave a slow error. Chosen."""
+FINER_FALL = 0.3
+"""Share of that error, in units of what its own past cannot predict, to which it has to fall for them to be believed. Chosen."""
+TIMING_TURNS = 2
+"""Times that the input timing is turned at most. Chosen."""
+TIMING_GAIN = 20.0
+"""[nat] Log-likelihood that asks for the other input timing where no shift in time was found. Chosen."""
+DRIFTING_LOAD_WINDOWS = 8
+"""Experiments from which on a load of each one's own is a drift; of fewer it could not be told from a constant one. Chosen."""
+
+TRAINING_SHARE = 0.7
+"""Part of a record that estimates; the rest is kept aside. Chosen."""
+STANDSTILL = 0.2
+"""Part of a channel's standard deviation in the record under which it stands still in a part of it. Chosen."""
+FEWEST_TO_SPLIT = 60
+"""[samples] That a record must have for a part of it to be kept aside. Chosen."""
+
+COARSE_REPEATS = 0.5
+"""Share of the samples that repeat the one before where an output is read in coarse steps. Chosen."""
+COARSE_EVENNESS = 1e-3
+"""Part of a step by which a change may differ from a whole number of steps. Chosen."""

@@ -1,0 +1,37 @@
+"""Functions that a model's equations call and that no text of ours holds: what a compiled library computes.
+
+`ExternalValue(k, t, x…, u…)` is the k-th of the library's values at a time, states and inputs; its slopes by them are
+`ExternalSlope(k, j, t, x…, u…)`. Generated code calls them by the names in `SYMBOLS`; a process has one library, whose functions
+stand in `machine_code.ADDRESSES`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sympy as sp
+
+SYMBOLS = ("external_value", "external_slope")
+"""double external_value(i64 k, double *arguments) and double external_slope(i64 k, i64 j, double *arguments)."""
+
+
+class ExternalSlope(sp.Function):
+    """The slope of value k by argument j; its own slopes are taken for nothing."""
+
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
+        """Nothing."""
+        return sp.S.Zero
+
+    def _eval_is_extended_real(self) -> bool:
+        return True
+
+
+class ExternalValue(sp.Function):
+    """Value k at the arguments."""
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        """The slope by the argument of this index, the first being the number of the value."""
+        return ExternalSlope(self.args[0], sp.Integer(argindex - 2), *self.args[1:])
+
+    def _eval_is_extended_real(self) -> bool:
+        return True

@@ -1,0 +1,434 @@
+"""Estimation of a model's parameters from records, each with its own initial states.
+
+Minimises Σ over experiments, outputs and samples of (w·F(q)(y − ŷ(θ, x₀)))² by Levenberg–Marquardt with exact
+sensitivities: θ are the free parameters, x₀ the initial states of each experiment, w = 1/σ the weight of an output,
+F an optional noise filter (an AR polynomial: the whitened residual of coloured noise). The initial states of one
+experiment touch no other, so they are eliminated blockwise (Schur complement) and thousands of experiments cost no
+more than their simulations. Cutting a record into windows of k samples (`windows`) gives the k-step prediction
+error with free states, which suits plants that integrate and data from a closed loop.
+
+Bounds are kept by projection: a parameter at its bound with the gradient pointing out is held for that step.
+Parameter covariance is σ²·H⁻¹ with H the Gauss–Newton matrix after elimination (Ljung, *System Identification*, 9.4);
+an eigenvector of the scaled H with a vanishing eigenvalue is a *flat direction*: the data cannot tell its members apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from residuum.identification.descent import End, descend
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics.estimation.least_squares import (
+    FlatDirection,
+    bounded_step,
+    covariance_of,
+    damped,
+    solve_scaled,
+)
+from residuum.identification.physics.model import PhysicalModel
+from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.simulation import Runs, Simulator
+
+Array = npt.NDArray[np.float64]
+
+REWEIGHTINGS = 2
+"""How often the outputs' weights are taken from the residuals anew."""
+_COARSE = 2.0
+"""Times the steps a sample that were taken from which on those of a run are too few."""
+_OPTIMISM = 3.0
+"""Times what a step promises by which the cost may fall in all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The result of an estimation.
+
+    Attributes
+    ----------
+    model : PhysicalModel
+        With the estimated values.
+    parameters : tuple of str
+        Full names of the estimated parameters.
+    theta, covariance : array
+        Their values and covariance, shapes (q,) and (q, q); infinite variance along flat directions.
+    initial : list of array
+        Initial states of each experiment, in the kernel's order.
+    predicted : list of array
+        Simulated outputs, shape (n, outputs), one an experiment.
+    residuals : list of array
+        y − ŷ in the outputs' units (NaN where missing).
+    cost : float
+        Weighted (and filtered) sum of squares.
+    samples : int
+        Number of measured values used.
+    flat : tuple of FlatDirection
+    at_bound : tuple of str
+    converged : bool
+    substeps : tuple of int
+        Integration steps a sample that were used.
+    """
+
+    model: PhysicalModel
+    parameters: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    initial: list[Array]
+    predicted: list[Array]
+    residuals: list[Array]
+    weights: Array
+    cost: float
+    samples: int
+    flat: tuple[FlatDirection, ...]
+    at_bound: tuple[str, ...]
+    converged: bool
+    iterations: int
+    substeps: tuple[int, ...]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of the parameters, shape (q,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square residual of each output (NaN where it was never measured), shape (outputs,)."""
+        stacked = np.concatenate(self.residuals)
+        count = np.sum(np.isfinite(stacked), axis=0)
+        return np.sqrt(np.nansum(stacked**2, axis=0) / np.where(count, count, np.nan))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to estimate.
+
+    `weights`: 1/σ of each output (None: from the residuals, twice); `filters`: AR polynomials (1, a₁, …) of each output's
+    noise; `iterations`: the most Gauss–Newton steps; `tolerance`: relative fall of the cost at which to stop; `blocks`: whether
+    the means of the experiments' blocks are to be met rather than every sample; `rival`: a cost, of which a point that is not
+    promised to come near it is left.
+    """
+
+    weights: Array | None = None
+    filters: Sequence[Array] | None = None
+    iterations: int = 40
+    tolerance: float = 1e-8
+    blocks: bool = False
+    rival: float = np.inf
+
+
+def windows(experiment: Experiment, samples: int) -> list[Experiment]:
+    """The experiment in windows of `samples`, each to be given its own initial states (a rest under half is dropped)."""
+    starts = range(0, experiment.n, samples)
+    cut = [experiment.window(start, min(start + samples, experiment.n)) for start in starts]
+    return [part for part in cut if part.n >= max(2, samples // 2)]
+
+
+def estimate(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    *,
+    free: Sequence[str] | None = None,
+    initial: Sequence[Array] | None = None,
+    settings: Settings = Settings(),
+    substeps: Sequence[int] | None = None,
+) -> Estimate:
+    """Estimate free parameters and initial states by (filtered) simulation error.
+
+    Parameters
+    ----------
+    free : sequence of str
+        Full names; default: the model's free parameters.
+    initial : sequence of array
+        First values of the states, one vector an experiment in kernel order; default: `first_states`.
+    substeps : sequence of int
+        Integration steps a sample of each experiment; default: as many as its first simulation asks for.
+
+    Raises
+    ------
+    NotIdentifiable
+        No measured output, or the model diverges at its starting values already.
+    """
+    if not experiments or not any(e.measured.any() for e in experiments):
+        raise NotIdentifiable(f"model {model.name!r}: no output of it was measured; there is nothing to estimate from")
+    names = tuple(model.free if free is None else free)
+    problem = _Problem(Simulator(model), list(experiments), names, settings)
+    start = [np.array(x) for x in initial] if initial is not None else problem.first_states()
+    return problem.solve(start, substeps)
+
+
+def _end_to_end(experiments: Sequence[Experiment]) -> Experiment:
+    """One with the rows of all, for sums over them."""
+    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
+    return replace(experiments[0], U=U, Y=Y, known={})
+
+
+@dataclass
+class _Point:
+    theta: Array
+    initial: list[Array]
+    predicted: list[Array]
+    gradient: Array
+    hessian: Array
+    cross: list[Array]
+    own: list[Array]
+    own_gradient: list[Array]
+    cost: float
+
+
+class _Problem:
+    """One least-squares problem: evaluates cost and Gauss–Newton blocks, and walks down."""
+
+    def __init__(self, simulator: Simulator, experiments: list[Experiment], names: tuple[str, ...], settings: Settings) -> None:
+        self.simulator, self.experiments, self.names, self.settings = simulator, experiments, names, settings
+        parameters = simulator.model.all_parameters
+        self.lower = np.array([parameters[name].lower for name in names])
+        self.upper = np.array([parameters[name].upper for name in names])
+        self.theta0 = np.array([parameters[name].value for name in names])
+        self.index = simulator.columns(names)
+        self.states = () if self._all_known(simulator.free_states) else simulator.free_states
+        self.summed = self.experiments if self.states or len(experiments) == 1 else [_end_to_end(experiments)]
+        self.state_index = [simulator.states.index(name) for name in self.states]
+        self.slopes = [*names, *(f"initial:{name}" for name in self.states)]
+        self.measured = np.any([e.measured for e in experiments], axis=0)
+        self.substeps = [0] * len(experiments)
+        self.weights = np.where(self.measured, 1.0, 0.0)
+
+    def _all_known(self, states: Sequence[str]) -> bool:
+        """Whether nothing is free that belongs to one experiment alone: then the sums may run over all of them at once."""
+        settings = self.settings
+        known = all(name in e.known for e in self.experiments for name in states)
+        return known and settings.filters is None and not (settings.blocks and any(e.block > 1 for e in self.experiments))
+
+    def _runs(self, initial: list[Array], p: Array, slopes: Sequence[str] = ()) -> Runs:
+        """Simulations of the experiments that are summed over."""
+        runs = self.simulator.run_each(self.experiments, initial, p, slopes=slopes, substeps=self.substeps)
+        return runs if self.summed is self.experiments else replace(runs, experiments=self.summed, starts=runs.starts[[0, -1]])
+
+    def first_states(self) -> list[Array]:
+        """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
+        starts = [self._measured_start(experiment) for experiment in self.experiments]
+        p = self.p(self.theta0)
+        self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
+        self.weights = self._scales()
+        for _ in range(3):
+            for number, x0 in enumerate(starts):
+                starts[number] = self._fit_states(number, x0, p)
+        return starts
+
+    def _measured_start(self, experiment: Experiment) -> Array:
+        """What is known, the first measured value of states that are themselves outputs, zero elsewhere."""
+        x0 = self.simulator.x0(experiment.known)
+        for o, output in enumerate(self.simulator.model.outputs.values()):
+            seen = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            if output.value.text in self.states and seen.size:
+                x0[self.simulator.states.index(output.value.text)] = seen[0]
+        return x0
+
+    def _fit_states(self, number: int, x0: Array, p: Array) -> Array:
+        """One Gauss–Newton step of the initial states alone, over the whole record, kept when it helps."""
+        if not self.states:
+            return x0
+
+        def run(x: Array, slopes: Sequence[str]) -> Runs:
+            return self.simulator.run_each([self.experiments[number]], [x], p, slopes=slopes, substeps=[self.substeps[number]])
+
+        here = run(x0, self.slopes[len(self.names) :])
+        if not here.bounded:
+            return x0
+        ((r, J),) = self._weighted(here)
+        if J is None:
+            return x0
+        step = solve_scaled(J.T @ J, (J.T @ r)[:, None])[:, 0]
+        trial = x0.copy()
+        trial[self.state_index] += step
+        there = run(trial, ())
+        if not there.bounded:
+            return x0
+        ((r_there, _),) = self._weighted(there)
+        return trial if r_there @ r_there < r @ r else x0
+
+    def _scales(self) -> Array:
+        spread = np.nanstd(np.concatenate([e.Y for e in self.experiments])[:, self.measured], axis=0)
+        weights = np.zeros(self.measured.size)
+        weights[self.measured] = 1.0 / np.where(spread > 0, spread, 1.0)
+        return weights
+
+    def p(self, theta: Array) -> Array:
+        p = self.simulator.p()
+        p[self.index] = theta
+        return p
+
+    def solve(self, initial: list[Array], substeps: Sequence[int] | None = None) -> Estimate:
+        """Walk down from the model's values and these first states; `substeps` where they are known."""
+        self.substeps = list(
+            self.simulator.substeps_each(self.experiments, initial, self.p(self.theta0)) if substeps is None else substeps
+        )
+        point, iterations, converged = self._walked(initial)
+        if substeps is None and self._too_coarse(point):
+            point, used, converged = self._walked(initial)
+            iterations += used
+        return self._result(point, iterations, converged)
+
+    def _too_coarse(self, point: _Point) -> bool:
+        """Whether the runs that were found ask for many more steps a sample than the first ones did; those are taken from now on.
+
+        A stop or a valve that the first run never reaches is stiff where it is met, and coarse steps leave it for anywhere.
+        """
+        needed = self.simulator.modal_substeps(self.experiments, point.initial, self.p(point.theta))
+        if not any(n > _COARSE * have for n, have in zip(needed, self.substeps, strict=True)):
+            return False
+        self.substeps = [max(pair) for pair in zip(needed, self.substeps, strict=True)]
+        return True
+
+    def _walked(self, initial: list[Array]) -> tuple[_Point, int, bool]:
+        """The lowest point from the model's values and these first states; weights are those of the residuals unless given."""
+        given = self.settings.weights
+        self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
+        point = self.point((self.theta0, initial))
+        if not np.isfinite(point.cost):
+            raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values")
+        point, iterations, converged = self._descend(point)
+        for _ in range(REWEIGHTINGS if given is None and np.sum(self.measured) > 1 else 0):
+            self.weights = self._from_residuals(point)
+            point, used, converged = self._descend(self.point((point.theta, point.initial)))
+            iterations += used
+        if given is None:
+            self.weights = self._from_residuals(point)
+            point = self.point((point.theta, point.initial))
+        return point, iterations, converged
+
+    def _from_residuals(self, point: _Point) -> Array:
+        stacked = np.concatenate([e.Y - y for e, y in zip(self.summed, point.predicted, strict=True)])[:, self.measured]
+        floor = 1e-9 / self._scales()[self.measured]
+        weights = np.zeros(self.measured.size)
+        weights[self.measured] = 1.0 / np.maximum(np.sqrt(np.nanmean(stacked**2, axis=0)), floor)
+        return weights
+
+    def _descend(self, point: _Point) -> tuple[_Point, int, bool]:
+        if not self.slopes:
+            return point, 0, True
+        point, steps, end = descend(self, point, steps=self.settings.iterations, relative=self.settings.tolerance)
+        return point, steps, end in (End.SETTLED, End.STUCK)
+
+    def ends(self, point: _Point) -> End | None:
+        """Left where it is not promised to come near the rival."""
+        rival = self.settings.rival
+        return End.LEFT if rival < np.inf and point.cost - _OPTIMISM * self._promised(point) > rival else None
+
+    def _eliminated(self, point: _Point, damping: float) -> tuple[Array, Array, Array]:
+        """Curvature and gradient of the parameters with the initial states eliminated, damped; and what those follow from."""
+        cross = np.array(point.cross)
+        wanted = np.concatenate([cross.swapaxes(1, 2), np.array(point.own_gradient)[:, :, None]], axis=2)
+        eliminated = solve_scaled(damped(np.array(point.own), damping), wanted)
+        absorbed = np.einsum("kqm,kmc->qc", cross, eliminated)
+        return damped(point.hessian, damping) - absorbed[:, :-1], point.gradient - absorbed[:, -1], eliminated
+
+    def _promised(self, point: _Point) -> float:
+        """By how much the cost falls with the whole step, if the outputs go on as they begin to."""
+        H, g, eliminated = self._eliminated(point, 0.0)
+        own = sum(float(b @ z[:, -1]) for b, z in zip(point.own_gradient, eliminated, strict=True))
+        return own + float(g @ solve_scaled(H, g[:, None])[:, 0])
+
+    def trial(self, point: _Point, damping: float) -> tuple[Array, list[Array]]:
+        """Parameters and first states after the damped Gauss–Newton step, initial states eliminated, parameters within bounds."""
+        H, g, eliminated = self._eliminated(point, damping)
+        step = bounded_step(H, g, point.theta, self.lower, self.upper)
+        theta = np.clip(point.theta + step, self.lower, self.upper)
+        moved = theta - point.theta
+        if not self.states:
+            return theta, point.initial
+        initial = []
+        for x0, solved in zip(point.initial, eliminated, strict=True):
+            x = x0.copy()
+            x[self.state_index] += solved[:, -1] - solved[:, :-1] @ moved
+            initial.append(x)
+        return theta, initial
+
+    def point(self, trial: tuple[Array, list[Array]]) -> _Point:
+        """Cost, and the blocks that the next step needs."""
+        theta, initial = trial
+        q, runs = len(self.names), self._runs(initial, self.p(theta), self.slopes)
+        point = _Point(theta, initial, [], np.zeros(q), np.zeros((q, q)), [], [], [], 0.0)
+        if not runs.bounded:
+            point.cost = np.inf
+            return point
+        point.predicted = [run.Y for run in runs]
+        for r, J in self._weighted(runs):
+            point.cost += float(r @ r)
+            if J is not None:
+                H, g = J.T @ J, J.T @ r
+                point.hessian += H[:q, :q]
+                point.gradient += g[:q]
+                point.cross.append(H[:q, q:])
+                point.own.append(H[q:, q:])
+                point.own_gradient.append(g[q:])
+        return point
+
+    def cost(self, trial: tuple[Array, list[Array]]) -> float:
+        """The cost alone, which needs no sensitivities."""
+        theta, initial = trial
+        runs = self._runs(initial, self.p(theta))
+        return float(sum(r @ r for r, _ in self._weighted(runs))) if runs.bounded else np.inf
+
+    def _weighted(self, runs: Runs) -> list[tuple[Array, Array | None]]:
+        """Weighted, filtered residuals of each experiment, those of all outputs in one, and their Jacobian; 0 where missing."""
+        blocks = runs.in_blocks if self.settings.blocks else lambda values: (values, runs.starts)
+        errors, starts = blocks(runs.errors)
+        there = np.isfinite(errors)
+        there[:, ~self.measured] = False
+        r = np.where(there, errors, 0.0) * self.weights
+        J = None if runs.dY is None else blocks(runs.dY)[0] * self.weights[:, None]
+        if not self.slopes:  # nothing is estimated: a model without states and free parameters
+            J = np.zeros((*r.shape, 0))
+        if J is not None and not there.all():
+            J[~there] = 0.0
+        found: list[tuple[Array, Array | None]] = []
+        for a, b in pairwise(starts.tolist()):
+            kept = there[a:b]
+            errors = self._filtered(r[a:b], kept).ravel()
+            found.append((errors, None if J is None else self._filtered(J[a:b], kept).reshape(errors.size, J.shape[-1])))
+        return found
+
+    def _filtered(self, signals: Array, there: npt.NDArray[np.bool_]) -> Array:
+        """Signals (n, outputs, …), each output through its filter."""
+        if self.settings.filters is None:
+            return signals
+        filtered = np.zeros_like(signals)
+        for o in map(int, np.flatnonzero(self.measured)):
+            filtered[:, o] = scipy.signal.lfilter(self.settings.filters[o], [1.0], signals[:, o], axis=0)
+        filtered[~there] = 0.0
+        return filtered
+
+    def _result(self, point: _Point, iterations: int, converged: bool) -> Estimate:
+        cross = np.array(point.cross)
+        reduced = point.hessian - np.einsum("kqm,kmc->qc", cross, solve_scaled(np.array(point.own), cross.swapaxes(1, 2)))
+        samples = sum(int(np.sum(np.isfinite(e.Y[:, self.measured]))) for e in self.experiments)
+        unknowns = len(self.names) + len(self.experiments) * len(self.states)
+        variance = point.cost / max(samples - unknowns, 1)
+        covariance, flat = covariance_of(reduced, variance, self.names, point.theta)
+        model = self.simulator.model.with_values(dict(zip(self.names, point.theta.tolist(), strict=True)))
+        bound = (point.theta <= self.lower) | (point.theta >= self.upper)
+        ends = np.cumsum([e.n for e in self.experiments])[:-1]
+        predicted = np.split(np.concatenate(point.predicted), ends)
+        return Estimate(
+            model=model,
+            parameters=self.names,
+            theta=point.theta,
+            covariance=covariance,
+            initial=point.initial,
+            predicted=predicted,
+            residuals=[e.Y - y for e, y in zip(self.experiments, predicted, strict=True)],
+            weights=self.weights,
+            cost=point.cost,
+            samples=samples,
+            flat=flat,
+            at_bound=tuple(name for name, there in zip(self.names, bound, strict=True) if there),
+            converged=converged,
+            iterations=iterations,
+            substeps=tuple(self.substeps),
+        )

@@ -1,0 +1,132 @@
+"""What an FMU says of itself, and whether it can run here; nothing of it is loaded."""
+
+from __future__ import annotations
+
+import platform
+import zipfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from residuum.identification.errors import BadModel, in_one_line
+
+ENDING = ".fmu"
+_ARCHITECTURE = {"x86_64": "x86_64", "AMD64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
+_SYSTEM = {"Linux": ("linux", "linux"), "Darwin": ("darwin", "darwin"), "Windows": ("windows", "win")}
+"""System → its name in folders of FMI 3 and of FMI 2."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of an FMU: its name, value reference and unit."""
+
+    name: str
+    reference: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class Description:
+    """An FMU's description: real variables by what they are for, and the ways in which it can be run.
+
+    `states` and `derivatives` are in one order; `events` counts event indicators. `exchange` and `simulation` are the
+    identifiers of its library for model exchange and co-simulation, None where it has no such way.
+    """
+
+    path: str
+    name: str
+    version: int
+    guid: str
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    states: tuple[Variable, ...]
+    derivatives: tuple[Variable, ...]
+    events: int
+    exchange: str | None
+    simulation: str | None
+
+
+def is_fmu(name: str | Path) -> bool:
+    """Whether a model's name is that of an FMU."""
+    return str(name).lower().endswith(ENDING)
+
+
+def fmpy() -> Any:
+    """The library that reads and loads FMUs."""
+    try:
+        return import_module("fmpy")
+    except ImportError:
+        raise BadModel("an FMU needs the extra `fmi`: pip install 'residuum[fmi]'") from None
+
+
+def describe(path: str | Path) -> Description:
+    """The description of an FMU that can run here.
+
+    Raises
+    ------
+    BadModel
+        No such file, not an FMU, FMI 1, without a library for this platform (those that it has are named), no output.
+    """
+    path = str(path)
+    library = fmpy()
+    if not Path(path).is_file():
+        raise BadModel(f"model {path!r}: no such file")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            held = archive.namelist()
+        read = library.read_model_description(path, validate=False)
+    except Exception as error:
+        raise BadModel(f"model {path!r}: is not an FMU ({in_one_line(error)})") from None
+    version = int(read.fmiVersion.split(".")[0])
+    if version not in (2, 3):
+        raise BadModel(f"model {path!r}: is of FMI {read.fmiVersion}; 2.0 and 3.0 are run")
+    _check_platform(path, version, held)
+    made = _description(path, version, read)
+    if not made.outputs:
+        raise BadModel(f"model {path!r}: has no real output; there is nothing to compare")
+    return made
+
+
+def _check_platform(path: str, version: int, held: Iterable[str]) -> None:
+    here, machine = platform.system(), _ARCHITECTURE.get(platform.machine(), platform.machine())
+    of_three, of_two = _SYSTEM.get(here, (here.lower(), here.lower()))
+    folder = f"{machine}-{of_three}" if version == 3 else f"{of_two}64"
+    there = sorted(
+        {name.split("/")[1] for name in held if name.startswith("binaries/") and name.count("/") > 1 and name[-1] != "/"}
+    )
+    if folder in there and (version == 3 or machine == "x86_64"):
+        return
+    has = f"libraries for {', '.join(there)}" if there else "sources only" if _has_sources(held) else "no library"
+    remedy = "compile it with its sources, or export it" if _has_sources(held) else "export it"
+    raise BadModel(f"model {path!r}: has {has}, none for {folder}, which this platform needs; {remedy} for {folder}")
+
+
+def _has_sources(held: Iterable[str]) -> bool:
+    return any(name.startswith("sources/") for name in held)
+
+
+def _description(path: str, version: int, read: Any) -> Description:
+    reals = [v for v in read.modelVariables if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)]
+    derivatives = [d.variable for d in read.derivatives if d.variable.derivative is not None]
+    exchange, simulation = read.modelExchange, read.coSimulation
+    return Description(
+        path,
+        read.modelName,
+        version,
+        read.guid if version == 2 else read.instantiationToken,
+        tuple(_variable(v) for v in reals if v.causality == "input"),
+        tuple(_variable(v) for v in reals if v.causality == "output"),
+        tuple(_variable(d.derivative) for d in derivatives),
+        tuple(_variable(d) for d in derivatives),
+        int(getattr(read, "numberOfEventIndicators", 0) or 0) if version == 2 else len(getattr(read, "eventIndicators", ())),
+        exchange.modelIdentifier if exchange is not None else None,
+        simulation.modelIdentifier if simulation is not None else None,
+    )
+
+
+def _variable(variable: Any) -> Variable:
+    declared = getattr(variable, "declaredType", None)
+    unit = variable.unit or (declared.unit if declared is not None else None) or ""
+    return Variable(variable.name, int(variable.valueReference), unit)

@@ -1,0 +1,145 @@
+"""An FMU as a model of balances: a balance a state, whose term is what the FMU computes, so that effects can be added to it.
+
+With model exchange and without events every state has its own balance: a state whose derivative is another state needs none. Any
+other FMU is simulated by itself beforehand (`simulated`): then only what happens on its outputs can be judged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from residuum.identification.errors import BadUnit
+from residuum.identification.physics.compile.expression_meaning import EXTERNAL
+from residuum.identification.physics.files.expression import Call, Expression, Name, Number, Place, parse
+from residuum.identification.physics.fmu.description import Description, Variable
+from residuum.identification.physics.fmu.loaded_library import LoadedLibrary
+from residuum.identification.physics.model import Balance, Input, Output, PhysicalModel, State
+from residuum.identification.units import parse_unit
+
+_POINTS = 8
+_ALIKE = 1e-7
+
+
+def is_exchangeable(described: Description) -> bool:
+    """Whether rates can be asked of it at any point: it has model exchange, states, and no events to follow."""
+    return described.exchange is not None and bool(described.states) and not described.events
+
+
+def exchange_model(library: LoadedLibrary) -> PhysicalModel:
+    """The model of an FMU whose library is loaded for model exchange.
+
+    Examples
+    --------
+    `residuum explain drive.fmu record.csv` makes one in a process of its own.
+    """
+    described = library.description
+    states, inputs, outputs = names_of(described)
+    units = [unit_of(v) for v in described.states]
+    rates = _rates(library)
+    arguments = (*states, *inputs)
+    digest = hashlib.sha256(Path(described.path).read_bytes()).hexdigest()[:12]
+
+    def external(k: int) -> Expression:
+        place = Place(described.name)
+        names = tuple(Name(name, place) for name in arguments)
+        tree = Call(EXTERNAL, (Number(float(k), place), *names), place)
+        return Expression(f"{EXTERNAL}_{digest}_{k}({', '.join(arguments)})", tree)
+
+    balances = {}
+    for k, (name, unit) in enumerate(zip(states, units, strict=True)):
+        if k in rates:
+            continue
+        kind, roles = _kind(name, unit, next((states[q] for q, v in rates.items() if v == k), None))
+        balances[name] = Balance(name, kind, parse(f"der({name})"), {"fmu": external(k)}, roles, f"{unit or '1'}/s")
+    made: dict[str, dict[str, Any]] = {
+        "inputs": {name: Input(name, unit_of(v)) for name, v in zip(inputs, described.inputs, strict=True)},
+        "states": {name: State(name, units[k], states[rates[k]] if k in rates else None) for k, name in enumerate(states)},
+        "balances": balances,
+        "outputs": {
+            name: Output(name, external(len(states) + k), unit_of(v))
+            for k, (name, v) in enumerate(zip(outputs, described.outputs, strict=True))
+        },
+    }
+    held: dict[str, Any] = {key: MappingProxyType(value) for key, value in made.items()}
+    return PhysicalModel(described.name, parameters=MappingProxyType({}), **held)
+
+
+def _rates(library: LoadedLibrary) -> dict[int, int]:
+    """State → the state that is its derivative, as is seen at points drawn around the start."""
+    n = len(library.description.states)
+    rng = np.random.default_rng(0)
+    points = [np.concatenate([[0.0], library.start + rng.normal(size=library.start.size)]) for _ in range(_POINTS)]
+    values = np.array([library.value(point)[:n] for point in points])
+    x = np.array(points)[:, 1 : 1 + n]
+    found: dict[int, int] = {}
+    for q in range(n):
+        near = [v for v in range(n) if v != q and np.all(np.abs(values[:, q] - x[:, v]) <= _ALIKE * (1 + np.abs(x[:, v])))]
+        if near and near[0] not in found:
+            found[q] = near[0]
+    return found
+
+
+def _kind(name: str, unit: str, position: str | None) -> tuple[str, dict[str, str]]:
+    """The kind of a state's balance by its unit, and the roles of variables there."""
+    for kind, like, role in _KINDS:
+        if _like(unit, like):
+            roles = {role: name}
+            return kind, ({"position": position} if position and role == "velocity" else {}) | roles
+    return "signal", {}
+
+
+_KINDS = (
+    ("torque", "rad/s", "velocity"),
+    ("force", "m/s", "velocity"),
+    ("voltage", "A", "current"),
+    ("heat", "K", "temperature"),
+    ("volume", "m", "level"),
+)
+
+
+def _like(unit: str, other: str) -> bool:
+    """Whether a unit is of the dimension of another; 1/s is not rad/s unless it says so."""
+    try:
+        return bool(unit) and parse_unit(unit).base == parse_unit(other).base
+    except BadUnit:
+        return False
+
+
+def unit_of(variable: Variable) -> str:
+    """A unit as we write it from one as Modelica writes it: `N.m`, `m/s2`.
+
+    >>> unit_of(Variable("a", 1, "m/s2")), unit_of(Variable("a", 1, "N.m")), unit_of(Variable("a", 1, "1"))
+    ('m/s**2', 'N*m', '')
+    """
+    unit = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"**\1", variable.unit.strip().replace(".", "*").replace("·", "*"))
+    return {"1": "", "-": ""}.get(unit, unit)
+
+
+def names_of(described: Description) -> tuple[list[str], list[str], list[str]]:
+    """Names of states, inputs and outputs as expressions take them, none twice; an output may be called as a state is."""
+    inputs = _given(described.inputs, set())
+    states = _given(described.states, set(inputs))
+    return states, inputs, _given(tuple(map(_without_prefix, described.outputs)), set(inputs))
+
+
+def _given(variables: tuple[Variable, ...], taken: set[str]) -> list[str]:
+    """Identifiers of variables, all of them others than those that are taken."""
+    found: list[str] = []
+    for variable in variables:
+        plain = re.sub(r"[^A-Za-z0-9_]+", "_", variable.name).strip("_")
+        name = plain if plain and not plain[0].isdigit() else f"v_{plain}"
+        while name in taken or name in found:
+            name += "_"
+        found.append(name)
+    return found
+
+
+def _without_prefix(variable: Variable) -> Variable:
+    """`y.speed` as `speed`: our own exports write an output so where a state has its name."""
+    return Variable(variable.name.removeprefix("y."), variable.reference, variable.unit)

@@ -1,0 +1,106 @@
+"""The `control design` object of a plant with as many outputs as inputs, and its short report."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from residuum.robust_control.certificates.time_domain import StepResponse
+from residuum.robust_control.multivariable_control import (
+    SHARE,
+    MeasuredLoop,
+    MultivariableDesign,
+    MultivariableProblem,
+    reached,
+)
+
+
+def design_json(problem: MultivariableProblem, found: MultivariableDesign) -> dict[str, Any]:
+    """Decoupler, loops with promise and measurement beside each other, and whether all loops together are certified."""
+    seen = problem.measured(found)
+    unstable = np.any([[not math.isfinite(s.integral_absolute_error) for s in one.own.drawn] for one in seen], axis=0)
+    return {
+        "feasible": True,
+        "inputs": list(problem.model.inputs),
+        "outputs": list(problem.model.outputs),
+        "sample_time": problem.sample_time,
+        "static_gain": problem.gains,
+        "relative_gains": problem.relative_gains,
+        "decoupler": found.decoupler,
+        "loops": [_loop(found, k, one) for k, one in enumerate(seen)],
+        "certified": found.certified,
+        "samples": problem.choice.samples,
+        "random_plants": {"count": len(unstable), "unstable": int(unstable.sum())},
+    }
+
+
+def _loop(found: MultivariableDesign, k: int, seen: MeasuredLoop) -> dict[str, Any]:
+    point, bound = found.points[k], found.bounds[k]
+    made = point.design
+    overshoot, settling_time = seen.own.reached_by(SHARE)
+    kept, share = seen.own.kept(point.first, point.second)
+    return {
+        "output": found.loops[k].output,
+        "parameters": dict(zip(made.structure.names, made.rho.tolist(), strict=True)),
+        "equation": made.structure.equation,
+        "controller": {"numerator": made.controller.num, "denominator": made.controller.den},
+        "certified_cost": made.certified,
+        "stability_bound": bound,
+        "critical_frequency_rad_s": found.loops[k].crossing,
+        "promised": {"overshoot": point.first, "settling_time_s": point.second},
+        "measured": {
+            "nominal": _figures(seen.own.nominal) | {"coupling": _finite(seen.coupling)},
+            "reached_by_95_percent": {
+                "overshoot": _finite(overshoot),
+                "settling_time_s": _finite(settling_time),
+                "coupling": _finite(reached(seen.drawn_coupling)),
+            },
+            "kept": kept,
+            "share_kept": share,
+        },
+    }
+
+
+def design_text(result: dict[str, Any]) -> str:
+    """The short human report."""
+    rows = "; ".join(", ".join(f"{value:.4g}" for value in row) for row in result["decoupler"])
+    plants = result["random_plants"]
+    lines = [
+        f"{result['structure']} behind the decoupler D (rows: {', '.join(result['inputs'])}) {rows}",
+        "  " + ("all loops together are certified stable for every drawn model" if result["certified"] else "NOT certified")
+        + f"; {plants['unstable']} of {plants['count']} further plants unstable",
+    ]  # fmt: skip
+    for loop in result["loops"]:
+        measured, promised = loop["measured"], loop["promised"]
+        nominal, most = measured["nominal"], measured["reached_by_95_percent"]
+        lines += [
+            f"  {loop['output']}: " + ", ".join(f"{name} = {value:.5g}" for name, value in loop["parameters"].items()),
+            f"    ‖T Σ W‖∞ = {loop['stability_bound']:.4g} (below 1 is asked); promised {_step(promised)}: "
+            f"{'kept' if measured['kept'] else 'NOT kept'}",
+            f"    measured: nominal {_step(nominal)}, other outputs move by {_size(nominal['coupling'])}; 95 % of plants "
+            f"{_step(most)}, {_size(most['coupling'])}",
+        ]
+    return "\n".join([*lines, *([f"  written to {result['file']}"] if result["file"] else [])])
+
+
+def _figures(step: StepResponse) -> dict[str, float | None]:
+    return {"overshoot": _finite(step.overshoot), "settling_time_s": _finite(step.settling_time)}
+
+
+def _step(figures: dict[str, Any]) -> str:
+    overshoot, settling = figures["overshoot"], figures["settling_time_s"]
+    return (
+        ("overshoot without end" if overshoot is None else f"overshoot {100 * overshoot:.3g} %")
+        + ", "
+        + ("never settled" if settling is None else f"settling {settling:.4g} s")
+    )
+
+
+def _size(value: float | None) -> str:
+    return "without end" if value is None else f"{value:.3g}"
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

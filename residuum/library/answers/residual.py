@@ -1,0 +1,163 @@
+"""The `residual design` and `residual run` objects and their short reports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from residuum.diagnosis.residuals.fault_estimation import PLANT_CHANGE, STUCK, FaultEstimate
+from residuum.diagnosis.residuals.noise_model import NoiseModel
+from residuum.diagnosis.residuals.residual_design import ResidualDesign
+from residuum.diagnosis.residuals.residual_detection import Detection
+from residuum.identification.record import Record
+
+
+def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: str, file: str | None) -> dict[str, Any]:
+    """The `residual design` object; `identified` and `file` are the files of the model and of the design."""
+    post_filter, noise = made.post_filter, made.noise
+    return {
+        "identified": identified,
+        "file": file,
+        "fault": made.fault,
+        "method": made.method,
+        "gamma": made.gamma,
+        "gamma_verified": post_filter.gamma,
+        "gamma_on_grid": post_filter.gamma_grid,
+        "beta": post_filter.beta,
+        "decoupling": post_filter.decoupling,
+        "filter_order": post_filter.Q.order,
+        "full_order": post_filter.full_order,
+        "reduction_error": post_filter.reduction_error,
+        "stable": post_filter.Q.is_stable,
+        "W_T": None if made.W_T is None else {"numerator": made.W_T.num, "denominator": made.W_T.den},
+        "sample_time": made.model.sample_time,
+        "warm_up_samples": made.generator.warm_up,
+        "noise": {
+            "sigma": noise.sigma,
+            "unit": made.model.output_unit,
+            "ar_order": len(noise.ar) - 1,
+            "tail_dof": noise.dof,
+            "shape": noise.shape,
+            "tails": _tails(noise, made.model.output_unit),
+            "degrees_of_freedom": noise.freedom,
+        },
+        "healthy_samples": sum(record.n for record in records),
+        "structured_error": {"present": made.has_structured_error, "p_value": made.structured_p},
+    }
+
+
+def design_text(made: ResidualDesign, file: str) -> str:
+    """The short human report of a design that was written to `file`."""
+    f = made.post_filter
+    lines = [
+        f"{made.method} residual for {made.fault} faults of {made.model.output_name!r}: γ = {f.gamma:.4g} (verified), "
+        f"β = {f.beta:.4g}, β/γ = {f.decoupling:.3g}",
+        f"post-filter of order {f.Q.order} (optimum: {f.full_order}, reduced with an error ≤ {f.reduction_error:.2g}) → {file}",
+        f"healthy noise: {_size(made)}, {_colour(made.noise)}, tails {_tails(made.noise, made.model.output_unit)}",
+    ]
+    if made.has_structured_error:
+        lines.append(
+            f"the healthy record carries structured error (p = {made.structured_p:.2g}): part of the plant is missing "
+            "in the model; find it with `residuum explain` before trusting small residuals"
+        )
+    return "\n".join(lines)
+
+
+def _size(made: ResidualDesign) -> str:
+    return f"σ = {made.noise.innovation_std:.4g} {made.model.output_unit}".rstrip()
+
+
+def _tails(noise: NoiseModel, unit: str) -> str:
+    """The law of the noise in words, with the parameter that shapes it."""
+    if noise.tail is not None:
+        beyond = f"{noise.tail.start * noise.sigma:.4g} {unit}".rstrip()
+        return f"beyond {beyond} those of its largest {100 * noise.tail.share:.2g} % of samples, which no usual law fits"
+    if np.isfinite(noise.dof):
+        return f"heavier than Gaussian (Student t, {noise.dof:.3g} degrees of freedom)"
+    return "Gaussian" if noise.is_gaussian else f"lighter than Gaussian (exponential power, β = {noise.shape:.3g})"
+
+
+def _colour(noise: NoiseModel) -> str:
+    order = len(noise.ar) - 1
+    return f"coloured (autoregression of order {order})" if order else "white"
+
+
+def run_json(made: ResidualDesign, record: Record, found: Detection) -> dict[str, Any]:
+    """The `residual run` object of a record."""
+    first = found.first_alarm
+    return {
+        "threshold": found.threshold.typical,
+        "threshold_unit": found.threshold.unit,
+        "threshold_kind": found.threshold.kind,
+        "evaluation": found.threshold.evaluation,
+        "guarantee": found.threshold.guarantee,
+        "alarm": first is not None,
+        "first_alarm_time": None if first is None else float(record.time[first]),
+        "false_alarm_rate": found.threshold.false_alarms_per_day,
+        "false_alarm_rate_unit": "1/day",
+        "false_alarm_rate_factor_95": found.threshold.rate_factor,
+        "fault_estimate": _estimate_json(record, found),
+        "exceedances": int(found.alarm.sum()),
+        "judged_samples": int(found.signals.valid.sum()),
+        "gaps": found.gaps,
+        "largest": float(np.max(found.statistic)),
+        "structured_error": {"present": made.has_structured_error, "p_value": made.structured_p},
+    }
+
+
+def _estimate_json(record: Record, found: Detection) -> dict[str, Any] | None:
+    estimate = found.estimate
+    if estimate is None:
+        return None
+    return {
+        "kind": estimate.kind,
+        "shape": estimate.shape,
+        "value": estimate.value,
+        "std": estimate.std,
+        "unit": estimate.unit,
+        "band_95": list(estimate.band()),
+        "onset_time": record.t0 + estimate.onset * record.sample_time,
+        "indistinguishable_from": list(estimate.indistinguishable_from),
+    }
+
+
+def run_text(made: ResidualDesign, record: Record, found: Detection) -> str:
+    """The short human report of a run."""
+    limit = found.threshold
+    first = found.first_alarm
+    judged = f"{int(found.signals.valid.sum())} samples judged, {limit.evaluation} against the {limit.kind} threshold"
+    lines = [f"{judged} {limit.typical:.4g} {limit.unit}".rstrip(), f"guarantee: {limit.guarantee}"]
+    if found.gaps:
+        lines.append(f"{found.gaps} gaps: the residual started anew after each")
+    if first is None:
+        return "\n".join([f"no alarm (largest {float(np.max(found.statistic)):.4g})", *lines])
+    lines.insert(0, f"alarm at {float(record.time[first]):.6g} s, {int(found.alarm.sum())} exceedances")
+    if (estimate := found.estimate) is not None:
+        lines.insert(1, f"{_fault_text(estimate)}, {_since(made, record, estimate.onset)}{_alike(estimate)}")
+    if made.has_structured_error:
+        lines.append("the healthy records already carried structured error: this may be missing physics, see `residuum explain`")
+    return "\n".join(lines)
+
+
+def _fault_text(estimate: FaultEstimate) -> str:
+    if estimate.kind == STUCK:
+        return f"{estimate.kind}: the reading stays at {estimate.value:.6g} {estimate.unit}".rstrip()
+    if estimate.kind == PLANT_CHANGE:
+        return f"{estimate.kind}: no single sensor or actuator fault explains it"
+    low, high = estimate.band()
+    return f"{estimate.kind} ({estimate.shape}): {estimate.value:.4g} (95 %: {low:.4g} … {high:.4g}) {estimate.unit}".rstrip()
+
+
+def _since(made: ResidualDesign, record: Record, onset: int) -> str:
+    """When the fault began, or that it was there before the first sample that could be judged."""
+    judged_from = made.generator.warm_up
+    if onset <= judged_from:
+        return f"since before {record.t0 + judged_from * record.sample_time:.6g} s, the first that is judged"
+    return f"since {record.t0 + onset * record.sample_time:.6g} s"
+
+
+def _alike(estimate: FaultEstimate) -> str:
+    kinds = estimate.indistinguishable_from
+    return f"; cannot be told from {', '.join(kinds)}" if kinds else ""

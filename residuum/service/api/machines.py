@@ -1,0 +1,221 @@
+"""Machines that are watched: adding one while the service runs, what its signals read, and training its baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import BaseModel, Field, ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import write_model
+from residuum.service.api.answers import PROBLEMS, JobAnswer
+from residuum.service.api.jobs import accepted
+from residuum.service.api.json_response import Json, StrictRoute
+from residuum.service.api.parameters import NAME
+from residuum.service.hidden_password import with_hidden_password
+from residuum.service.machines.baseline_training import train_baseline
+from residuum.service.machines.bus_description import bus_description
+from residuum.service.machines.channel_guess import guessed_channels, model_signals
+from residuum.service.machines.channel_names import named
+from residuum.service.machines.judges import diagnoser_class
+from residuum.service.machines.kept_machines import (
+    document_name,
+    forget_machine,
+    keep_machine,
+    kept_maps,
+    with_map_files,
+)
+from residuum.service.machines.kept_passwords import with_kept_passwords
+from residuum.service.machines.model_texts import ModelText, model_of_settings, stored_model
+from residuum.service.machines.second_opinion import what_is_trained
+from residuum.service.machines.stored_baselines import has_baseline
+from residuum.service.machines.training_windows import training_windows
+from residuum.service.machines.watched_machine import WatchedMachine
+from residuum.service.security.access import ANYBODY
+from residuum.service.services import Running, Services
+from residuum.service.views.model_view import model_of
+from residuum.service.work.record_parts import parts_of
+
+router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
+
+MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
+_WINDOWS_SHOWN = 500
+
+
+class BusText(BaseModel, extra="forbid"):
+    """A description of a bus, as text."""
+
+    kind: Literal["dbc", "registers", "table"] = Field(description="A DBC file, a register map, or a table to make one of.")
+    name: str = Field(
+        "bus", min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", description="Name of the file."
+    )
+    text: str = Field(min_length=1, max_length=2**20)
+    sample_time: float = Field(0.1, ge=0.001, le=3600, description="table: seconds between two reads.")
+    unit_id: int = Field(1, ge=0, le=247, description="table: unit of the device.")
+
+
+class Training(BaseModel, extra="forbid"):
+    """What a machine's baseline is trained from."""
+
+    model: str | None = Field(
+        None, pattern=NAME, description="model-based: a stored or a built-in model; default: the machine's."
+    )
+    version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+    second: bool = Field(False, description="Train the machine's second opinion, with its model.")
+    leave_out: list[int] = Field([], max_length=500, description="Recorded windows in which the machine was not healthy.")
+    fix_undetermined: bool = Field(False, description="model-based: keep values that the windows leave open at the file's.")
+    false_alarms_per_day: float | None = Field(None, gt=0, le=86400, description="model-based: chosen number of false alarms.")
+    method: Literal["source", "default"] | None = Field(None, description="What decides, of a diagnoser with two.")
+
+
+class WindowsAsRecords(BaseModel, extra="forbid"):
+    """Windows of a machine that become records."""
+
+    windows: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] = Field(min_length=1, max_length=64)
+
+
+@router.post("/bus-descriptions")
+def read_bus_description(asked: BusText) -> Response:
+    """Understand a DBC file, a register map or a table of registers: its streams, and the file to add a machine with."""
+    return Json(bus_description(asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id).to_json())
+
+
+@router.get("/assets/{asset}/machine")
+def get_machine(running: Running, machine: MachineName) -> Response:
+    """How a machine is watched, what became of its windows, and what it needs next; passwords are hidden."""
+    return Json(_described(running, machine))
+
+
+@router.put("/assets/{asset}/machine")
+async def put_machine(request: Request, running: Running, machine: MachineName, asked: WatchedMachine) -> Response:
+    """Watch a machine from now on, or watch it by other settings. It is kept, and watched again after a restart.
+
+    A map is the text of a file in `maps`, one that was sent before for this machine, or one that comes with Residuum. A hidden
+    password (`user:***@`) stands for the one that was given before for the same address.
+    """
+    diagnoser_class(asked.diagnoser)
+    document_name(machine)
+    running.pipeline.refuse_fixed(machine)
+    watched = running.pipeline.status()["machines"]
+    kept = running.pipeline.machine(machine).sources if machine in watched else []
+    asked = asked.model_copy(update={"sources": with_kept_passwords(asked.sources, kept)})
+    try:
+        settings = asked.settings(machine)
+    except ValidationError as error:
+        raise BadInput(
+            f"machine {machine!r}: {error.errors(include_url=False)[0]['msg'].removeprefix('Value error, ')}"
+        ) from None
+    if settings.model is not None:
+        await run_in_threadpool(stored_model, running.store, settings.model)
+    before = await run_in_threadpool(kept_maps, running.store, machine)
+    names = {source.map for source in settings.sources}
+    maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
+    with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
+    await running.pipeline.put_machine(with_files)
+    await run_in_threadpool(keep_machine, running.store, settings, maps, _caller(request))
+    return Json(await run_in_threadpool(_described, running, machine))
+
+
+@router.delete("/assets/{asset}/machine", status_code=204, response_class=Response)
+async def remove_machine(request: Request, running: Running, machine: MachineName) -> Response:
+    """Watch a machine no more; its windows and findings stay."""
+    await running.pipeline.remove_machine(machine)
+    await run_in_threadpool(forget_machine, running.store, machine, _caller(request))
+    return Response(status_code=204)
+
+
+@router.get("/assets/{asset}/live")
+def get_live(running: Running, machine: MachineName) -> Response:
+    """What the signals read now and over the last half minute, by their names on the bus."""
+    return Json({"machine": machine, "signals": running.pipeline.live(machine)})
+
+
+@router.get("/assets/{asset}/channel-guess")
+def guess_channels(
+    running: Running,
+    machine: MachineName,
+    model: Annotated[str, Query(pattern=NAME, description="A stored or built-in model.")],
+    version: Annotated[int | None, Query(ge=1, le=10**9, description="Version of the model (default: the newest).")] = None,
+) -> Response:
+    """The signals of a model, and which of the machine's each may be: the one of its name, or the only one of its unit."""
+    read = model_of(*stored_model(running.store, model, version))
+    bus = running.pipeline.units(machine)
+    guesses = guessed_channels(read, bus) | running.pipeline.machine(machine).channels
+    signals = [
+        {"name": name, "unit": unit, "role": role, "required": needed, "channel": guesses.get(name)}
+        for name, (unit, role, needed) in model_signals(read).items()
+    ]
+    return Json({"signals": signals, "bus": bus})
+
+
+@router.post("/assets/{asset}/records", status_code=201)
+def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords) -> Response:
+    """Keep windows of a machine as records beside uploaded ones, with the names of signals that the machine's model uses."""
+    channels = running.pipeline.machine(machine).channels
+    numbers = []
+    for window in asked.windows:
+        record = named(running.store.window_record(machine, window), channels)
+        numbers.append(running.store.add_record(f"{machine} window {window}", record))
+    return Json({"records": numbers}, 201)
+
+
+@router.post("/assets/{asset}/training", status_code=202, response_model=JobAnswer)
+def train(request: Request, running: Running, machine: MachineName, asked: Training) -> Response:
+    """Train the machine's baseline from its own windows, and judge by it from now on.
+
+    Without a baseline the recorded windows are taken; with one, those that it judged healthy.
+    """
+    settings = running.pipeline.machine(machine)
+    trained = what_is_trained(running.store, settings, second=asked.second)
+    judged = has_baseline(running.store, machine, settings.baseline)
+    windows = training_windows(running.store, machine, asked.leave_out, judged=judged)
+    baseline = trained.name
+    model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
+    given: dict[str, Any] = {"fix_undetermined": asked.fix_undetermined or None, "method": asked.method}
+    given |= {"false_alarms_per_day": asked.false_alarms_per_day}
+    own = {name: value for name, value in given.items() if value is not None}
+    by = _caller(request)
+
+    def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
+        note = f"trained on {outcome['windows']} windows" + (f" with {model[0]}" if model else "")
+        version = running.store.add_model_version(baseline, "baseline", outcome["baseline"], note, by)
+        if model is not None:
+            text = model[1] if model[1] is not None else write_model(model_of(*model)).encode()
+            running.store.add_model_version(f"{machine}.model", "physical", text, f"{model[0]}: {note}", by)
+        told = {name: value for name, value in outcome.items() if name != "baseline"}
+        return {**told, "stored": {"model": baseline, "version": version.number}}
+
+    present = running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
+    arguments = (trained.diagnoser, [parts_of(w) for w in windows], dict(settings.channels), model, own, present)
+    return accepted(running.jobs.submit("train", train_baseline, *arguments, then=keep))
+
+
+def _described(running: Services, machine: str) -> dict[str, Any]:
+    settings = running.pipeline.machine(machine)
+    plain = settings.model_dump(mode="json", exclude={"asset", "alarms"})
+    for source in plain["sources"]:
+        source["map"] = source["map"].rsplit("/", 1)[-1]
+        source["channel"] = with_hidden_password(source["channel"])
+    return {
+        "machine": machine,
+        "settings": plain,
+        "status": running.pipeline.status()["machines"].get(machine),
+        "recorded_windows": running.store.recorded_windows(machine, _WINDOWS_SHOWN),
+        "baseline": has_baseline(running.store, machine, settings.baseline),
+    }
+
+
+def _model(running: Services, asked: Training, of_machine: str | None) -> ModelText:
+    """The model that is asked for, or the machine's; BadInput when there is none."""
+    if asked.model is not None:
+        return stored_model(running.store, asked.model, asked.version)
+    if of_machine is None:
+        raise BadInput("body, model: is missing; the diagnoser model-based is trained with a model")
+    return model_of_settings(running.store, of_machine)
+
+
+def _caller(request: Request) -> str:
+    return str(getattr(request.state, "caller", ANYBODY).name)

@@ -1,0 +1,110 @@
+"""Tables: what a machine's pictures show, as rows: for Grafana's data source of JSON, for spreadsheets, for scripts."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Response
+
+from residuum.diagnosis.vibration.amplitude_spectrum import amplitude_spectrum
+from residuum.identification.record import Record
+from residuum.library.picture import Curve
+from residuum.service.api.answers import PROBLEMS
+from residuum.service.api.json_response import Json, StrictRoute, in_pieces
+from residuum.service.api.parameters import AssetName
+from residuum.service.api.results import Begin, End
+from residuum.service.results.month_report import Followed
+from residuum.service.results.time_span import findings_in, span_of
+from residuum.service.services import Running, Services
+from residuum.service.store import NotFound, StoredFinding
+
+router = APIRouter(prefix="/assets/{asset}/tables", tags=["results"], route_class=StrictRoute, responses=PROBLEMS)
+
+Points = Annotated[
+    int, Query(description="Most rows of a curve; smallest and largest of each stretch are kept.", ge=10, le=20_000)
+]
+Window = Annotated[int | None, Query(description="Number of the window; default: the newest.", ge=1, le=2**53 - 1)]
+ChannelName = Annotated[str | None, Query(description="Channel; default: the first.", max_length=200)]
+_MOST_FINDINGS = 5000
+_MOST_ROWS, _FEWEST = 50_000, 10
+"""Rows of all indicators together, and rows that each may have however many there are."""
+
+
+@router.get("/findings")
+def get_findings_table(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
+    """The newest 5000 findings of a span of time: when, window, verdict, class, reason."""
+    newest = deque((_finding_row(found) for found in findings_in(running.store, asset, span_of(begin, end))), _MOST_FINDINGS)
+    return _rows(list(newest))
+
+
+@router.get("/indicators")
+def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: End, points: Points = 1000) -> Response:
+    """Indicators of a span of time with their limits: a row a moment and indicator, some 50 000 rows at most over all of them."""
+    followed: dict[str, Followed] = {}
+    for found in findings_in(running.store, asset, span_of(begin, end)):
+        for name, value in found.finding.indicators.items():
+            each = followed.setdefault(name, Followed(found.finding.units.get(name, "")))
+            each.append(found.at, value, None, found.finding.thresholds.get(name))
+    share = min(points, max(_FEWEST, _MOST_ROWS // max(1, len(followed))))
+    answer = _rows(
+        [
+            {"at": each.at[k], "name": name, "value": each.value[k], "threshold": each.high[k], "unit": each.unit}
+            for name, each in followed.items()
+            for k in _kept(each.value, share)
+        ]
+    )
+    return in_pieces(bytes(answer.body), "application/json", {})
+
+
+@router.get("/waveform")
+def get_waveform_table(
+    running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
+) -> Response:
+    """The signal of a window: a row a moment [s after its begin]."""
+    name, record = _channel(running, asset, window, channel)
+    values, unit = record[name], record.units[name]
+    rows = [{"time": k * record.sample_time, "value": values[k], "unit": unit} for k in _kept(values, points)]
+    return _rows(rows)
+
+
+@router.get("/spectrum")
+def get_spectrum_table(
+    running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
+) -> Response:
+    """Amplitude spectrum of a window's signal (Hann window, mean removed): a row a frequency [Hz]."""
+    name, record = _channel(running, asset, window, channel)
+    found, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
+    rows = [{"frequency": k * found.step, "amplitude": found.amplitude[k], "unit": unit} for k in _kept(found.amplitude, points)]
+    return _rows(rows)
+
+
+def _channel(running: Services, asset: str, window: int | None, channel: str | None) -> tuple[str, Record]:
+    if window is None:
+        newest = running.store.windows(asset, limit=1).items
+        if not newest:
+            raise NotFound(f"asset {asset!r}: has no window yet")
+        window = newest[0].id
+    units = running.store.window(asset, window).units
+    name = channel or next(iter(units))
+    if name not in units:
+        raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+    return name, running.store.window_record(asset, window, [name])
+
+
+def _finding_row(found: StoredFinding) -> dict[str, Any]:
+    """The columns alone: a finding's evidence may be long."""
+    finding = found.finding
+    told = {"verdict": finding.verdict, "class": finding.fault_class, "reason": finding.reason}
+    return {"at": found.at, "window": found.window, **told}
+
+
+def _kept(values: Any, points: int) -> list[int]:
+    """Places of the rows that are kept."""
+    y = np.asarray(values, dtype=float)
+    return Curve("", np.arange(len(y), dtype=float), y).reduced(points).x.astype(int).tolist()
+
+
+def _rows(rows: list[dict[str, Any]]) -> Response:
+    return Json({"items": rows})

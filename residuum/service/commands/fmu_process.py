@@ -1,0 +1,56 @@
+"""Commands on a model that is an FMU run in a process of their own: a foreign library may end it, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics.fmu.description import describe, is_fmu
+from residuum.identification.record import Record
+from residuum.library.model import Model, model
+
+INSIDE = "RESIDUUM_FMU_PROCESS"
+"""Set in the process that may load an FMU."""
+_COMMANDS = ("compare", "explain")
+
+
+def is_wanted(command: str) -> bool:
+    """Whether this command, here, has to be handed to a process of its own."""
+    return command in _COMMANDS and not is_inside()
+
+
+def is_inside() -> bool:
+    """Whether this is that process."""
+    return INSIDE in os.environ
+
+
+def run_apart(arguments: list[str], fmu: str) -> int:
+    """Exit status of the command in a process of its own.
+
+    Raises
+    ------
+    BadModel
+        The FMU cannot run on this platform (said before anything of it is loaded), or it ended the process.
+    """
+    describe(fmu)
+    done = subprocess.run(
+        [sys.executable, "-m", "residuum", *arguments], env=os.environ | {INSIDE: "1"}, stdout=subprocess.PIPE, check=False
+    )
+    sys.stdout.write(done.stdout.decode("utf-8", "replace"))
+    if done.returncode < 0:
+        how = signal.Signals(-done.returncode).name
+        raise BadModel(f"model {fmu!r}: the FMU ended the process that ran it ({how}); nothing else was harmed")
+    return done.returncode
+
+
+def model_for(name: str, records: list[Record], signals: Mapping[str, str]) -> tuple[Model, list[Record]]:
+    """The model of a command, and the records with what it needs beside them: an FMU may have to be simulated along each."""
+    if is_fmu(name) and is_inside():
+        from residuum.library.fmu import fmu_model  # noqa: PLC0415  loads what compiles, for FMUs alone
+
+        return fmu_model(name, records, signals)
+    return model(name), records

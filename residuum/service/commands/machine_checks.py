@@ -1,0 +1,74 @@
+"""What a machine of the settings lacks: signals, a model, a baseline; each with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import load_model
+from residuum.identification.units import compatible
+from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.settings import MachineSettings
+from residuum.service.machines.channel_guess import guessed_channels, model_signals
+from residuum.service.machines.machine_line import MachineLine
+
+ENOUGH = 20
+"""Healthy windows that a baseline should be trained from."""
+
+
+def bus_signals(machine: MachineSettings) -> dict[str, str]:
+    """Name and unit of every signal on the machine's buses; BadInput for a description that cannot be read."""
+    sources = [SOURCES[source.kind](source, lambda _: True) for source in machine.sources]
+    return {name: unit for source in sources for stream in source.streams for name, unit in stream.units.items()}
+
+
+def machine_check(machine: MachineSettings, baseline: tuple[bool, int] | None) -> tuple[str, list[str]]:
+    """What a machine has, in a sentence, and what it lacks, a sentence each.
+
+    Parameters
+    ----------
+    baseline : (bool, int) or None
+        Whether it has a baseline, and the number of recorded windows; None where the service has not run yet.
+    """
+    try:
+        MachineLine(machine, lambda *_: lambda: None, lambda _: None)
+        bus = bus_signals(machine)
+    except BadInput as error:
+        return "", [str(error)]
+    lacks = [] if machine.diagnoser in DIAGNOSERS else [f"diagnoser {machine.diagnoser!r}: known are {', '.join(DIAGNOSERS)}"]
+    if machine.diagnoser == "model-based":
+        lacks += _model_lacks(machine, bus)
+    return f"reads {', '.join(bus)}; {_state(machine, baseline)}", lacks
+
+
+def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
+    if machine.model is None:
+        return ["model: is missing; name the machine's model file (docs: how to write a model)"]
+    try:
+        model = load_model(machine.model)
+    except BadInput as error:
+        return [f"model: {error}"]
+    guesses, lacks, outputs = guessed_channels(model, bus), [], 0
+    for name, (unit, role, needed) in model_signals(model).items():
+        channel = machine.channels.get(name, name)
+        if channel in bus and not compatible(bus[channel], unit):
+            lacks.append(f"channels, {name}: the model has it in {unit}, the bus has {channel} in {bus[channel] or 'no unit'}")
+        elif channel in bus:
+            outputs += role == "output"
+        elif needed:
+            hint = f"; perhaps it is {guesses[name]}" if name in guesses else f"; the bus has {', '.join(bus)}"
+            lacks.append(f"channels, {name}: the model needs this {role}, the bus has no signal of this name{hint}")
+    if not outputs:
+        lacks.append(f"channels: none of the model's outputs is on the bus ({', '.join(model.outputs)}); map at least one")
+    return lacks
+
+
+def _state(machine: MachineSettings, baseline: tuple[bool, int] | None) -> str:
+    if baseline is None:
+        return "the service has not run yet"
+    there, count = baseline
+    if there:
+        return "has a baseline"
+    then = f"train with: residuum watch train {machine.asset}" if count >= ENOUGH else f"let it run until there are {ENOUGH}"
+    return f"has no baseline yet, {count} windows recorded; {then}"

@@ -1,0 +1,62 @@
+"""`residuum sparkplug`: what an edge node's births name, as a metric map."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.service.broker_address import broker_address
+from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.report import AsJson, report
+from residuum.service.fieldbus.metric_map import NAME, metric_map_text
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+_TIMEOUT = 10.0
+
+
+@app.callback()
+def sparkplug() -> None:
+    """Edge nodes that speak Sparkplug B over an MQTT broker."""
+
+
+@app.command()
+def browse(
+    broker: Annotated[str, typer.Argument(metavar="BROKER", help="For example mqtt://192.168.0.11.")],
+    node: Annotated[str, typer.Argument(metavar="GROUP/NODE", help="The edge node.")],
+    out: Annotated[Path, typer.Option(help="The metric map to write.")],
+    every: Annotated[float, typer.Option(min=0.001, max=3600, help="Sample time of the streams [s].")] = 0.1,
+    as_json: AsJson = False,
+) -> None:
+    """Ask a node to be born again, and write a map of the metrics that are numbers; a stream a device."""
+    check_output_file(out)
+    try:
+        address = broker_address(broker)
+    except ValueError as error:
+        raise BadInput(f"{broker}: {error}") from None
+    if re.fullmatch(f"{NAME}/{NAME}", node) is None:
+        raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
+    try:
+        numeric_metrics = import_module("residuum.service.fieldbus.sparkplug_browse").numeric_metrics
+    except ModuleNotFoundError:
+        raise BadInput("Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
+    try:
+        found = numeric_metrics(address, node, _TIMEOUT)
+    except OSError as error:
+        raise BadInput(f"{address.host}:{address.port}: {error}") from None
+    if not found:
+        raise BadInput(f"{node}: no birth with a number came within {_TIMEOUT:g} s; is the node connected to this broker?")
+    out.write_text(metric_map_text(node, every, found), encoding="utf-8")
+    lines = [f"{out}: {sum(map(len, found.values()))} channels of {node}, a sample every {every:g} s"]
+    lines += [
+        f"  {device or 'the node'}: {name} [{unit or '1'}]  {metric}"
+        for device, channels in found.items()
+        for name, (metric, unit) in channels.items()
+    ]
+    plain = {device: {n: {"metric": m, "unit": u} for n, (m, u) in channels.items()} for device, channels in found.items()}
+    report({"file": str(out), "devices": plain}, "\n".join(lines), as_json=as_json)

@@ -1,0 +1,224 @@
+"""`residuum watch`: from a machine to a watched machine, step by step."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+import urllib.parse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import load_model
+from residuum.service.commands.machine_checks import bus_signals
+from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.report import AsJson, progress, report
+from residuum.service.commands.running_service import HERE, ServiceUrl, answered, ask
+from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.commands.settings_template import settings_template
+from residuum.service.fieldbus import SOURCES
+from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.machines.channel_guess import guessed_channels
+from residuum.service.machines.live_values import LiveValues
+from residuum.service.settings import load_settings
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+MachineArgument = Annotated[str, typer.Argument(metavar="MACHINE", help="Name of the machine.")]
+_PAUSE = 0.5
+
+
+@app.command()
+def init(
+    out: Annotated[Path, typer.Option(help="The settings' file to write.")] = Path("residuum.yaml"),
+    asset: Annotated[str, typer.Option(help="Name of the machine.")] = "my-machine",
+    can: Annotated[str | None, typer.Option(help="CAN bus, for example socketcan:can0.")] = None,
+    modbus: Annotated[str | None, typer.Option(help="HOST:PORT of a Modbus TCP device.")] = None,
+    opcua: Annotated[str | None, typer.Option(help="OPC UA server, for example opc.tcp://192.168.0.10:4840.")] = None,
+    sparkplug: Annotated[str | None, typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11.")] = None,
+    bus_map: Annotated[
+        str | None,
+        typer.Option("--map", help="DBC file (CAN), register, node (OPC UA) or metric map (Sparkplug)."),
+    ] = None,
+    model: Annotated[str | None, typer.Option(help="Model file of the machine, or a built-in model.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a commented settings file for one machine. Options that are left out stay in it as examples to fill in."""
+    if out.exists():
+        raise BadInput(f"--out {out}: is there already; choose another name or remove it")
+    check_output_file(out)
+    machine = _machine(asset, {"can": can, "modbus": modbus, "opcua": opcua, "sparkplug": sparkplug}, bus_map)
+    signals = {} if machine is None else bus_signals(machine)
+    channels = guessed_channels(load_model(model), signals) if model and signals else {}
+    out.write_text(settings_template(asset, machine, signals, model, channels), encoding="utf-8")
+    says = [f"wrote {out}", f"next: residuum doctor --settings {out}    says what is missing in it"]
+    report({"file": str(out), "signals": signals, "channels": channels}, "\n".join(says), as_json=as_json)
+
+
+@app.command("map")
+def make_map(
+    table: Annotated[Path, typer.Argument(help="Table of names, registers, types, units (CSV, `;` or tab).")],
+    out: Annotated[Path, typer.Option(help="The register map to write.")],
+    every: Annotated[float, typer.Option(min=0.001, max=3600, help="Seconds between two reads.")] = 0.1,
+    unit_id: Annotated[int, typer.Option(min=0, max=247, help="Unit of the device.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Make a register map from a table, as a device's manual or a spreadsheet has it."""
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInput(f"{table}: cannot be read: {error}") from None
+    check_output_file(out)
+    made = register_map_of(text, every, table.name, unit_id)
+    out.write_text(register_map_text(made), encoding="utf-8")
+    stream = read_register_map(out).streams["signals"].format("signals")
+    lines = [f"{out}: {len(stream.units)} signals, read every {every:g} s"]
+    lines += [f"  {name} [{unit or '1'}]" for name, unit in stream.units.items()]
+    report({"file": str(out), "signals": dict(stream.units)}, "\n".join(lines), as_json=as_json)
+
+
+@app.command()
+def signals(
+    machine: MachineArgument,
+    settings_file: SettingsFile = None,
+    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="How long to listen.")] = 3.0,
+    as_json: AsJson = False,
+) -> None:
+    """Show the present values of a machine's signals. No service needs to run."""
+    settings = load_settings(settings_file)
+    watched = next((each for each in settings.machines if each.asset == machine), None)
+    if watched is None:
+        known = ", ".join(each.asset for each in settings.machines) or "none"
+        raise BadInput(f"machine {machine!r}: is not in the settings; there are {known}")
+    live, silent = _listened(watched, seconds)
+    units = bus_signals(watched)
+    lines = [f"  {bus:<20} {value['value']:>12.6g} {units[bus]:<8} {_alias(bus, value['name'])}" for bus, value in live.items()]
+    lines += [f"  nothing came from {name}: {trouble or 'the bus is silent'}" for name, trouble in silent.items()]
+    told = {bus: {"name": value["name"], "value": value["value"], "unit": units[bus]} for bus, value in live.items()}
+    report({"machine": machine, "signals": told, "silent": silent}, "\n".join([f"{machine} reads", *lines]), as_json=as_json)
+    if silent:
+        raise typer.Exit(1)
+
+
+@app.command()
+def status(machine: MachineArgument, url: ServiceUrl = HERE, as_json: AsJson = False) -> None:
+    """Say how a machine is watched and what it needs next."""
+    found = ask(url, f"/assets/{_quoted(machine)}/machine")
+    asset = ask(url, f"/assets/{_quoted(machine)}")
+    doing = found["status"]["doing"] if found["status"] else "not watched"
+    lines = [
+        f"{machine}: {asset['state']}; {doing}",
+        f"  windows kept: {asset['windows']}; recorded without a judge: {len(found['recorded_windows'])}",
+    ]
+    report(found | {"state": asset["state"]}, "\n".join(lines), as_json=as_json)
+
+
+@app.command()
+def windows(
+    machine: MachineArgument,
+    out: Annotated[Path, typer.Option(help="Folder for the record files.")],
+    url: ServiceUrl = HERE,
+    as_json: AsJson = False,
+) -> None:
+    """Write a machine's recorded windows as record files, to compare and improve a model with."""
+    numbers = ask(url, f"/assets/{_quoted(machine)}/machine")["recorded_windows"]
+    out.mkdir(parents=True, exist_ok=True)
+    files = [out / f"{machine}-{number}.npz" for number in numbers]
+    for number, file in zip(numbers, files, strict=True):
+        file.write_bytes(answered(url, f"/assets/{_quoted(machine)}/windows/{number}/record"))
+    report({"files": [str(file) for file in files]}, f"{machine}: {len(files)} windows → {out}/", as_json=as_json)
+
+
+@app.command()
+def train(
+    machine: MachineArgument,
+    url: ServiceUrl = HERE,
+    model: Annotated[str | None, typer.Option(help="model-based: a stored or built-in model; default: the machine's.")] = None,
+    second: Annotated[bool, typer.Option("--second", help="Train its second opinion.")] = False,
+    leave_out: Annotated[list[int] | None, typer.Option(help="A recorded window in which the machine was not healthy.")] = None,
+    fix_undetermined: Annotated[
+        bool, typer.Option("--fix-undetermined", help="Keep the file's value of a parameter that the windows do not determine.")
+    ] = False,
+    false_alarms_per_day: Annotated[float | None, typer.Option(help="The chosen number of false alarms a day.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train a machine's baseline from its recorded windows; the service judges by it from now on."""
+    body: dict[str, Any] = {"leave_out": leave_out or [], "fix_undetermined": fix_undetermined}
+    body |= {"model": model} if model else {}
+    body |= {"second": True} if second else {}
+    body |= {"false_alarms_per_day": false_alarms_per_day} if false_alarms_per_day else {}
+    job = ask(url, f"/assets/{_quoted(machine)}/training", body)
+    while job["state"] in ("queued", "running"):
+        progress(job["doing"], job["progress"])
+        time.sleep(_PAUSE)
+        job = ask(url, f"/jobs/{job['id']}")
+    if job["state"] != "done":
+        raise BadInput(job["error"] or f"the training was {job['state']}")
+    result = job["result"]
+    lines = [f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise an alarm"]
+    report(result, "\n".join([*lines, *result["learned"].get("says", [])]), as_json=as_json)
+
+
+def _machine(asset: str, buses: Mapping[str, str | None], bus_map: str | None) -> MachineSettings | None:
+    """The machine with the source that was told (kind → where it is); None when none was."""
+    told = [(kind, where) for kind, where in buses.items() if where is not None]
+    if not told:
+        return None
+    kind, where = told[0]
+    if bus_map is None:
+        makers = "residuum watch map makes one, residuum opcua browse a node map, residuum sparkplug browse a metric map"
+        raise BadInput(f"--map: is missing; a source needs its DBC file, register map, node map or metric map ({makers})")
+    try:
+        return MachineSettings(
+            asset=asset,
+            diagnoser="model-based",
+            window=WindowSettings(cut="sliding", length=10, step=10),
+            sources=[_source(kind, where, bus_map)],
+        )
+    except ValueError as error:
+        raise BadInput(f"--{kind} {where!r}, --asset {asset!r}: {str(error).splitlines()[0]}") from None
+
+
+def _source(kind: str, where: str, bus_map: str) -> SourceSettings:
+    """The source of a kind at a place; ValueError for a place that is none."""
+    given: dict[str, Any] = {"channel": where}
+    if kind == "modbus":
+        host, _, port = where.rpartition(":")
+        given = {"host": host or "127.0.0.1", "port": int(port)}
+    return SourceSettings.model_validate({"kind": kind, "map": bus_map, **given})
+
+
+def _listened(machine: MachineSettings, seconds: float) -> tuple[dict[str, Any], dict[str, str]]:
+    """What came within some seconds, and the sources from which nothing came, with their trouble."""
+    live = LiveValues(machine.channels)
+    stopped = threading.Event()
+
+    def take(block: Any) -> bool:
+        live.take(block)
+        return True
+
+    sources = [SOURCES[source.kind](source, take) for source in machine.sources]
+    for source in sources:
+        source.start()
+    stopped.wait(seconds)
+    states = {source.name: source.health.snapshot() for source in sources}
+    for source in sources:
+        source.stop()
+    for source in sources:
+        source.join()
+    sys.stdout.flush()
+    return live.now(), {name: str(s["last_trouble"]) for name, s in states.items() if s["quality"] == "never-seen"}
+
+
+def _alias(bus: str, name: str) -> str:
+    return "" if bus == name else f"the diagnoser's {name}"
+
+
+def _quoted(machine: str) -> str:
+    return urllib.parse.quote(machine, safe="")

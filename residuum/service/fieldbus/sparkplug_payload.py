@@ -1,0 +1,202 @@
+"""Sparkplug B payloads: metrics of a node or device, as protobuf bytes and back.
+
+The message type is built here from field numbers of the Sparkplug specification 3.0 (section 6.4); Google's protobuf does the
+bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
+
+_Field = descriptor_pb2.FieldDescriptorProto
+_ONE, _MANY = _Field.LABEL_OPTIONAL, _Field.LABEL_REPEATED
+_U32, _U64, _TEXT, _BYTES = _Field.TYPE_UINT32, _Field.TYPE_UINT64, _Field.TYPE_STRING, _Field.TYPE_BYTES
+_FLOAT, _DOUBLE, _BOOL, _MESSAGE = _Field.TYPE_FLOAT, _Field.TYPE_DOUBLE, _Field.TYPE_BOOL, _Field.TYPE_MESSAGE
+
+_VALUES = {
+    "int_value": _U32,
+    "long_value": _U64,
+    "float_value": _FLOAT,
+    "double_value": _DOUBLE,
+    "boolean_value": _BOOL,
+    "string_value": _TEXT,
+}
+INT64, UINT64, DOUBLE, BOOLEAN, STRING = 4, 8, 10, 11, 12
+_SIGNED_BITS = {1: 8, 2: 16, 3: 32, 4: 64}
+"""Data types whose value travels as two's complement → its bits."""
+_QUALITY, _GOOD = "Quality", 192
+_UNITS = ("engUnit", "EngUnit", "engineeringUnit", "Engineering Units", "unit", "Unit", "Units")
+"""Properties in which senders give a unit; the specification names none."""
+
+
+class BadPayload(Exception):
+    """Bytes that are no Sparkplug B payload."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One value of a payload.
+
+    Parameters
+    ----------
+    name : str
+        Empty where the sender names it by its alias alone.
+    value : float, int, bool, str or None
+        None for a null, and for data sets, templates and bytes.
+    datatype : int
+        The specification's number (10 = Double); 0 where the sender leaves it to the birth.
+    alias : int or None
+    stamp : int or None
+        Milliseconds since 1970.
+    good : bool
+        False where a property `Quality` says that it is not.
+    unit : str
+        What a property `engUnit` or `Unit` says.
+    historical : bool
+        Whether the sender kept it while it was not connected.
+    """
+
+    name: str
+    value: Any
+    datatype: int = 0
+    alias: int | None = None
+    stamp: int | None = None
+    good: bool = True
+    unit: str = ""
+    historical: bool = False
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Metrics with the time of sending [ms since 1970] and the sequence number, where the message has one."""
+
+    metrics: Sequence[Metric]
+    stamp: int = 0
+    seq: int | None = None
+
+
+def number_of(metric: Metric, datatype: int = 0) -> float:
+    """The metric's value as a number of its data type (the birth's where it has none of its own); nan for anything else.
+
+    >>> number_of(Metric("a", 65535, datatype=2)), number_of(Metric("a", 65535, datatype=6)), number_of(Metric("a", "on"))
+    (-1.0, 65535.0, nan)
+    """
+    value = metric.value
+    if not isinstance(value, int | float):
+        return math.nan
+    bits = _SIGNED_BITS.get(metric.datatype or datatype)
+    if bits is None or not isinstance(value, int):
+        return float(value)
+    value &= (1 << bits) - 1
+    return float(value - (1 << bits) if value >> (bits - 1) else value)
+
+
+def unpack(content: bytes) -> Payload:
+    """The payload of a message's bytes; BadPayload when they are none."""
+    read: Any = _PAYLOAD()
+    try:
+        read.ParseFromString(content)
+    except message.DecodeError as error:
+        raise BadPayload(str(error)) from None
+    metrics = [_metric(each) for each in read.metrics]
+    return Payload(metrics, read.timestamp, read.seq if read.HasField("seq") else None)
+
+
+def pack(payload: Payload) -> bytes:
+    """The bytes of a payload."""
+    made: Any = _PAYLOAD()
+    made.timestamp = payload.stamp
+    if payload.seq is not None:
+        made.seq = payload.seq
+    for metric in payload.metrics:
+        _put(made.metrics.add(), metric)
+    return bytes(made.SerializeToString())
+
+
+def _put(each: Any, metric: Metric) -> None:
+    if metric.name:
+        each.name = metric.name
+    if metric.alias is not None:
+        each.alias = metric.alias
+    if metric.stamp is not None:
+        each.timestamp = metric.stamp
+    if metric.datatype:
+        each.datatype = metric.datatype
+    if metric.historical:
+        each.is_historical = True
+    if not metric.good:
+        each.properties.keys.append(_QUALITY)
+        each.properties.values.add(type=3, int_value=0)
+    if metric.unit:
+        each.properties.keys.append(_UNITS[0])
+        each.properties.values.add(type=STRING, string_value=metric.unit)
+    if metric.value is None:
+        each.is_null = True
+    elif isinstance(metric.value, bool):
+        each.boolean_value = metric.value
+    elif isinstance(metric.value, str):
+        each.string_value = metric.value
+    elif isinstance(metric.value, int):
+        each.long_value = metric.value % (1 << 64)
+    else:
+        each.double_value = metric.value
+
+
+def _metric(each: Any) -> Metric:
+    held = each.WhichOneof("value")
+    properties = dict(zip(each.properties.keys, each.properties.values, strict=False))
+    return Metric(
+        name=each.name,
+        value=getattr(each, held) if held in _VALUES and not each.is_null else None,
+        datatype=each.datatype,
+        alias=each.alias if each.HasField("alias") else None,
+        stamp=each.timestamp if each.HasField("timestamp") else None,
+        good=_QUALITY not in properties or properties[_QUALITY].int_value == _GOOD,
+        unit=next((properties[name].string_value for name in _UNITS if name in properties), ""),
+        historical=each.is_historical,
+    )
+
+
+def _payload_type() -> Any:
+    file = descriptor_pb2.FileDescriptorProto(name="residuum/sparkplug_b.proto", package="residuum.sparkplug", syntax="proto2")
+    payload = file.message_type.add(name="Payload")
+    _add(payload, "timestamp", 1, _U64)
+    _add(payload, "metrics", 2, _MESSAGE, _MANY, ".residuum.sparkplug.Metric")
+    _add(payload, "seq", 3, _U64)
+    metric = file.message_type.add(name="Metric")
+    plain = (("name", _TEXT), ("alias", _U64), ("timestamp", _U64), ("datatype", _U32))
+    for number, (name, kind) in enumerate((*plain, *((f"is_{n}", _BOOL) for n in ("historical", "transient", "null"))), 1):
+        _add(metric, name, number, kind)
+    _add(metric, "properties", 9, _MESSAGE, type_name=".residuum.sparkplug.PropertySet")
+    _one_of(metric, 10, (*_VALUES.items(), ("bytes_value", _BYTES), ("dataset_value", _BYTES), ("template_value", _BYTES)))
+    properties = file.message_type.add(name="PropertySet")
+    _add(properties, "keys", 1, _TEXT, _MANY)
+    _add(properties, "values", 2, _MESSAGE, _MANY, ".residuum.sparkplug.PropertyValue")
+    value = file.message_type.add(name="PropertyValue")
+    _add(value, "type", 1, _U32)
+    _add(value, "is_null", 2, _BOOL)
+    _one_of(value, 3, _VALUES.items())
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("residuum.sparkplug.Payload"))
+
+
+def _one_of(to: Any, first: int, fields: Iterable[tuple[str, Any]]) -> None:
+    to.oneof_decl.add(name="value")
+    for number, (name, kind) in enumerate(fields, first):
+        _add(to, name, number, kind).oneof_index = 0
+
+
+def _add(to: Any, name: str, number: int, kind: Any, label: Any = _ONE, type_name: str = "") -> Any:
+    made = to.field.add(name=name, number=number, type=kind, label=label)
+    if type_name:
+        made.type_name = type_name
+    return made
+
+
+_PAYLOAD: Any = _payload_type()

@@ -1,0 +1,107 @@
+"""FindingNodes: the latest finding and alarm of every machine, offered as nodes of an OPC UA server of our own.
+
+For a machine `press-1` there are `ns=2;s=press-1.verdict`, `….class`, `….reason`, `….indicator.NAME` and, once it has had one,
+`….alarm` with its state; a client subscribes to them. Nothing is written back: clients read.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime
+from typing import Any
+
+import structlog
+
+from residuum.service.fieldbus.node_server import NodeServer
+
+log = structlog.get_logger()
+_TICK = 0.05
+_STARTING = 30.0
+
+
+class FindingNodes:
+    """Serves in a thread of its own; of news that wait, a machine's latest finding and alarm are kept.
+
+    Parameters
+    ----------
+    url : str
+        `opc.tcp://0.0.0.0:4840/residuum/`.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._news: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self._lock = threading.Lock()
+        self._stopped, self._begun = threading.Event(), threading.Event()
+        self._trouble: Exception | None = None
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="opcua findings", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve.
+
+        Raises
+        ------
+        OSError
+            The address cannot be taken.
+        """
+        self._thread.start()
+        self._begun.wait(_STARTING)
+        if self._trouble is not None:
+            raise OSError(f"OPC UA server at {self._url}: {self._trouble}")
+
+    def stop(self) -> None:
+        """End all sessions."""
+        self._stopped.set()
+        self._thread.join(_STARTING)
+
+    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
+        """A finding or an alarm that has been stored; anything else is left."""
+        if kind not in ("finding", "alarm"):
+            return
+        with self._lock:
+            self._news[kind, str(payload["asset"])] = payload
+
+    async def _serve(self) -> None:
+        server = NodeServer(self._url)
+        try:
+            await server.start()
+        except Exception as error:  # told to who started it
+            self._trouble = error
+            with suppress(Exception):
+                await server.stop()
+            return
+        finally:
+            self._begun.set()
+        while not self._stopped.is_set():
+            with self._lock:
+                first = next(iter(self._news), None)
+                payload = self._news.pop(first) if first is not None else {}
+            if first is None:
+                await asyncio.sleep(_TICK)
+                continue
+            try:
+                await _offer(server, first[0], payload)
+            except Exception as error:  # a finding that cannot be shown must not end the others
+                log.error("a finding cannot be offered over OPC UA", asset=payload.get("asset"), reason=str(error))
+        await server.stop()
+
+
+async def _offer(server: NodeServer, kind: str, payload: Mapping[str, Any]) -> None:
+    asset = str(payload["asset"])
+    if kind == "alarm":
+        await server.write(asset, "alarm", str(payload["state"]), _seconds(None))
+        return
+    stamp = _seconds(payload["at"])
+    for name in ("verdict", "class", "reason"):
+        await server.write(asset, name, str(payload.get(name) or ""), stamp)
+    for name, value in (payload.get("indicators") or {}).items():
+        if isinstance(value, int | float):
+            await server.write(asset, f"indicator.{name}", float(value), stamp)
+
+
+def _seconds(at: Any) -> float:
+    """Seconds since 1970 of an instant; now, where there is none."""
+    return (at if isinstance(at, datetime) else datetime.now().astimezone()).timestamp()

@@ -1,0 +1,131 @@
+"""A machine's parameters and effects over its windows, from the findings that are kept; the work of a job."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from residuum.diagnosis.tracks.track import FEWEST, track
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.identification.units import compatible
+from residuum.service.machines.channel_names import named
+from residuum.service.machines.model_texts import ModelText
+from residuum.service.store import Store
+from residuum.service.views.model_view import view_model
+from residuum.service.work.jobs import Progress
+from residuum.service.work.record_parts import RecordParts, parts_of
+
+_MOST = 1000
+_PAGE = 500
+_SHORTEST = 1e-3
+"""Seconds by which two windows must differ in time."""
+
+
+def told_parameters(store: Store, asset: str) -> list[dict[str, Any]]:
+    """What the newest windows told of every parameter, oldest first: `at` [s since 1970], `parameters`, `conditions`."""
+    found: list[dict[str, Any]] = []
+    cursor = None
+    while len(found) < _MOST:
+        page = store.findings(asset, cursor, _PAGE)
+        for each in page.items:
+            evidence = each.finding.evidence
+            if evidence.get("parameters"):
+                told = {"at": each.at.timestamp(), "window": each.window, "verdict": each.finding.verdict.value}
+                found.append({**told, "parameters": evidence["parameters"], "conditions": evidence.get("conditions", {})})
+        cursor = page.next_cursor
+        if cursor is None:
+            break
+    return found[::-1]
+
+
+def follow(
+    progress: Progress, told: Sequence[Mapping[str, Any]], limits: Mapping[str, float], moves_with: Sequence[str] | None
+) -> Mapping[str, Any]:
+    """Follow every parameter over the windows.
+
+    Parameters
+    ----------
+    told : sequence
+        See `told_parameters`.
+    limits : mapping
+        Of some parameters.
+    moves_with : sequence of str or None
+        Signals whose means the parameters may move with; None: every temperature that was recorded.
+
+    Returns
+    -------
+    mapping
+        `items`: by parameter its `unit`, `healthy` band, the windows' `time`, `window`, `verdict`, `value` and `std`, the
+        `limit`, and `track`, or None with the `reason`.
+    """
+    names = sorted({name for each in told for name in each["parameters"]})
+    items = []
+    for number, name in enumerate(names):
+        progress(number / max(len(names), 1), name)
+        items.append(_followed(name, told, limits.get(name), moves_with))
+    return {"items": items}
+
+
+def _followed(
+    name: str, told: Sequence[Mapping[str, Any]], limit: float | None, moves_with: Sequence[str] | None
+) -> dict[str, Any]:
+    rows = [each for each in told if name in each["parameters"] and each["parameters"][name]["value"] is not None]
+    newest = rows[-1]["parameters"][name]
+    healthy = newest.get("healthy") or {}
+    values = [row["parameters"][name]["value"] for row in rows]
+    deviations = [row["parameters"][name].get("std") or 0.0 for row in rows]
+    item = {
+        "parameter": name,
+        "unit": newest["unit"],
+        "healthy": healthy or None,
+        "limit": limit,
+        "time": [row["at"] for row in rows],
+        "window": [row["window"] for row in rows],
+        "verdict": [row["verdict"] for row in rows],
+        "value": values,
+        "std": deviations,
+    }
+    chosen = _moves_with(rows, moves_with)
+    x = np.array([[row["conditions"].get(c, {}).get("mean", np.nan) for c in chosen] for row in rows]).reshape(len(rows), -1)
+    t = np.maximum.accumulate(np.array(item["time"])) + _SHORTEST * np.arange(len(rows))
+    band = (healthy["low"], healthy["high"]) if healthy else None
+    try:
+        if len(rows) < FEWEST:
+            raise BadInput(f"{len(rows)} windows tell it; at least {FEWEST} are needed")
+        found = track(t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit)
+    except BadInput as error:
+        return {**item, "moves_with": chosen, "track": None, "reason": str(error)}
+    return {**item, "moves_with": chosen, "track": found.to_json(), "reason": None}
+
+
+def _moves_with(rows: Sequence[Mapping[str, Any]], wanted: Sequence[str] | None) -> list[str]:
+    """The signals that all windows have the mean of."""
+    known = [name for name in rows[-1]["conditions"] if all(name in row["conditions"] for row in rows)]
+    if wanted is not None:
+        return [name for name in wanted if name in known]
+    return [name for name in known if compatible(rows[-1]["conditions"][name]["unit"], "K")]
+
+
+def missing_terms(
+    progress: Progress, model: ModelText, window: RecordParts, healthy: Sequence[RecordParts], channels: Mapping[str, str]
+) -> Mapping[str, Any]:
+    """What the balances lack along every axis: in one window now, and in healthy windows.
+
+    Returns
+    -------
+    mapping
+        `now` and `healthy`, each the `curves` of the workbench's view.
+    """
+    progress(0.1, "the window of now")
+    shown = [parts_of(named(Record(*parts), channels)) for parts in (window, *healthy)]
+    now = view_model(_quiet, *model, shown[:1], {})
+    progress(0.5, f"{len(healthy)} healthy windows")
+    before = view_model(_quiet, *model, shown[1:], {})
+    return {"now": now["curves"], "healthy": before["curves"]}
+
+
+def _quiet(_share: float, _doing: str) -> None:
+    """Tell nobody."""

@@ -1,0 +1,129 @@
+"""What happened at a machine in a month: windows and verdicts by day, faults, alarms, indicators and parameters over time.
+
+Findings whose rows were let go are counted from their hours; their indicators then count with the hour's mean and last limit.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Any
+
+from residuum.service.results.time_span import Span, findings_in, month_of
+from residuum.service.store import Alarm, AlarmEntry, Asset, Store, StoredFinding
+
+_HOURS = 24 * 366 * 10
+_JOURNAL = 10_000
+
+
+@dataclass
+class Followed:
+    """A number over the month: when, its value, and the limit (for a parameter the healthy band) that held then."""
+
+    unit: str
+    at: list[datetime] = field(default_factory=list)
+    value: list[float] = field(default_factory=list)
+    low: list[float] = field(default_factory=list)
+    high: list[float] = field(default_factory=list)
+
+    def append(self, at: datetime, value: Any, low: Any, high: Any) -> None:
+        """Add a moment; what is None is NaN."""
+        self.at.append(at)
+        for numbers, number in ((self.value, value), (self.low, low), (self.high, high)):
+            numbers.append(float("nan") if number is None else float(number))
+
+
+@dataclass
+class Fault:
+    """One kind of finding that says faulty."""
+
+    says: str
+    windows: int
+    first: datetime
+    last: datetime
+
+
+@dataclass(frozen=True)
+class MonthReport:
+    """The facts of a report.
+
+    `days` has a count of every verdict for each day of the month; `reasons` why windows could not be judged, with their number.
+    """
+
+    asset: Asset
+    month: str
+    span: Span
+    days: Sequence[Mapping[str, int]]
+    faults: Mapping[str, Fault]
+    reasons: Sequence[tuple[str, int]]
+    alarms: Sequence[tuple[Alarm, Sequence[AlarmEntry]]]
+    indicators: Mapping[str, Followed]
+    parameters: Mapping[str, Followed]
+
+    @property
+    def verdicts(self) -> Mapping[str, int]:
+        """Windows by verdict, over the month."""
+        return sum((Counter(day) for day in self.days), Counter())
+
+
+def month_report(store: Store, asset: str, month: str) -> MonthReport:
+    """The report of a month `YYYY-MM` (UTC). NotFound for an asset that is not there, BadInput for what is no month."""
+    span = month_of(month)
+    known = store.asset(asset)
+    days: list[Counter[str]] = [Counter() for _ in range((span.end - span.begin).days)]
+    indicators: dict[str, Followed] = {}
+    parameters: dict[str, Followed] = {}
+    faults: dict[str, Fault] = {}
+    reasons: Counter[str] = Counter()
+    for hour in store.finding_hours(asset, _HOURS):
+        if span.begin <= hour.hour < span.end:
+            days[(hour.hour - span.begin).days].update(hour.verdicts)
+            _add_hour(indicators, hour.hour, hour.indicators)
+    for found in findings_in(store, asset, span):
+        verdict = found.finding.verdict.value
+        days[(found.at - span.begin).days][verdict] += 1
+        _add_finding(indicators, parameters, found)
+        if verdict == "faulty":
+            _add_fault(faults, found)
+        elif verdict == "not-assessable":
+            reasons[found.finding.reason or "no reason given"] += 1
+    alarms = list(_alarms_in(store, asset, span))
+    return MonthReport(known, month, span, days, faults, reasons.most_common(5), alarms, indicators, parameters)
+
+
+def _add_hour(indicators: dict[str, Followed], hour: datetime, means: Mapping[str, Mapping[str, Any]]) -> None:
+    for name, told in means.items():
+        followed = indicators.setdefault(name, Followed(""))
+        followed.unit = followed.unit or str(told.get("unit") or "")
+        followed.append(hour + timedelta(minutes=30), told.get("mean"), None, told.get("threshold"))
+
+
+def _add_finding(indicators: dict[str, Followed], parameters: dict[str, Followed], found: StoredFinding) -> None:
+    finding = found.finding
+    for name, value in finding.indicators.items():
+        unit = finding.units.get(name, "")
+        followed = indicators.setdefault(name, Followed(unit))
+        followed.unit = followed.unit or unit
+        followed.append(found.at, value, None, finding.thresholds.get(name))
+    for name, told in dict(finding.evidence.get("parameters") or {}).items():
+        band = told.get("healthy") or {}
+        followed = parameters.setdefault(name, Followed(str(told.get("unit") or "")))
+        followed.append(found.at, told.get("value"), band.get("low"), band.get("high"))
+
+
+def _add_fault(faults: dict[str, Fault], found: StoredFinding) -> None:
+    causes = found.finding.evidence.get("causes") or []
+    name = f"{causes[0]['name']} of {causes[0]['place']}" if causes else found.finding.fault_class or "faulty"
+    says = str(causes[0]["says"]) if causes else found.finding.reason or ""
+    before = faults.get(name)
+    faults[name] = Fault(says, (before.windows if before else 0) + 1, before.first if before else found.at, found.at)
+
+
+def _alarms_in(store: Store, asset: str, span: Span) -> Iterable[tuple[Alarm, Sequence[AlarmEntry]]]:
+    """Alarms of the asset to which something happened in the month, with what, oldest first."""
+    for alarm in store.alarms(asset, active=False).items:
+        entries = [e for e in store.alarm_journal(alarm.id, _JOURNAL) if span.begin <= e.at < span.end]
+        if entries:
+            yield alarm, entries[::-1]

@@ -1,0 +1,127 @@
+"""A month's report as one HTML page that opens offline: the page's own style, pictures as SVG, no scripts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from html import escape
+from importlib.metadata import version
+from importlib.resources import files
+
+import numpy as np
+
+from residuum.library.picture import Curve, Panel, Picture
+from residuum.library.svg import svg
+from residuum.service.results.month_report import Followed, MonthReport
+
+_STYLES = ("tokens", "base", "parts")
+_OWN = (
+    "main { max-width: 70rem; margin: 0 auto; padding: 1rem; } svg { display: block; margin: .5rem 0; } "
+    "td.number, th.number { text-align: right; } .day { font-variant-numeric: tabular-nums; } "
+    "@media print { section { break-inside: avoid; } }"
+)
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'"
+"""What a browser may do with the page: nothing but show it."""
+_MOST_CURVES = 24
+
+
+def report_page(report: MonthReport, made: datetime | None = None) -> str:
+    """The page's text; `made` is when (now)."""
+    title = report.asset.title
+    parts = [
+        f"<h1>{escape(title)}: {escape(report.month)}</h1>",
+        _summary(report),
+        _section("Faults", _faults(report)),
+        _section("Alarms", _alarms(report)),
+        _section("Windows by day (UTC)", _days(report)),
+        _section("Windows that could not be judged", _reasons(report)),
+        _section("Parameters", _curves(report.parameters, report, "healthy band")),
+        _section("Indicators", _curves(report.indicators, report, "limit")),
+        f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(made or datetime.now(UTC))}.</p>',
+    ]
+    css = "\n".join(files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8") for name in _STYLES)
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f"<title>{escape(title)} {report.month}</title><style>{css}\n{_OWN}</style>"
+    )
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head><body><main>{"".join(parts)}</main></body></html>\n'
+
+
+def _summary(report: MonthReport) -> str:
+    verdicts = report.verdicts
+    total = sum(verdicts.values())
+    if not total:
+        return "<p>No window was judged in this month.</p>"
+    shares = ", ".join(f"{n} {escape(name)} ({100 * n / total:.1f} %)" for name, n in sorted(verdicts.items()))
+    raised = sum(entry.event == "raise" for _, entries in report.alarms for entry in entries)
+    return (
+        f"<p>{total} windows were judged by {escape(report.asset.diagnoser or 'nobody')}: {shares}. Alarms raised: {raised}.</p>"
+    )
+
+
+def _faults(report: MonthReport) -> str:
+    if not report.faults:
+        return "<p>No window was judged faulty.</p>"
+    ranked = sorted(report.faults.items(), key=lambda each: -each[1].windows)
+    rows = [(name, str(f.windows), _moment(f.first), _moment(f.last), f.says) for name, f in ranked]
+    return _table(("What", "Windows", "First", "Last", "The last one said"), rows, numbers=(1,))
+
+
+def _alarms(report: MonthReport) -> str:
+    rows = [
+        (_moment(entry.at), alarm.kind, entry.event, str(entry.state), entry.by or "", entry.comment or "")
+        for alarm, entries in report.alarms
+        for entry in entries
+    ]
+    return _table(("When", "Alarm", "Event", "State then", "By", "Comment"), sorted(rows)) if rows else "<p>None.</p>"
+
+
+def _days(report: MonthReport) -> str:
+    names = sorted(report.verdicts)
+    days = [(f"{report.month}-{number:02d}", day) for number, day in enumerate(report.days, 1) if day]
+    rows = [(date, *(str(day.get(name, 0)) for name in names)) for date, day in days]
+    return _table(("Day", *names), rows, numbers=range(1, len(names) + 1)) if rows else "<p>None.</p>"
+
+
+def _reasons(report: MonthReport) -> str:
+    rows = [(reason, str(number)) for reason, number in report.reasons]
+    return _table(("Why", "Windows"), rows, numbers=(1,)) if rows else "<p>None.</p>"
+
+
+def _curves(followed: Mapping[str, Followed], report: MonthReport, limits: str) -> str:
+    panels = [_panel(name, each, report, limits) for name, each in list(followed.items())[:_MOST_CURVES]]
+    if not panels:
+        return "<p>None.</p>"
+    left_out = list(followed)[_MOST_CURVES:]
+    more = f"<p>Not drawn: {escape(', '.join(left_out))}.</p>" if left_out else ""
+    return svg(Picture(panels), len(panels)) + more
+
+
+def _panel(name: str, each: Followed, report: MonthReport, limits: str) -> Panel:
+    order = np.argsort(np.array([at.timestamp() for at in each.at]), kind="stable")
+    day = np.array([(at - report.span.begin).total_seconds() / 86400 + 1 for at in each.at])[order]
+    value, low, high = (np.array(numbers)[order] for numbers in (each.value, each.low, each.high))
+    curves = [Curve(name, day, value)]
+    edges = [edge for edge in (low, high) if np.isfinite(edge).any()]
+    curves += [Curve(limits if edge is edges[-1] else "", day, edge) for edge in edges]
+    return Panel(f"{name} [{each.unit}]" if each.unit else name, "day of the month", each.unit, curves)
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{content}</section>"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Iterable[int] = ()) -> str:
+    right = set(numbers)
+
+    def cells(row: Sequence[str], tag: str) -> str:
+        kinds = [' class="number"' if k in right else "" for k in range(len(row))]
+        return "".join(f"<{tag}{kind}>{escape(text)}</{tag}>" for kind, text in zip(kinds, row, strict=True))
+
+    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
+    table = f"<table><thead><tr>{cells(head, 'th')}</tr></thead><tbody>{body}</tbody></table>"
+    return f'<div class="scroll">{table}</div>'
+
+
+def _moment(at: datetime) -> str:
+    return f"{at.astimezone(UTC):%Y-%m-%d %H:%M:%S}"

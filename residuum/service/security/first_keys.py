@@ -1,0 +1,58 @@
+"""The keys of a deployment that has none yet: an engineer's, which is shown once, and that by which Prometheus reads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from residuum.service.security.access import ApiKeys, new_key
+from residuum.service.settings import BadSettings
+
+API_KEYS, METRICS_KEY = "api_keys", "metrics_key"
+"""Names of the files: what the setting `api_keys` reads, and the plain key for Prometheus."""
+
+
+def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
+    """Make both files in `folder` unless they are there; whether an engineer's key was made, which `show` is told.
+
+    Files that are there stay as they are; where only Prometheus's key is missing, it alone is made anew. A file appears whole or
+    not at all, and the engineer's key counts only once it has been shown.
+
+    Raises
+    ------
+    BadSettings
+        The folder cannot be written, or holds a file of keys that cannot be read.
+    """
+    keys, metrics = folder / API_KEYS, folder / METRICS_KEY
+    if first := not keys.is_file():
+        key, digest = new_key()
+        lines = [f"engineer engineer {digest}"]
+    else:
+        ApiKeys(keys)
+        if metrics.is_file():
+            return False
+        lines = _without(keys, "prometheus")
+    scraper, digest = new_key()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        written = _beside(metrics, scraper), _beside(keys, "\n".join([*lines, f"prometheus monitor {digest}"]) + "\n")
+        if first:
+            show(key)
+        written[1].replace(keys)
+        written[0].replace(metrics)
+    except OSError as error:
+        raise BadSettings(f"keys in {folder}: cannot be written: {error.strerror or error}") from None
+    return first
+
+
+def _without(file: Path, name: str) -> list[str]:
+    return [line for line in file.read_text(encoding="utf-8").splitlines() if line.split()[:1] != [name]]
+
+
+def _beside(file: Path, content: str) -> Path:
+    """The content in a file beside `file`, to be put in its place."""
+    part = file.with_name(f".{file.name}.part")
+    part.write_text(content, encoding="utf-8")
+    os.chmod(part, 0o644)  # another user's container reads it; the folder is the deployment's own
+    return part

@@ -1,0 +1,32 @@
+"""Windows and findings of a span of time, oldest first, some at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from sqlalchemy import Connection, select
+
+from residuum.service.storage import assets, windows
+from residuum.service.storage import tables as t
+from residuum.service.store import StoredFinding, StoredWindow
+
+
+def findings_between(
+    connection: Connection, asset: str, begin: datetime, end: datetime, after: int, limit: int
+) -> Sequence[StoredFinding]:
+    """The first findings of an asset in [begin, end) with a number larger than `after`."""
+    assets.require(connection, asset)
+    c = t.findings.c
+    there = (c.asset_id == asset) & (c.id > after) & (c.at >= begin) & (c.at < end)
+    return [assets.stored_finding(row) for row in connection.execute(select(t.findings).where(there).order_by(c.id).limit(limit))]
+
+
+def windows_between(
+    connection: Connection, asset: str, begin: datetime, end: datetime, after: int, limit: int
+) -> Sequence[StoredWindow]:
+    """The first windows of an asset received in [begin, end) with a number larger than `after`."""
+    assets.require(connection, asset)
+    c = t.windows.c
+    there = (c.asset_id == asset) & (c.id > after) & (c.received_at >= begin) & (c.received_at < end)
+    return [windows.stored_window(row) for row in connection.execute(select(t.windows).where(there).order_by(c.id).limit(limit))]

@@ -1,0 +1,119 @@
+// The list of alarms, with what an operator does with them.
+
+import { call, path } from "../lib/api.js";
+import { h, notify } from "../lib/dom.js";
+import { ago, count, moment } from "../lib/format.js";
+import { badge, said } from "../lib/parts.js";
+
+const asked = new Set(); // alarms whose operation is under way: pressing twice sends once
+
+async function operate(alarm, verb, body) {
+  if (asked.has(alarm.id)) return;
+  asked.add(alarm.id);
+  try {
+    await call(path("alarms", alarm.id, verb), { method: "POST", body });
+    drafts.delete(alarm.id);
+  } catch (problem) {
+    notify(problem.message);
+  } finally {
+    asked.delete(alarm.id);
+  }
+}
+
+export function alarmList(alarms, { withAsset = true } = {}) {
+  if (!alarms.length) return h("p", { class: "empty" }, "No alarms.");
+  return h(
+    "ul",
+    { class: "alarm-list" },
+    alarms.map((alarm) => item(alarm, withAsset)),
+  );
+}
+
+function item(alarm, withAsset) {
+  const times = alarm.occurrences > 1 ? `, ${count(alarm.occurrences)} times` : "";
+  return h(
+    "li",
+    { class: "alarm" },
+    h(
+      "div",
+      { class: "what" },
+      badge(alarm.state),
+      withAsset
+        ? h("a", { href: `#/machines/${encodeURIComponent(alarm.asset)}`, "data-key": `alarm-asset-${alarm.id}` }, alarm.asset)
+        : null,
+      h(
+        "span",
+        { class: "muted small", title: moment(alarm.raised_at) },
+        `${alarm.condition ? "since" : "was raised"} ${ago(alarm.raised_at)}${times}`,
+      ),
+    ),
+    h(
+      "div",
+      { class: "message" },
+      h("div", { class: "clamp", title: alarm.message }, alarm.kind === "signal" ? "Signal: " : "", said(alarm.message ?? "")),
+      remarks(alarm),
+    ),
+    h("div", { class: "actions" }, actions(alarm)),
+  );
+}
+
+function remarks(alarm) {
+  const lines = [
+    alarm.state === "shelved" ? `shelved until ${moment(alarm.shelved_until)}` : null,
+    alarm.acknowledged_by ? `acknowledged by ${alarm.acknowledged_by}${alarm.comment ? `: ${alarm.comment}` : ""}` : null,
+  ];
+  return lines.filter(Boolean).map((line) => h("div", { class: "muted small" }, line));
+}
+
+function actions(alarm) {
+  const button = (verb, text, body) =>
+    h(
+      "button",
+      {
+        class: "quiet",
+        type: "button",
+        "data-key": `${verb}-${alarm.id}`,
+        "aria-label": `${text} the alarm of ${alarm.asset}`,
+        onclick: () => operate(alarm, verb, body),
+      },
+      text,
+    );
+  if (alarm.state === "shelved") return button("unshelve", "Unshelve");
+  const shelve = button("shelve", "Shelve 1 h", { minutes: 60 });
+  return alarm.state === "acknowledged" ? shelve : [button("acknowledge", "Acknowledge", {}), commentForm(alarm), shelve];
+}
+
+// Acknowledge with a comment; what is being typed outlives the list's next drawing, as does the form's being open.
+const drafts = new Map();
+function commentForm(alarm) {
+  const input = h("input", {
+    "data-key": `comment-${alarm.id}`,
+    "aria-label": `Comment on the alarm of ${alarm.asset}`,
+    maxlength: 1000,
+    value: drafts.get(alarm.id) ?? "",
+    oninput: () => drafts.set(alarm.id, input.value),
+  });
+  const send = (event) => {
+    event.preventDefault();
+    operate(alarm, "acknowledge", { comment: input.value });
+  };
+  let opening = false; // by a press, not by being drawn open
+  const press = () => {
+    opening = !details.open;
+    if (opening) drafts.set(alarm.id, input.value);
+    else drafts.delete(alarm.id);
+  };
+  const details = h(
+    "details",
+    {
+      class: "comment",
+      open: drafts.has(alarm.id),
+      ontoggle: () => {
+        if (opening && details.open) input.focus();
+      },
+    },
+    h("summary", { "data-key": `comments-${alarm.id}`, onclick: press }, "Comment …"),
+    h("form", { onsubmit: send }, input, h("button", { "data-key": `send-${alarm.id}` }, "Acknowledge with comment")),
+  );
+  return details;
+}

@@ -1,0 +1,354 @@
+// Step 4: which effect is missing? Ranked candidates with sizes, their curves over the cloud, and what would tell more.
+
+import { cloudChart, drawCloud } from "../charts/cloud.js";
+import { call } from "../lib/api.js";
+import { h, notify, panel, show } from "../lib/dom.js";
+import { localised, number, percent, quantity, unitText } from "../lib/format.js";
+import { run, runIn } from "../lib/jobs.js";
+import { badge } from "../lib/parts.js";
+import { naturalAxis } from "./where_step.js";
+
+const LISTED = 8;
+const LIKELY = 0.5;
+const WORTH_SAYING = 0.1;
+const DRAWN = 4;
+const VERDICTS = {
+  "missing-effect": ["faulty", "An effect is missing"],
+  adequate: ["healthy", "The model is adequate"],
+  "unknown-effect": ["not-assessable", "Something outside the catalogue"],
+};
+
+export function whyStep(place, bench) {
+  const body = h("div", { class: "stack" });
+  show(place, body);
+  const work = async (explanation, signal) => {
+    const titles = new Map((await call("/effects", { signal })).items.map((each) => [each.effect, each]));
+    drawExplanation(body, bench, explanation, titles);
+  };
+  return runIn(body, "Finding out what is missing", bench.address("explain"), bench.asked, work, bench.leaving);
+}
+
+// `0.0602 ± 0.0004 N*m`: the value to the digit that its deviation leaves.
+export function measured({ value, std, unit }) {
+  const shown = unitText(unit) ? ` ${unitText(unit)}` : "";
+  if (!(std > 0) || !Number.isFinite(value)) return `${number(value)}${shown}`;
+  if (std < 1e-7 * Math.abs(value) || std < 1e-5) return `${number(value)} ± ${number(Number(std.toPrecision(2)))}${shown}`;
+  const digits = Math.min(8, Math.max(1, Math.ceil(Math.log10(Math.abs(value) / std) + 1.5)));
+  const rounded = (figure, kept) => figure.toLocaleString(undefined, { maximumSignificantDigits: kept });
+  return `${Number.isFinite(digits) ? rounded(value, digits) : number(value)} ± ${rounded(std, 2)}${shown}`;
+}
+
+function drawExplanation(body, bench, explanation, effects) {
+  const candidates = explanation.candidates.slice(0, LISTED);
+  const [tone, word] = VERDICTS[explanation.verdict] ?? ["idle", explanation.verdict];
+  const leading = candidates[0];
+  const named =
+    leading && explanation.verdict === "missing-effect"
+      ? `${effects.get(leading.effect)?.title ?? leading.effect} in ${leading.balance}`
+      : null;
+  const places = { cloud: h("div") };
+  show(
+    body,
+    h(
+      "div",
+      { class: "verdict" },
+      badge(tone, word),
+      h(
+        "p",
+        { class: "says-large" },
+        named
+          ? headline(named, leading, effects)
+          : explanation.verdict === "adequate"
+            ? "No effect of the catalogue is needed to explain the record."
+            : "The structured error has a shape that no effect of the catalogue makes.",
+      ),
+      explanation.verdict === "missing-effect"
+        ? h(
+            "button",
+            {
+              type: "button",
+              class: "quiet",
+              "data-key": "auto",
+              onclick: () => bench.go("add", { shown: { ...bench.shown, auto: true } }),
+            },
+            "Add automatically",
+          )
+        : null,
+    ),
+    panel(
+      "Candidates",
+      `nothing missing ${percent(explanation.probability_nothing_missing)} · something unknown ` +
+        `${percent(explanation.probability_unknown_effect)}`,
+      candidates.length
+        ? ranking(candidates, effects, bench)
+        : h("p", { class: "empty" }, "No effect of the catalogue lowers the error."),
+    ),
+    notes(explanation, effects),
+    places.cloud,
+    advice(explanation, effects),
+  );
+  drawCurves(places.cloud, bench, candidates).catch((problem) => {
+    if (problem.name !== "AbortError") notify(problem.message);
+  });
+}
+
+// The formula that a term outside the catalogue resembles, as a sentence; nothing where there is none.
+function looksLike({ suggestion: formula, unit, axis }) {
+  if (!formula) return "";
+  return ` It looks like ${localised(formula.formula)} ${unitText(unit)}, z = ${axis} ÷ ${number(formula.largest)}.`;
+}
+
+// What else the record says: further effects, terms outside the catalogue, drift, and how the record was taken.
+function notes(explanation, effects) {
+  const titled = (id) => effects.get(id)?.title ?? id;
+  const term = explanation.missing_term;
+  const said = [
+    ...explanation.also_missing
+      .filter((each) => each.probability >= LIKELY)
+      .map((each) => `Then ${titled(each.effect)} in ${each.balance}, ${percent(each.probability)}.`),
+    ...(term && explanation.probability_unknown_effect > WORTH_SAYING
+      ? [
+          `A term outside the catalogue in ${term.balance}, a function of ${term.axis}, explains ` +
+            `${percent(explanation.unexplained_share)} of what can be explained.${looksLike(term)}`,
+        ]
+      : []),
+    ...(explanation.drifting ? ["An unknown load or offset drifts with time; it explains more than any effect would."] : []),
+    ...explanation.timing.map((each) => `${titled(each.effect)} at ${each.at} by less than a sample: how the record was taken.`),
+  ];
+  return said.length
+    ? panel(
+        "What else the record says",
+        null,
+        h(
+          "ul",
+          { class: "plain" },
+          said.map((text) => h("li", {}, text)),
+        ),
+      )
+    : null;
+}
+
+function ranking(candidates, effects, bench) {
+  const heads = ["Effect", "Probability", "Size", "Error, before → after", ""];
+  const row = (candidate, index) =>
+    h(
+      "tr",
+      {},
+      h(
+        "td",
+        { "data-label": heads[0], class: "wide" },
+        h(
+          "div",
+          {},
+          h("b", {}, effects.get(candidate.effect)?.title ?? candidate.effect),
+          h("div", { class: "muted small" }, `in ${candidate.balance}: ${effects.get(candidate.effect)?.equation ?? ""}`),
+          candidate.indistinguishable_from.length
+            ? h("div", { class: "small" }, `This record cannot tell it from ${candidate.indistinguishable_from.join(", ")}.`)
+            : null,
+          candidate.within_bounds ? null : h("div", { class: "small" }, "At a physical bound."),
+        ),
+      ),
+      h(
+        "td",
+        { "data-label": heads[1], class: "number" },
+        h(
+          "div",
+          {},
+          percent(candidate.probability),
+          h(
+            "span",
+            { class: "meter", role: "img", "aria-label": `probability ${percent(candidate.probability)}` },
+            h("i", { style: { width: `${Math.max(1, 100 * candidate.probability)}%` } }),
+          ),
+        ),
+      ),
+      h(
+        "td",
+        { "data-label": heads[2] },
+        h(
+          "div",
+          {},
+          Object.entries(candidate.parameters).map(([name, value]) =>
+            h("div", { class: "number small" }, `${name} = ${measured(value)}`),
+          ),
+        ),
+      ),
+      h(
+        "td",
+        { "data-label": heads[3] },
+        h(
+          "div",
+          {},
+          h(
+            "div",
+            { class: "number" },
+            `${quantity(candidate.error_before, candidate.error_unit)} → ` +
+              `${quantity(candidate.error_after, candidate.error_unit)}`,
+          ),
+          h("div", { class: "muted small" }, `of ${candidate.output}${candidate.held_out ? ", on data kept aside" : ""}`),
+        ),
+      ),
+      h(
+        "td",
+        { "data-label": heads[4] },
+        h(
+          "button",
+          {
+            type: "button",
+            class: index ? "quiet" : null,
+            "data-key": `add-${index}`,
+            "aria-label": `Add ${candidate.effect} to ${candidate.balance}`,
+            onclick: () =>
+              bench.go("add", {
+                shown: {
+                  ...bench.shown,
+                  add: {
+                    effect: candidate.effect,
+                    balance: candidate.balance,
+                    parameters: Object.fromEntries(
+                      Object.entries(candidate.parameters).map(([name, each]) => [name, each.value]),
+                    ),
+                  },
+                },
+              }),
+          },
+          "Add",
+        ),
+      ),
+    );
+  return h(
+    "div",
+    { class: "scroll" },
+    h(
+      "table",
+      { class: "reflow" },
+      h(
+        "thead",
+        {},
+        h(
+          "tr",
+          {},
+          heads.map((text, index) =>
+            h(
+              "th",
+              { scope: "col", class: index === 1 ? "number" : null },
+              text || h("span", { class: "visually-hidden" }, "Action"),
+            ),
+          ),
+        ),
+      ),
+      h("tbody", {}, candidates.map(row)),
+    ),
+  );
+}
+
+async function drawCurves(place, bench, candidates) {
+  const stop = new AbortController();
+  bench.leaving.push(() => stop.abort());
+  const view = await run(bench.address("views"), bench.asked, { signal: stop.signal });
+  const balances = view.points.terms.filter((term) => term.kind === "balance").map((term) => term.of);
+  const fitting = candidates.filter((candidate) => balances.includes(candidate.balance)).slice(0, DRAWN);
+  if (!fitting.length || !place.isConnected) return;
+  const effects = fitting.map(({ effect, balance, parameters }) => ({
+    effect,
+    balance,
+    parameters: Object.fromEntries(Object.entries(parameters).map(([name, each]) => [name, each.value])),
+  }));
+  const { curves } = await run(bench.address("effect-curves"), { ...bench.asked, effects }, { signal: stop.signal });
+  if (!place.isConnected) return;
+  const drawPanel = () => {
+    const balance = balances.includes(bench.shown.balance) ? bench.shown.balance : fitting[0].balance;
+    const axes = view.points.axes.map((axis) => axis.name);
+    const axis = axes.includes(bench.shown.axis) ? bench.shown.axis : naturalAxis(view);
+    const chart = cloudChart(`Candidates in ${balance} against ${axis}`);
+    const choose = (label, values, value, key) =>
+      h(
+        "label",
+        {},
+        label,
+        h(
+          "select",
+          {
+            "data-key": label,
+            onchange: (event) => {
+              bench.show({ [key]: values[event.target.selectedIndex] });
+              drawPanel();
+            },
+          },
+          values.map((each) => h("option", { selected: each === value }, each)),
+        ),
+      );
+    show(
+      place,
+      h(
+        "section",
+        { class: "panel" },
+        h(
+          "header",
+          {},
+          h("h2", {}, "Candidates over what is missing"),
+          h("div", { class: "controls" }, choose("balance", balances, balance, "balance"), choose("against", axes, axis, "axis")),
+        ),
+        h("div", { class: "body" }, chart),
+      ),
+    );
+    drawCloud(chart, view, balance, axis, { curves: curves.filter((curve) => curve.balance === balance && curve.axis === axis) });
+  };
+  drawPanel();
+}
+
+// A group that the record cannot tell apart is named as one: the first of it is no likelier than the others.
+function headline(named, leading, effects) {
+  const alike = leading.indistinguishable_from.map((id) => effects.get(id.split("@")[0])?.title ?? id);
+  if (!alike.length) return `Most probably ${named}, ${percent(leading.probability)}.`;
+  const together = Math.min(1, leading.probability * (1 + alike.length));
+  return `Most probably ${named} or ${alike.join(" or ")}, together ${percent(together)}: this record cannot tell them apart.`;
+}
+
+function advice(explanation, effects) {
+  const hidden = explanation.undetectable.map((each) =>
+    h("li", {}, `${effects.get(each.effect)?.title ?? each.effect} in ${each.balance}: ${visible(each)}`),
+  );
+  const next = explanation.next_experiment.map((each) =>
+    h("li", {}, `${capital(each.do)}: tells ${each.separates.join(" from ")} in ${percent(each.power)} of the cases.`),
+  );
+  return h(
+    "div",
+    { class: "columns" },
+    h(
+      "section",
+      { class: "panel span-6" },
+      h("header", {}, h("h2", {}, "Next experiment")),
+      h(
+        "div",
+        { class: "body" },
+        next.length
+          ? h("ul", { class: "plain" }, next)
+          : h("p", { class: "empty" }, "Nothing more is needed to tell the candidates apart."),
+      ),
+    ),
+    h(
+      "section",
+      { class: "panel span-6" },
+      h("header", {}, h("h2", {}, "What this record could not have shown")),
+      h(
+        "div",
+        { class: "body" },
+        hidden.length
+          ? h("details", {}, h("summary", {}, `${hidden.length} effects`), h("ul", { class: "plain" }, hidden))
+          : h("p", { class: "empty" }, "Every effect that fits would have been seen."),
+      ),
+    ),
+  );
+}
+
+// The least size that would have shown: one number, or one a parameter.
+function visible({ smallest_visible: least, unit }) {
+  const sizes =
+    least !== null && typeof least === "object"
+      ? Object.entries(least).map(([name, value]) => `${name} = ${quantity(value, unit)}`)
+      : [quantity(least, unit)];
+  return `below ${sizes.join(", ")} it would not show.`;
+}
+
+const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);

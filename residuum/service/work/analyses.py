@@ -1,0 +1,155 @@
+"""Analyses as the work of jobs: records and models in, the contract's object out, by the functions that a notebook calls, too.
+
+Each is told where to say how far it is, and is called in a worker process, which ends when the job is cancelled.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_detection import detect
+from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.identified_model_file import identified_text
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight
+from residuum.identification.record import Record
+from residuum.library import control
+from residuum.library.answers.plain import to_plain
+from residuum.library.answers.residual import design_json, run_json
+from residuum.library.identification_methods import Request, check_method
+from residuum.library.model import Model
+from residuum.library.plant import Plant, identified
+from residuum.robust_control.control_problem import WeightChoice
+from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.service.views.model_view import model_of
+from residuum.service.views.residual_view import read_identified
+from residuum.service.work.jobs import Progress
+from residuum.service.work.large_arrays import keep_large_arrays
+from residuum.service.work.record_parts import RecordParts
+
+MODEL_FILE = "model.yaml"
+"""What results and messages call a stored model's file."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A model (its text, or the built-in one of this name), the records it is held against, and model name → channel."""
+
+    model: str
+    text: bytes | None
+    records: Sequence[RecordParts]
+    mapping: Mapping[str, str]
+
+    def opened(self) -> tuple[Model, list[Record]]:
+        """Model and records as the library takes them; BadModel for a text that is none."""
+        name = self.model if self.text is None else MODEL_FILE
+        return Model(model_of(name, self.text), name), _records(self.records)
+
+
+@dataclass(frozen=True)
+class ResidualChoice:
+    """How a residual generator is designed: for which fault, its γ, and its uncertainty weight's ε, ζ, rule, order and grid."""
+
+    fault: Literal["sensor", "actuator"] = "sensor"
+    gamma: float = 0.1
+    epsilon: float = 0.05
+    zeta: float = 0.05
+    rule: Rule = "chernoff"
+    weight_order: int = WEIGHT_ORDER
+    points: int | None = None
+    lowest: float | None = None
+    method: str = "robust"
+
+    def made(self, model: IdentifiedModel, healthy: Sequence[Record]) -> ResidualDesign:
+        """The design for a model, its noise learned from healthy records."""
+        grid, sure = asked_grid(model.sample_time, self.points, self.lowest), 1 - self.zeta
+        weight = design_uncertainty_weight(
+            model, omega=grid, accuracy=self.epsilon, confidence=sure, rule=self.rule, order=self.weight_order
+        )
+        return design_residual(model, weight.weight, healthy, fault=self.fault, gamma=self.gamma, method=self.method)
+
+
+def compare(progress: Progress, asked: Asked) -> Mapping[str, Any]:
+    """`result`: the `compare` object."""
+    progress(0.0, "compare")
+    keep_large_arrays()
+    model, records = asked.opened()
+    return {"result": model.compare(records, map=asked.mapping).to_dict()}
+
+
+def explain(progress: Progress, asked: Asked, effects: Sequence[str] | None) -> Mapping[str, Any]:
+    """`result`: the `explain` object; `effects` None considers all of the catalogue."""
+    progress(0.0, "explain")
+    keep_large_arrays()
+    model, records = asked.opened()
+    return {"result": model.explain(records, map=asked.mapping, effects=effects, progress=progress).to_dict()}
+
+
+def improve(progress: Progress, asked: Asked, add: Sequence[str] | None, effects: Sequence[str] | None) -> Mapping[str, Any]:
+    """`result`: the `improve` object; `file`: the larger model's text. `add` None adds what explain finds."""
+    progress(0.0, "improve")
+    keep_large_arrays()
+    model, records = asked.opened()
+    found = model.improve(records, map=asked.mapping, add=add, effects=effects, free=[], progress=progress)
+    return {"result": found.to_dict(), "file": found.model.text.encode()}
+
+
+def estimate(progress: Progress, asked: Asked, method: str) -> Mapping[str, Any]:
+    """`result`: the `estimate` object; `file`: the text of the model with the estimated values."""
+    progress(0.0, "estimate")
+    model, records = asked.opened()
+    found = model.estimate(records, map=asked.mapping, method=method)
+    return {"result": found.to_dict(), "file": found.model.text.encode()}
+
+
+def identify(progress: Progress, records: Sequence[RecordParts], request: Request, method: str) -> Mapping[str, Any]:
+    """`result`: the `identify` object; `file`: the identified model's."""
+    progress(0.0, "identify")
+    check_method(method, request.criterion, request.uncertainty, request.input)
+    plant = identified(_records(records), request, method, progress)
+    return {"result": plant.to_dict(), "file": identified_text(plant.identified).encode()}
+
+
+def residuals(
+    progress: Progress,
+    model: bytes,
+    healthy: Sequence[RecordParts],
+    records: Sequence[RecordParts],
+    choice: ResidualChoice,
+    threshold: Mapping[str, Any],
+) -> Mapping[str, Any]:
+    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `threshold` goes to `detect`."""
+    steps = 1 + len(records)
+    progress(0.0, "residual")
+    known = _records(healthy)
+    made = choice.made(read_identified(model), known)
+    runs = []
+    for number, record in enumerate(_records(records), start=1):
+        progress(number / steps, "residual")
+        runs.append(to_plain(run_json(made, record, detect(made, record, **threshold))))
+    return {"design": to_plain(design_json(made, known, identified="model.json", file="design.json")), "runs": runs}
+
+
+def design_controller(
+    progress: Progress, models: Sequence[bytes], joined: bytes | None, weight: WeightChoice, options: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """`result`: the `control design` object, infeasible or with the controller; `options` are those of `rs.control.design`."""
+    progress(0.0, "control")
+    plants = [Plant(model, model.method.split("-")[0]) for model in map(read_identified, models)]
+    middle = None if joined is None else read_identified(joined)
+    nominal = None if middle is None else Plant(middle, middle.method.split("-")[0])
+    named = {"models": [f"model-{number}.json" for number in range(len(models))]}
+    try:
+        controller = control.design(plants, joined=nominal, weight=weight, **options)
+    except Infeasible as no:
+        asked = {name: options[name] for name in ("aim", "structure")}
+        return {"result": asked | named | {"feasible": False, "reason": str(no)}}
+    return {"result": json.loads(json.dumps(controller.to_dict() | named | {"file": "controller.json"}))}
+
+
+def _records(records: Sequence[RecordParts]) -> list[Record]:
+    return [Record(*parts) for parts in records]

@@ -1,0 +1,80 @@
+"""A stranger's bytes are read in a process of its own, with limits on memory, time, files and output: what is hostile or broken
+can end that process, and nothing else.
+
+The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind and one line on standard
+output, and exit status 2.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from residuum.identification.errors import BadInput
+
+_REFUSED = 2
+_FILES = 64
+_PATIENCE = 3
+"""Waiting time a second of processor time: a busy machine gives less than one processor."""
+
+
+def run_limited(module: str, arguments: Sequence[str], folder: Path, *, memory: int, seconds: int) -> tuple[str, str] | None:
+    """Run a module in `folder` with at most `memory` bytes and `seconds` of processor time. How many run at once is
+    the caller's to say (`Services.reading`).
+
+    Gives why it refused, as kind and line, where the kind is empty when a limit was exceeded or the process ended; None when it
+    did what it was asked.
+    """
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    names = ("PATH", "PYTHONPATH", "LANG", "HOME", "NUMBA_CACHE_DIR", "RESIDUUM_CACHE")
+    kept = {name: os.environ[name] for name in names if name in os.environ}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", module, str(memory), str(seconds), *arguments],
+            env=kept | threads | {"TMPDIR": str(folder)},  # libraries leave files there when they fail
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=_PATIENCE * seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return "", f"reading it takes longer than {_PATIENCE * seconds} s"
+    if done.returncode == 0:
+        return None
+    if done.returncode == _REFUSED:
+        kind, _, says = done.stdout.decode("utf-8", "replace").partition("\n")
+        return kind, says
+    return "", f"reading it ended the process that did ({done.returncode}); at most {memory} bytes and {seconds} s are given"
+
+
+def within_limits(work: Callable[[], None], memory: int, seconds: int) -> int:
+    """Do the work of such a process; gives its exit status. The limits stay: this is for a process of its own."""
+    _limit(memory, seconds)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # a library's chatter is no refusal
+            work()
+    except BadInput as error:
+        sys.stdout.buffer.write(f"{type(error).__name__}\n{error}".encode("utf-8", "replace"))
+        return _REFUSED
+    except MemoryError:
+        sys.stdout.write(f"\nreading it takes more than {memory} bytes of memory")
+        return _REFUSED
+    return 0
+
+
+def _limit(memory: int, seconds: int) -> None:
+    limits = {
+        resource.RLIMIT_DATA: memory,
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_NOFILE: _FILES,
+        resource.RLIMIT_FSIZE: memory,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, most in limits.items():
+        resource.setrlimit(kind, (most, most))

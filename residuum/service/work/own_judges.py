@@ -1,0 +1,105 @@
+"""Each machine of a service's database judged by its own diagnoser, in workers that read what they need from that database."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.identification.errors import BadInput
+from residuum.library.answers.plain import to_plain
+from residuum.service.machines.deciding_method import deciding_method
+from residuum.service.machines.stored_baselines import KIND, newest_baseline
+from residuum.service.storage import DiskStore, models
+from residuum.service.store import ModelVersion, NotFound, Store
+from residuum.service.work.fleet_source import StoredWindows, stored_in
+
+OWN = "own"
+"""What is said instead of a diagnoser's name."""
+
+
+@dataclass(frozen=True)
+class OwnJudge:
+    """What judges a machine: diagnoser, its newest baseline (name, version, checksum) or none, and the method that decides."""
+
+    asset: str
+    diagnoser: str | None
+    baseline: tuple[str, int, str] | None
+    method: str | None
+
+
+@dataclass(frozen=True)
+class RescoreOwn:
+    """Judge a window as the service judges its machine now."""
+
+    source: StoredWindows
+    judges: tuple[OwnJudge, ...]
+
+    @property
+    def mark(self) -> str:
+        """What the results are made by: every machine's diagnoser, baseline and method."""
+        return hashlib.sha256(f"rescore {OWN} {self.judges!r}".encode()).hexdigest()[:16]
+
+    def __call__(self, window: str) -> dict[str, Any]:
+        """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
+        asset = window.rpartition("/")[0]
+        try:
+            own = next((judge for judge in self.judges if judge.asset == asset), None)
+            if own is None or own.diagnoser is None:
+                raise BadInput(f"asset {asset!r}: has no diagnoser")
+            finding = _judge(self.source, own).score(self.source.read(window))
+        except BadInput as error:
+            return {"by": self.mark, "refused": str(error)}
+        return {"by": self.mark, "finding": to_plain(finding.to_json())}
+
+
+def rescore_own(source: StoredWindows) -> RescoreOwn:
+    """The work for a database whose schema is the newest; what judges each machine is settled now, for all workers."""
+    store = DiskStore(Path(source.data), source.url)
+    try:
+        return RescoreOwn(source, tuple(_own(store)))
+    finally:
+        store.close()
+
+
+def _own(store: Store) -> Sequence[OwnJudge]:
+    found: list[OwnJudge] = []
+    cursor: str | None = None
+    while True:
+        page = store.assets(cursor)
+        for asset in page.items:
+            baseline = _baseline(store, asset.id)
+            key = None if baseline is None else (baseline.model, baseline.number, baseline.checksum)
+            method = None if asset.diagnoser not in DIAGNOSERS else deciding_method(store, asset.id, asset.diagnoser)
+            found.append(OwnJudge(asset.id, asset.diagnoser, key, method))
+        cursor = page.next_cursor
+        if cursor is None:
+            return found
+
+
+def _baseline(store: Store, asset: str) -> ModelVersion | None:
+    try:
+        newest = newest_baseline(store, asset)
+    except NotFound:
+        return None
+    return newest if newest.kind == KIND else None
+
+
+@lru_cache(maxsize=64)
+def _judge(source: StoredWindows, own: OwnJudge) -> Diagnoser:
+    kind = DIAGNOSERS[own.diagnoser or ""]
+    judge = kind()
+    if own.baseline is not None:
+        name, number, _ = own.baseline
+        database, _ = stored_in(source.url, source.data)
+        with database.read() as connection, tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "baseline"
+            file.write_bytes(models.content(connection, name, number))
+            judge = kind.load(file)
+    return judge if own.method is None else judge.with_settings(method=own.method)

@@ -1,0 +1,146 @@
+"""A window's signals from a stranger's bytes: JSON, CSV or NPZ; every declared size is checked before anything is allocated."""
+
+from __future__ import annotations
+
+import io
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import orjson
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.npy_header import LONGEST_HEADER
+from residuum.identification.record import Record
+from residuum.identification.record_formats import parse_csv, read_record
+from residuum.service.bad_bodies import BadBody, TooLarge
+from residuum.service.work.npy import read_header
+
+MOST_CHANNELS = 256
+_DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, EOFError, OSError, RuntimeError, ValueError)
+"""What reading an archive raises that is none, or is damaged."""
+_NUMBERS = (int, float, type(None))
+_JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
+
+
+def from_json(body: bytes, _unpacked: int) -> Record:
+    """Of an object with `sample_time`, `channels`, `units` and, if it likes, `t0` and `notes`; null is a missing sample."""
+    try:
+        content = orjson.loads(body)
+    except orjson.JSONDecodeError as error:
+        if "memory" in error.msg:
+            raise MemoryError from None
+        raise BadBody(f"body: is not JSON: {error}") from None
+    if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
+        raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
+    if unknown := set(content) - _JSON_KEYS:
+        raise BadBody(f"body: key {sorted(unknown)[0][:60]!r} is not one of {', '.join(sorted(_JSON_KEYS))}")
+    channels = {name: _samples(name, values) for name, values in content["channels"].items()}
+    return Record(
+        few(channels),
+        _texts(content.get("units"), "units"),
+        _number(content.get("sample_time"), "sample_time"),
+        _number(content.get("t0", 0.0), "t0"),
+        notes=_notes(content.get("notes", [])),
+        source="http",
+    )
+
+
+def from_csv(body: bytes, _unpacked: int) -> Record:
+    """Of our own form of CSV."""
+    return parse_csv(body, source="body")
+
+
+def from_npz(body: bytes, unpacked: int) -> Record:
+    """Of an NPZ whose arrays hold at most `unpacked` bytes in all."""
+    check_npz(io.BytesIO(body), unpacked)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "body.npz"
+        file.write_bytes(body)
+        try:
+            return read_record(file)
+        except BadRecord as error:
+            raise BadRecord(str(error).replace(str(file), "body")) from None
+
+
+FORMATS: dict[str, Callable[[bytes, int], Record]] = {
+    "application/json": from_json,
+    "text/csv": from_csv,
+    "application/zip": from_npz,
+}
+"""By content type; called with the body and the bytes to which it may unpack."""
+
+
+def unpacked_size(body: bytes) -> int:
+    """Bytes that the arrays of an NPZ say they hold in all (none of them can hold more); 0 for what is no NPZ."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(body)) as archive:
+            return sum(member.file_size for member in archive.infolist())
+    except _DAMAGED:
+        return 0
+
+
+def check_npz(file: IO[bytes], unpacked: int, what: str = "body") -> None:
+    """Refuse an NPZ that holds more than `unpacked` bytes in all, or whose arrays differ from what their headers declare."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            if len(members) > MOST_CHANNELS or sum(member.file_size for member in members) > unpacked:
+                raise TooLarge(
+                    f"{what}: an NPZ of more than {MOST_CHANNELS} arrays or {unpacked} bytes unpacked; no more are read"
+                )
+            for member in members:
+                _check_member(archive, member, what)
+    except (BadBody, TooLarge):
+        raise
+    except _DAMAGED as error:
+        raise BadBody(f"{what}: is not an NPZ file: {error}") from None
+
+
+def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> None:
+    what = f"{file}: NPZ member {member.filename[:60]!r}"
+    with archive.open(member) as stream:
+        header = read_header(stream.read(2 * LONGEST_HEADER), what)
+    if header.dtype.kind not in "fiubU":
+        raise BadBody(f"{what}: is not a plain array")
+    if header.start + header.size > member.file_size:
+        raise BadBody(f"{what}: declares {header.size} bytes and holds {member.file_size - header.start}")
+
+
+def few(channels: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The channels, when they are not too many."""
+    if len(channels) > MOST_CHANNELS:
+        raise TooLarge(f"body: {len(channels)} channels; at most {MOST_CHANNELS} are read")
+    return channels
+
+
+def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
+    if not isinstance(values, list):
+        raise BadBody(f"body, channel {name[:60]!r}: must be an array of numbers")
+    for index, value in enumerate(values):
+        if type(value) not in _NUMBERS:
+            raise BadBody(f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a number")
+    return np.array(values, dtype=np.float64)
+
+
+def _texts(content: Any, what: str) -> dict[str, str]:
+    if not isinstance(content, dict) or not all(isinstance(value, str) for value in content.values()):
+        raise BadBody(f"body, {what}: must be an object of channel name to text")
+    return content
+
+
+def _number(content: Any, what: str) -> float:
+    if type(content) not in (int, float):
+        raise BadBody(f"body, {what}: must be a number")
+    return float(content)
+
+
+def _notes(content: Any) -> tuple[str, ...]:
+    if not isinstance(content, list) or not all(isinstance(note, str) for note in content):
+        raise BadBody("body, notes: must be an array of texts")
+    return tuple(content)

@@ -1,0 +1,105 @@
+"""Sizes in their bands: where values move with a temperature, where the scatter is large, and where the model lacks an effect."""
+
+from functools import cache
+
+import numpy as np
+
+from residuum.diagnosis.diagnosers.model_based import ModelBased
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+from residuum.simulation import MACHINES
+
+MOTOR = """
+name: motor
+inputs: {voltage: V}
+states: {omega: {unit: rad/s}}
+parameters:
+  K: {value: 0.05, unit: V*s/rad, lower: 0.001}
+  R: {value: 1.1, unit: ohm, lower: 0.01}
+  J: {value: 6.0e-4, unit: kg*m**2, lower: 1.0e-6}
+  d: {value: 2.0e-4, unit: N*m*s/rad, lower: 0}
+balances:
+  shaft: {kind: torque, storage: J * der(omega), terms: {motor: K * i, air: -d * omega}, velocity: omega}
+  winding: {kind: voltage, storage: 0, terms: {supply: voltage, resistance: -R * i, back_emf: -K * omega}, current: i}
+outputs:
+  speed: {value: omega, unit: rad/s}
+  current: {value: i, unit: A}
+"""
+
+
+def warm_motor(seed, fault=1.0):
+    """A motor whose resistance follows the winding's temperature, 0 to 60 °C, its resistance times `fault`."""
+    rng = np.random.default_rng([seed, 3])
+    T = rng.uniform(0.0, 60.0)
+    K, R, J, d = 0.05, 1.05 * (1.0 + 0.0039 * (T - 20.0)) * fault, 6e-4, 2e-4
+    u = np.repeat(rng.uniform(5.0, 22.0, 12), 100)
+    speed, current = np.empty(len(u)), np.empty(len(u))
+    omega, h = 100.0, 1e-3
+    for k in range(len(u)):
+        speed[k], current[k] = omega, (u[k] - K * omega) / R
+        for _ in range(10):
+            omega += h * (K * (u[k] - K * omega) / R - d * omega) / J
+    channels = {
+        "voltage": u,
+        "speed": speed + 0.5 * rng.standard_normal(len(u)),
+        "current": current + 0.03 * rng.standard_normal(len(u)),
+        "temperature": T + 0.2 * rng.standard_normal(len(u)),
+    }
+    units = {"voltage": "V", "speed": "rad/s", "current": "A", "temperature": "degC"}
+    return Record(channels, units, 0.01, source=f"motor {seed}"), R
+
+
+@cache
+def motor():
+    return ModelBased(model=read_model(MOTOR, "motor")).fit([warm_motor(seed)[0] for seed in range(20)])
+
+
+def size_of(finding, name):
+    return next(c for c in finding.evidence["causes"] if c["name"] == name)["value"]
+
+
+def test_values_that_move_with_a_temperature_scatter_no_more_than_the_noise_lets_them():
+    b = motor().baseline
+    at = dict(zip(b.free, b.free_sizes, strict=True))["R"]
+    place = b.scatter.own.tolist().index(at)
+    scatter = float(np.sqrt(b.scatter.variance[place]) * b.scatter.scale[at])
+    assert scatter < 1e-3 * b.tracking.model.values["R"]  # told to first order about one value it was some three times that
+
+
+def test_a_changed_resistance_lies_in_its_band_at_any_temperature():
+    inside = []
+    for seed in range(50, 62):
+        for fault in (0.8, 1.2):
+            record, R = warm_motor(seed, fault)
+            size = size_of(motor().score(record), "R")
+            inside.append(size["band_95"][0] <= R <= size["band_95"][1])
+            assert size["std"] < 5e-3 * R
+    assert sum(inside) >= 21
+
+
+def test_what_the_model_may_lack_widens_the_size_where_the_fault_leads_out_of_the_healthy_range():
+    """An oven that radiates, which its model lacks: with a fifth less loss it becomes hotter than it ever was when healthy."""
+    inside, widths = [], []
+    for seed in (201, 202):
+        machine = MACHINES["oven"](seed, {"radiation": "small"}, configuration="lumped", profile="steps")
+        nominal, found = machine.oven, []
+        for k in range(23):
+            machine.oven = nominal._replace(G_ambient=nominal.G_ambient * (0.8 if k >= 20 else 1.0))
+            run = machine.simulate(8 * 3600.0)
+            found.append(Record(dict(run.channels), dict(run.units), run.sample_time, t0=run.t0, source=f"oven {k}"))
+        judge = ModelBased(model="oven", fix_undetermined=True).fit(found[:20])
+        b = judge.baseline
+        assert b.left_open.size.shape == b.left_open.sizes.shape and np.isfinite(b.left_open.size).all()
+        for record in found[20:]:
+            size = size_of(judge.score(record), "h")
+            usual = b.usual_values(b.beside.conditions(record))[0]["h"]
+            inside.append(abs(size["value"] - (usual - 0.2 * nominal.G_ambient)) < 1.96 * size["std"])
+            widths.append(size["std"] / usual)
+    assert all(inside) and max(widths) < 0.02
+
+
+def test_values_far_from_the_usual_are_told_where_they_are():
+    for seed in (70, 71):
+        record, R = warm_motor(seed, 1.3)
+        told = motor().score(record).evidence["parameters"]["R"]
+        assert abs(told["value"] - R) < 2e-3 * R  # to first order a tenth of the change would be missing

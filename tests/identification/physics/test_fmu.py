@@ -1,0 +1,118 @@
+"""FMUs as models: held against records as the model they were made of, refused before they are loaded, and run apart."""
+
+import io
+import json
+import subprocess
+import zipfile
+
+import numpy as np
+import pytest
+
+from residuum.identification.errors import BadModel
+from residuum.identification.physics import Experiment, Simulator, load_model
+from residuum.identification.physics.export import explicit
+from residuum.identification.physics.export.fmu_file import fmu
+from residuum.identification.physics.fmu.description import describe
+from residuum.identification.record import Record
+from residuum.identification.record_formats import write_record
+from residuum.service.cli import BAD_INPUT, DONE, run
+
+pytest.importorskip("fmpy")
+DT, N = 0.01, 800
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory):
+    """An axis with dry friction, as recorded."""
+    model = load_model("linear-axis").with_effect("coulomb-friction", "axis", {"tau_c": 20.0})
+    rng = np.random.default_rng(4)
+    U = np.repeat(rng.uniform(-90.0, 90.0, (N // 40, 1)), 40, axis=0)
+    Y = Simulator(model).run(Experiment(U, np.full((N, 2), np.nan), np.zeros(1), DT), substeps=20).Y
+    Y = Y + rng.normal(scale=[1e-4, 1e-3], size=Y.shape)
+    file = tmp_path_factory.mktemp("record") / "axis.csv"
+    units = {"force": "N", "position": "m", "velocity": "m/s"}
+    write_record(Record({"force": U[:, 0], "position": Y[:, 0], "velocity": Y[:, 1]}, units, DT), file)
+    return str(file)
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory):
+    """The axis without friction, as an FMU."""
+    file = tmp_path_factory.mktemp("fmu") / "axis.fmu"
+    file.write_bytes(fmu(explicit(load_model("linear-axis"))).content)
+    return file
+
+
+def rewritten(file, to, rename=lambda name: name, **replaced):
+    """A copy of an FMU with files renamed or their text replaced."""
+    held = io.BytesIO()
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(held, "w") as new:
+        for name in old.namelist():
+            key = name.rsplit(".", 1)[-1]
+            new.writestr(rename(name), replaced[key](old.read(name)) if key in replaced else old.read(name))
+    to.write_bytes(held.getvalue())
+    return str(to)
+
+
+def answer(capfd, *arguments):
+    assert run([*arguments, "--json"]) == DONE
+    return json.loads(capfd.readouterr().out)
+
+
+def test_an_fmu_is_compared_as_the_model_that_it_was_made_of(axis, rubbing, capfd):
+    ours = answer(capfd, "compare", "linear-axis", rubbing)
+    theirs = answer(capfd, "compare", str(axis), rubbing)
+    for name in ("position", "velocity"):
+        assert theirs["outputs"][name]["rmse"] == pytest.approx(ours["outputs"][name]["rmse"], rel=1e-4)
+    assert theirs["structured_error"]["present"]
+    assert theirs["balances"]["v"]["unit"] == "m/s/s"
+
+
+def test_the_friction_that_an_fmu_lacks_is_named(axis, rubbing, capfd):
+    told = answer(
+        capfd, "explain", str(axis), rubbing, "--effects", "coulomb-friction,viscous-friction,quadratic-drag,constant-load"
+    )
+    first = told["candidates"][0]
+    assert (first["effect"], first["balance"]) == ("coulomb-friction", "v")
+    assert first["parameters"]["tau_c"]["value"] == pytest.approx(20.0 / 95.0, rel=0.03)
+
+
+def test_one_that_can_only_simulate_itself_is_compared_by_its_outputs(axis, rubbing, tmp_path, capfd):
+    def alone(text):
+        head, _, rest = text.partition(b"<ModelExchange")
+        return head + rest.partition(b"</ModelExchange>")[2]
+
+    file = rewritten(axis, tmp_path / "alone.fmu", xml=alone)
+    told = answer(capfd, "compare", file, rubbing)
+    assert told["outputs"]["velocity"]["rmse"] > 0.01 and not told["balances"]
+
+
+def test_another_platforms_is_refused_before_it_is_loaded(axis, rubbing, tmp_path, capfd):
+    file = rewritten(axis, tmp_path / "other.fmu", lambda name: name.replace("linux64", "win64"))
+    assert run(["compare", file, rubbing]) == BAD_INPUT
+    assert "has libraries for win64, none for linux64" in capfd.readouterr().err
+
+
+def test_one_that_breaks_down_ends_its_own_process_alone(axis, rubbing, tmp_path, capfd):
+    with zipfile.ZipFile(axis) as archive:
+        archive.extractall(tmp_path)
+    source = tmp_path / "sources" / "fmi2.c"
+    source.write_text(source.read_text().replace("if (m) reset(m);", "abort();"))
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", tmp_path / "break.so", source, "-lm"], check=True)
+    file = rewritten(axis, tmp_path / "break.fmu", so=lambda _: (tmp_path / "break.so").read_bytes())
+    assert run(["compare", file, rubbing]) == BAD_INPUT
+    assert "the FMU ended the process that ran it (SIGABRT)" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("content", "says"), [(b"no zip", "is not an FMU"), (None, "no such file")])
+def test_what_is_no_fmu_is_refused(tmp_path, content, says):
+    file = tmp_path / "x.fmu"
+    if content:
+        file.write_bytes(content)
+    with pytest.raises(BadModel, match=says):
+        describe(file)
+
+
+def test_other_commands_say_who_takes_an_fmu(axis, rubbing, capfd):
+    assert run(["estimate", str(axis), rubbing, "--out", "/tmp/x.yaml"]) == BAD_INPUT
+    assert "`residuum explain` take it" in capfd.readouterr().err

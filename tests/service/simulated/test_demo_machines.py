@@ -1,0 +1,47 @@
+"""The demo's three machines: silent while healthy, and every fault found as soon as it is switched on, through the bus coding."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from residuum.service.fieldbus.settings import WindowSettings
+from residuum.service.simulated.demo_training import simulated_windows
+from residuum.service.simulated.wiring import wiring_of
+from residuum.simulation import MACHINES
+
+_spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).parents[1] / "trained.py")
+trained = sys.modules.setdefault(_spec.name, importlib.util.module_from_spec(_spec))
+_spec.loader.exec_module(trained)
+
+WINDOWS = {
+    "gate-actuator": WindowSettings(cut="movement"),
+    "gripping-pliers": WindowSettings(cut="round"),
+    "process-plant": WindowSettings(cut="sliding", length=30, step=5),
+}
+SOON = {"gate-actuator": 1, "gripping-pliers": 2, "process-plant": 6}
+"""Windows within which a fault must be found: the first movement, two rounds, 60 s."""
+IN_TEN_MINUTES = {"gate-actuator": 33, "gripping-pliers": 295, "process-plant": 115}
+FAULTS = [(machine, fault) for machine in WINDOWS for fault in MACHINES[wiring_of(machine).machine].faults]
+
+
+def verdicts(device, machine, count):
+    found = simulated_windows(machine, wiring_of(device), WINDOWS[device], count)
+    return [trained.diagnoser(device).score(window).verdict.value for window in found]
+
+
+@pytest.mark.parametrize("device", WINDOWS)
+def test_ten_healthy_minutes_raise_no_alarm(device):
+    machine = MACHINES[wiring_of(device).machine](seed=2024)
+    found = verdicts(device, machine, IN_TEN_MINUTES[device])
+    assert machine.time >= 590
+    assert set(found) == {"healthy"}
+
+
+@pytest.mark.parametrize(("device", "fault"), FAULTS)
+def test_a_fault_of_default_size_is_found_at_once_and_gone_after_repair(device, fault):
+    machine = MACHINES[wiring_of(device).machine](seed=77, faults={fault: None})
+    assert "faulty" in verdicts(device, machine, SOON[device])
+    machine.clear_fault(fault)
+    assert set(verdicts(device, machine, SOON[device])) == {"healthy"}

@@ -1,0 +1,60 @@
+"""A machine's page shows causes, a second opinion that disagrees, and parameters as control charts with the time to a limit."""
+
+import time
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from residuum.diagnosis.finding import Finding
+from residuum.identification.record import Record
+
+FRICTION = {
+    "kind": "effect",
+    "name": "coulomb-friction",
+    "place": "shaft",
+    "probability": 0.93,
+    "indistinguishable_from": ["load-friction@shaft"],
+    "says": "friction of the shaft 0.031 ± 0.002 N·m, healthy 0.018 to 0.022",
+}
+SECOND = {"diagnoser": "model-based", "verdict": "healthy", "reason": "within the limit", "causes": []}
+MISSING = {"effect": "quadratic-drag", "place": "shaft", "parameters": {}}
+
+
+@pytest.fixture(scope="module")
+def worn_fan(run_service):
+    service = run_service()
+    rng = np.random.default_rng(3)
+    for k in range(30):
+        record = Record({"speed": rng.standard_normal(100)}, {"speed": "rad/s"}, 0.01, t0=float(k))
+        value = {"value": 1.0 + 0.02 * k + 0.02 * rng.standard_normal(), "std": 0.02, "unit": "ohm"}
+        faulty = k > 25
+        evidence = {
+            "parameters": {"R": value | {"healthy": {"low": 0.9, "high": 1.3}}},
+            "causes": [FRICTION] if faulty else [],
+            "missing_physics": [MISSING],
+            "second_opinion": SECOND,
+        }
+        finding = Finding(
+            "model-based", "faulty" if faulty else "healthy", "effect" if faulty else None, reason="a test", evidence=evidence
+        )
+        service.services.store.add_window("fan", record, finding)
+        time.sleep(0.02)
+    return service
+
+
+@pytest.mark.parametrize("size", [(1280, 900), (390, 844)])
+def test_causes_and_parameters_of_a_machine(worn_fan, open_page, legible, size):
+    page = open_page(f"{worn_fan.url}/#/machines/fan", size=size)
+    expect(page.get_by_text("93 %: coulomb friction of shaft")).to_be_visible()
+    expect(page.get_by_text("It disagrees: model-based says faulty, model-based says healthy")).to_be_visible()
+    expect(page.get_by_text("Healthy windows show quadratic drag of shaft too")).to_be_visible()
+    page.locator("[data-key=follow-parameters]").click()
+    expect(page.get_by_text("It drifts slowly since")).to_be_visible()
+    page.locator("[data-key=limit-R]").fill("3")
+    page.locator("[data-key=set-R]").click()
+    expect(page.get_by_text("will be reached in")).to_be_visible()
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="CSV").click()
+    assert saved.value.path().read_text().startswith("time,window,verdict,value,std\n")
+    legible(page)

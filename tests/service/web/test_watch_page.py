@@ -1,0 +1,117 @@
+"""The guided way of the tutorial, by clicking: a stranger's fan is described, recorded, modelled, trained and watched."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import expect
+
+RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
+SPEED = 8.0
+LONG = 1_200_000  # milliseconds that estimating and training may take on a busy machine
+
+
+@pytest.fixture
+def fan_rig(free_port, free_channel):
+    """The tutorial's rig in a process of its own; gives the process and its CAN channel."""
+    channel = free_channel()
+    address = channel.removeprefix("udp_multicast:").removesuffix("/0")
+    command = [sys.executable, RIG / "fan_rig.py", "--can", address, "--modbus", str(free_port()), "--speed", str(SPEED)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as rig:
+        assert rig.stdout.readline() == "The fan turns.\n"
+        yield rig, channel
+        rig.stdin.close()
+        rig.terminate()
+
+
+def order(rig, text):
+    rig.stdin.write(text + "\n")
+    rig.stdin.flush()
+
+
+def key(page, name):
+    return page.locator(f"[data-key={name}]")
+
+
+def answered(page, what):
+    """Wait for a job's answer, `what` it is to show; a job that failed fails the test at once, with the page's own words."""
+    failed = page.get_by_role("button", name="Try again")
+    expect(what.or_(failed).first).to_be_visible(timeout=LONG)
+    assert not failed.is_visible(), page.get_by_role("tabpanel").inner_text()
+
+
+def test_the_guided_way_of_the_tutorial_by_clicking(run_service, open_page, legible, fan_rig):
+    rig, channel = fan_rig
+    service = run_service()
+    page = open_page(f"{service.url}/")
+    page.get_by_role("link", name="Watch a machine").first.click()
+
+    key(page, "name").fill("fan")
+    key(page, "channel").fill(channel)
+    key(page, "length").fill("5")
+    key(page, "map-file").set_input_files(RIG / "fan.dbc")
+    expect(page.get_by_role("cell", name="n_fan")).to_be_visible()
+    legible(page)
+    key(page, "watch-machine").click()
+
+    expect(page.get_by_role("row", name=re.compile(r"n_fan.*rpm"))).to_be_visible()
+    legible(page)
+    key(page, "next").click()
+
+    expect(page.get_by_text("windows are recorded.")).to_be_visible()
+    expect(key(page, "next")).to_be_enabled(timeout=LONG)
+    expect(page.locator("[data-key^=healthy-]")).not_to_have_count(0)
+    legible(page)
+    page.locator("[data-key^=healthy-]").last.uncheck()
+    expect(page.get_by_text(re.compile(r"^1\d of 20 windows"))).to_be_visible(timeout=LONG)
+    key(page, "next").click()
+
+    page.get_by_text("Upload or write a model file").click()
+    key(page, "model-file").set_input_files(RIG / "fan.yaml")
+    key(page, "store-model").click()
+    for name, bus in (("voltage", "u_mot"), ("speed", "n_fan"), ("current", "i_mot")):
+        expect(key(page, f"map-{name}")).to_have_value(bus)
+    legible(page)
+    key(page, "use-model").click()
+
+    answered(page, page.get_by_text("Structured error"))
+    legible(page)
+    key(page, "improve").click()
+    answered(page, page.get_by_text(re.compile("quadratic drag added")))
+    legible(page)
+    key(page, "use-improved").click()
+
+    key(page, "train").click()
+    answered(page, page.get_by_text(re.compile(r"Trained on \d+ windows; 0 of them")))
+    legible(page)
+    key(page, "next").click()
+
+    expect(page.locator(".badge", has_text="Healthy")).to_be_visible(timeout=LONG)
+    order(rig, "rub 0.01")
+    expect(page.locator(".badge", has_text="Faulty")).to_be_visible(timeout=LONG)
+    expect(page.locator(".alarm").first).to_be_visible()
+    expect(page.locator(".says-large")).to_contain_text("shaft")
+    legible(page)
+    page.set_viewport_size({"width": 390, "height": 844})
+    legible(page)
+    key(page, "machine-page").click()
+    expect(page.get_by_role("heading", name="Fan")).to_be_visible()
+
+
+def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(run_service, open_page, legible, free_port):
+    service = run_service()
+    source = {"kind": "modbus", "host": "127.0.0.1", "port": free_port(), "map": "process_plant.yaml"}
+    settings = {"diagnoser": "robust-residual", "window": {"cut": "sliding", "length": 60, "step": 60}, "sources": [source]}
+    put = httpx.put(f"{service.url}/api/v1/assets/plant/machine", json=settings, timeout=60)
+    assert put.status_code == 200, put.text
+    page = open_page(f"{service.url}/#/watch?machine=plant&step=train", expected=("422",))
+    key(page, "method").select_option("source")
+    expect(page.get_by_label("false alarms a day that you accept")).to_have_count(0)  # it is not a setting of this diagnoser
+    expect(page.get_by_label("what decides")).to_have_value("source")
+    legible(page)
+    with page.expect_request(re.compile("/assets/plant/training$")) as sent:
+        key(page, "train").click()
+    assert sent.value.post_data_json == {"leave_out": [], "method": "source"}
