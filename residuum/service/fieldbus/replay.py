@@ -55,20 +55,18 @@ def read_can_log(path: str | Path) -> Iterator[TimedFrame]:
 
 
 def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:
-    """A record as the frames that would have carried it; a frame with a missing sample is left out, its counter is not.
+    """A record as the frames that would have carried it; a frame that lacks a sample is left out, its counter is not.
 
     Raises BadInput when a channel is absent, in an incompatible unit, or sampled at another rate.
     """
     _check_rate(record, layout.sample_time, layout.name)
     n = record.n // layout.samples
     channels = {name: record.in_unit(name, unit)[: n * layout.samples] for name, unit in layout.units.items()}
-    whole = np.ones(n, bool)
-    for values in channels.values():
-        whole &= ~np.isnan(values.reshape(n, layout.samples)).any(axis=1)
+    whole = layout.complete(channels, n)
     frames = layout.encode(np.arange(n) % (1 << layout.counter_bits), channels)
     for k in np.flatnonzero(whole).tolist():
         last = record.t0 + ((k + 1) * layout.samples - 1) * record.sample_time
-        yield TimedFrame(last, layout.frame_id, frames[k].tobytes(), layout.is_fd)
+        yield TimedFrame(last, layout.bus_id, frames[k].tobytes(), layout.is_fd)
 
 
 def record_pages(record: Record, name: str, stream: StreamRegisters) -> Iterator[TracedPage]:
