@@ -97,6 +97,7 @@ STARTED = {
     "identification/discrepancy/compile_ahead": "python -m, by make and the container's build",
     "identification/physics/files/model_schema": "docs/make_reference.py writes the schema of model files from it",
     "identification/unit_registry": "units loads it for a unit that is none of the common ones",
+    "service/fieldbus/can_record": "the commands load it when a record is a CAN log: the libraries of buses take a second",
     "service/fieldbus/opcua": "the list of sources loads it when such a source is opened: its library is an extra",
     "service/fieldbus/sparkplug": "the list of sources loads it when such a source is opened: its libraries are an extra",
     "service/finding_metrics": "the service loads it when findings are published as Sparkplug B: its libraries are an extra",

@@ -7,23 +7,20 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
 
-import can
 import numpy as np
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
 from residuum.service.fieldbus.can_bus import CanBus
+from residuum.service.fieldbus.can_log import TimedFrame
 from residuum.service.fieldbus.device_registers import DeviceRegisters
-from residuum.service.fieldbus.frame_layout import BadBusDescription, FrameLayout, read_dbc
+from residuum.service.fieldbus.frame_layout import FrameLayout, read_dbc
 from residuum.service.fieldbus.register_map import RegisterMap, StreamRegisters
 from residuum.service.fieldbus.register_server import RegisterServer
 from residuum.service.fieldbus.register_trace import TracedPage
 
-CAN_LOGS = {".blf": can.BLFReader, ".asc": can.ASCReader}
-"""Ending of a CAN log → its reader."""
 TRACE = ".trace"
 """Ending of a register trace."""
 
@@ -31,27 +28,6 @@ _GROUP = 0.005
 _FURTHEST_BEHIND = 0.2
 _SLICE = 0.2
 _SAME_RATE = 0.01
-
-
-class TimedFrame(NamedTuple):
-    """One CAN frame and when it was seen [s]."""
-
-    time: float
-    frame_id: int
-    data: bytes
-    is_fd: bool
-
-
-def read_can_log(path: str | Path) -> Iterator[TimedFrame]:
-    """The data frames of a BLF or ASC file; BadBusDescription when it is none."""
-    path = Path(path)
-    try:
-        with CAN_LOGS[path.suffix.lower()](str(path)) as log:
-            for message in log:
-                if not (message.is_error_frame or message.is_remote_frame):
-                    yield TimedFrame(message.timestamp, message.arbitration_id, bytes(message.data), message.is_fd)
-    except (OSError, ValueError, KeyError, IndexError, can.CanError) as error:
-        raise BadBusDescription(f"{path.name}: cannot be read as a CAN log: {error}") from None
 
 
 def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:
