@@ -25,6 +25,7 @@ from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.fieldbus.can import streamed
 from residuum.service.fieldbus.can_bus import open_bus
+from residuum.service.fieldbus.device_reading import read_device
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.metric_map import read_metric_map
 from residuum.service.fieldbus.node_map import read_node_map
@@ -261,14 +262,27 @@ def _bus(source: SourceSettings) -> str | tuple[str, str]:
         url = urllib.parse.urlsplit(source.channel)
         host, port = url.hostname or "", url.port or _OPCUA_PORT
     else:
-        streams = len(read_register_map(source.map_file).streams)
-        host, port = source.host, source.port
+        return _modbus(source)
     address = f"{host}:{port}"
     try:
         socket.create_connection((host, port), timeout=_PATIENCE).close()
     except OSError as error:
         raise Wrong(f"{address}: no connection: {error}") from None
     return f"{address} accepts connections; {source.map} has {streams} streams"
+
+
+def _modbus(source: SourceSettings) -> str | tuple[str, str]:
+    """Read the device once by its map."""
+    registers = read_register_map(source.map_file)
+    address = f"{source.host}:{source.port}"
+    try:
+        readings, refusals = read_device(source.host, source.port, registers, _PATIENCE)
+    except TimeoutError as error:
+        return f"{address} accepts connections", f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})"
+    if refusals:
+        raise Wrong(f"{address}: {'; '.join(refusals)}")
+    remarks = [f"{each.stream}.{each.channel}: {each.remark}" for each in readings if each.remark not in ("", "missing")]
+    return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
 def _broker(settings: Settings) -> str:
