@@ -141,7 +141,8 @@ class FrameLayout:
         """
         raw = self._bits.raw(frames)
         values = self._bits.values(raw)
-        values[~self._multiplexing.carried(values)] = np.nan
+        if self._multiplexing.paged:
+            values[~self._multiplexing.carried(values)] = np.nan
         counter = np.zeros(len(frames), np.int64) if self._counter is None else raw[:, self._counter].astype(np.int64)
         return counter, {name: values[:, members].reshape(-1) for name, members in self._channels.items()}
 
