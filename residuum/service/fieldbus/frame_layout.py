@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from cantools.database import load_file
+from cantools.database import load_string
 from cantools.database.can.database import Database
 from cantools.database.errors import Error as DatabaseError
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.dbc_text import usable_text
 from residuum.service.fieldbus.frame_batch import EXTENDED
 from residuum.service.fieldbus.multiplexing import Multiplexing
 from residuum.service.fieldbus.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
@@ -33,6 +34,8 @@ _FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
 _COUNTER_LIKE = re.compile(r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE)
 _COUNTER_BITS = range(4, 33)
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
+_ENCODING = "cp1252"
+"""Of DBC files, whatever computer wrote them."""
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
@@ -234,13 +237,19 @@ def read_dbc(path: str | Path) -> BusMessages:
     A message that cannot be used costs that message: `unusable` says which and why.
     """
     where = Path(path).name
+    messages = BusMessages(where)
     try:
-        database = load_file(str(path), database_format="dbc", strict=False)
-    except (OSError, UnicodeDecodeError, DatabaseError) as error:
-        raise BadBusDescription(f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}") from None
+        text, left_out = usable_text(Path(path).read_bytes().decode(_ENCODING, errors="replace"))
+        messages.unusable |= {name: f"{where}, message {name}: {why}" for name, why in left_out.items()}
+        if left_out and not text.strip():
+            return messages
+        database = load_string(text, database_format="dbc", strict=False)
+    except (OSError, DatabaseError) as error:
+        raise BadBusDescription(
+            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the line that it names"
+        ) from None
     if not isinstance(database, Database):
         raise BadBusDescription(f"{where}: is no CAN database")
-    messages = BusMessages(where)
     for message in database.messages:
         if message.signals:
             messages.add(message)

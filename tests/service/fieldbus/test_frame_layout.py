@@ -117,6 +117,7 @@ def test_a_file_with_nothing_to_stream_is_refused_with_the_reasons(tmp_path):
     [
         (('SG_ flag : 40|1@1+ (1,0) [0|1] "" A', 'SG_ flag : 20|1@1+ (1,0) [0|1] "" A'), "overlapping.*Correct the file"),
         (("SG_ flag : 40|1@1+", "SG_ flag : 64|1@1+"), "flag does not fit in message mixed.*Correct the file"),
+        (("SG_ flag :", "SG_ flag m0 :"), "'flag' is on a page, and no signal names the page: mark that one with M"),
         (('BA_ "SampleTime" BO_ 300 0.001;', 'BA_ "SamplesPerFrame" BO_ 300 2;'), "SamplesPerFrame is 2.*'little' has 1 signals"),
     ],
 )
@@ -234,3 +235,14 @@ def test_short_identifiers_of_standard_and_extended_frames_are_told_apart(tmp_pa
     extended = described(tmp_path, MIXED.replace("BO_ 300", f"BO_ {300 | 1 << 31}"))
     plain = described(tmp_path, MIXED)["mixed"]
     assert (extended["mixed"].frame_id, plain.frame_id) == (300, 300) and extended["mixed"].bus_id != plain.bus_id
+
+
+def test_impossible_identifiers_and_values_of_no_signal_do_not_spoil_a_file(tmp_path):
+    late = 'BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n\nBO_ 300 mixed'
+    tables = 'VAL_ 99999 x 0 "off; or so" 1 "on" ;\nVAL_ 300 gone 0 "off" ;\nVAL_ 300 flag 0 "no" 1 "yes" ;\n'
+    layouts = described(tmp_path, MIXED.replace("BO_ 300 mixed", late) + tables)
+    assert set(layouts) == {"mixed"} and layouts["mixed"].choices["flag"] == {0: "no", 1: "yes"}
+    assert "identifier 99999 is longer than 11 bits and is not marked as extended: add 2147483648" in layouts.unusable["late"]
+    (tmp_path / "late.dbc").write_text('BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n')
+    with pytest.raises(BadBusDescription, match=r"late\.dbc: has nothing to stream: .*identifier 99999"):
+        source_of(read_dbc(tmp_path / "late.dbc"))
