@@ -239,9 +239,14 @@ def read_register_map(path: str | Path) -> RegisterMap:
     try:
         return RegisterMap.model_validate(content)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"])) or "top level"
-        raise BadBusDescription(f"{where}, {place}: {first['msg'].removeprefix('Value error, ')}{_known(first)}") from None
+        raise BadBusDescription(f"{where}, {first_error(error)}") from None
+
+
+def first_error(error: ValidationError) -> str:
+    """Place and rule of the first thing that is wrong, in one line."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"])) or "top level"
+    return f"{place}: {first['msg'].removeprefix('Value error, ')}{_known(first)}"
 
 
 def _known(error: Any) -> str:
