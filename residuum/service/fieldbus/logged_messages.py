@@ -104,7 +104,10 @@ def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfit
     remarks += [where + one for one in said]
     if layout.counter_bits and (lost := int(number[-1]) + 1 - len(number)):
         remarks.append(f"{where}: {lost} frames lost, their samples are missing")
-    return LoggedMessage(layout, time, data, number, frame_time, float(np.ptp(off) / 2), remarks)
+    jitter = float(np.ptp(off) / 2)
+    if layout.counter_bits and jitter > 1.0:
+        remarks.append(f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter gives the places")
+    return LoggedMessage(layout, time, data, number, frame_time, jitter, remarks)
 
 
 def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int64]) -> tuple[Numbers, float, int]:

@@ -75,7 +75,7 @@ def layout_for(record: Record, dbc_files: Iterable[Path]) -> FrameLayout:
     """
     for file in dbc_files:
         for layout in read_dbc(file).values():
-            if layout.counter_bits and _carries(record, layout.units, layout.sample_time):
+            if not layout.why_no_stream and _carries(record, layout.units, layout.sample_time):
                 return layout
     raise BadInput(f"record {record.source!r}: no known CAN message carries {', '.join(record.names)}; name a DBC file")
 
