@@ -8,6 +8,7 @@ BENCHMARKS: dict[str, str] = {
     "three_phase_currents": "inter-turn shorts of a real motor beside FFT + SVM and a random forest",
     "hidden_effects": "effects hidden in simulated machines: named or missed, false blame, calibration",
     "explain": "how long explain takes on 60 s at 1 kHz, with an empty cache and with a filled one",
+    "same_answers": "explain and improve with code compiled and not, idle and beside load: equal answers",
     "real_records": "missing physics in real recordings: Silverbox beside published errors, a lamp that heats a plate",
     "ingest": "CPU and losses of the bus sources at the demo's full traffic",
     "identification": "kernel identification beside scikit-learn, impulseest and the textbook form; coverage of its bands",

@@ -114,7 +114,7 @@ class Model(DescribedModel):
         *,
         map: Mapped = None,
         effects: Iterable[str] | None = None,
-        seconds: float | None = 12.0,
+        seconds: float | None = None,
         progress: Progress = None,
         **options: Any,
     ) -> Explanation:
@@ -126,8 +126,9 @@ class Model(DescribedModel):
         map : mapping of model name to column
         effects : iterable of effect id
             Consider only these (default: all that fit the model).
-        seconds : float
-            Longest time for the search [s]; the best answer so far is given.
+        seconds : float, optional
+            Longest time for the search [s]; the best answer so far is given, and says what was not tried. Without it the answer
+            depends on nothing but the data.
         progress : callable or bool
             Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
         options
@@ -171,7 +172,7 @@ class Model(DescribedModel):
         add: Sequence[str] | str | None = None,
         map: Mapped = None,
         effects: Sequence[str] | None = None,
-        seconds: float | None = 34.0,
+        seconds: float | None = None,
         progress: Progress = None,
         **options: Any,
     ) -> Improvement[Model]:
@@ -185,8 +186,8 @@ class Model(DescribedModel):
         map : mapping of model name to column
         effects : list of effect id
             Without `add`: consider only these.
-        seconds : float
-            Time for each search [s].
+        seconds : float, optional
+            Longest time for each search [s], as in `explain`.
         progress : callable or bool
             As in `explain`.
         options

@@ -24,9 +24,9 @@ _spec.loader.exec_module(trained)
 RECORDED = Path(__file__).parents[1] / "recorded"
 CUT = {"gate-actuator": "movement", "gripping-pliers": "round", "process-plant": "sliding"}
 CASES = [
-    ("gate-actuator", "gate_actuator.blf", 2.0, ["healthy", "faulty"]),
+    ("gate-actuator", "gate_actuator.blf", 4.0, ["healthy", "faulty"]),
     ("gripping-pliers", "gripping_pliers.blf", 4.0, ["healthy"] * 3 + ["faulty"] * 3),
-    ("process-plant", "process_plant.trace", 10.0, ["healthy"] * 3 + ["faulty"] * 7),
+    ("process-plant", "process_plant.trace", 20.0, ["healthy"] * 3 + ["faulty"] * 7),
 ]
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.coarse_reading import reading_variances
-from residuum.identification.discrepancy.deadline import in_time
 from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.policy.likelihood import (
     CLIMBED,
@@ -23,6 +22,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
 from residuum.identification.discrepancy.policy.noise import SCORING
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.work import count_fit, go_on
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -117,8 +117,9 @@ class Ascent:
         stretched.
         """
         damping, refused, stretch, last, on = 1e-4, False, 1.0, np.zeros(len(self.names)), 0
+        count_fit()
         for _ in range(iterations):
-            in_time()
+            go_on()
             equations = NormalEquations.of(here.residuals, here.by_parameters, here.by_states, here.noises)
             promised = equations.decrement()
             if here.log_likelihood + OPTIMISM * promised + CLOSE < rival or (stretch == 1.0 and promised < 0.5 * CLIMBED):

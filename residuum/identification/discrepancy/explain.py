@@ -13,7 +13,6 @@ from residuum.identification.discrepancy.block_cutting import blocks_of
 from residuum.identification.discrepancy.candidate import Candidate
 from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.completeness import at_the_noise, is_incomplete
-from residuum.identification.discrepancy.deadline import OutOfTime, within
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.held_out_blocks import Blocks
@@ -21,7 +20,8 @@ from residuum.identification.discrepancy.held_values import HeldValue, freed, he
 from residuum.identification.discrepancy.input_timing import experiments_and_base
 from residuum.identification.discrepancy.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
-from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, MOST_HELD
+from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
+from residuum.identification.discrepancy.policy.blocks import SHARE_WORK
 from residuum.identification.discrepancy.proposals import informed
 from residuum.identification.discrepancy.remaining import Remaining, remaining_on
 from residuum.identification.discrepancy.search import Tell, untold
@@ -32,6 +32,7 @@ from residuum.identification.discrepancy.structures import times_each_its_innova
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect, match
 from residuum.identification.record import Record
+from residuum.identification.work import OutOfWork, Work, at_most, begun, left_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,8 @@ class Explanation:
         Whether the effects were named by what they take away on blocks kept aside, for no structure of the catalogue is exact.
     remaining : Remaining or None
         What the model with the accepted effects leaves on those blocks; None where the records are too short for any.
+    work : Work
+        Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
     """
 
     verdict: str
@@ -76,6 +79,7 @@ class Explanation:
     held: tuple[HeldValue, ...]
     by_share: bool
     remaining: Remaining | None
+    work: Work
     seconds: float
 
     @property
@@ -113,7 +117,7 @@ def explain(
     learned : bool
         Where nothing with a name is real, learn a curve over one signal.
     seconds : float, optional
-        Time after which the search for an exact structure is left; what explains most on blocks kept aside stands then.
+        Time after which the search is left as well as after its work; the answer then depends on the machine, and says so.
     tell : callable
         Told how far the work is.
 
@@ -135,12 +139,27 @@ def explain(
     """
     began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
+    with at_most() as work:
+        found = _explained(model, records, mapping, wanted, learned, seconds, tell)
+    return replace(found, work=work, seconds=time.perf_counter() - began)
+
+
+def _explained(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str] | None,
+    learned: bool,
+    seconds: float | None,
+    tell: Tell,
+) -> Explanation:
+    began = time.perf_counter()
     model, whole = _informed(model, records, mapping, wanted)
-    exact, shares = _exact_in_time(model, records, mapping, wanted, seconds, tell), None
+    exact, shares = _exact_in_bounds(model, records, mapping, wanted, seconds, tell), None
     structured = exact is not None and _is_structured(exact.found, records, mapping)
     if exact is None or structured or _leaves_more_than_noise(exact.found):
         tell(0.5, "what takes away most on blocks kept aside")
-        with within(None if seconds is None else seconds - (time.perf_counter() - began)):
+        with at_most(SHARE_WORK, None if seconds is None else seconds - (time.perf_counter() - began)):
             shares = search_by_share(model, whole, wanted, learned=learned)
     blocks = blocks_of(model, whole) if shares is None else shares.blocks
     by_share = exact is None or _is_inexact(exact.found, shares)
@@ -168,6 +187,7 @@ def explain(
         held=held_values(model, last.doubted, found.best),
         by_share=by_share,
         remaining=None if blocks is None else remaining_on(found.best.model, blocks),
+        work=begun(),
         seconds=time.perf_counter() - began,
     )
 
@@ -193,7 +213,7 @@ class _Exact:
     doubted: list[list[str]]
 
 
-def _exact_in_time(
+def _exact_in_bounds(
     model: PhysicalModel,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
@@ -201,12 +221,13 @@ def _exact_in_time(
     seconds: float | None,
     tell: Tell,
 ) -> _Exact | None:
-    """What the search for an exact structure found in its part of the time; None where it is not done by then."""
+    """What the search for an exact structure found with its part of the work; None where it is not done by then."""
     try:
-        with within(None if seconds is None else EXACT_TIME * seconds):
+        with at_most(EXACT_WORK, None if seconds is None else EXACT_TIME * seconds):
             return _exact(model, records, mapping, wanted, tell)
-    except OutOfTime:
-        tell(0.5, "out of time for an exact structure")
+    except OutOfWork:
+        left_out("the search for an exact structure, to its end")
+        tell(0.5, "no exact structure was found with the work for it")
         return None
 
 

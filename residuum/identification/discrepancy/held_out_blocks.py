@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.deadline import in_time
 from residuum.identification.discrepancy.policy.blocks import DOMINANT, ESTIMATED, ESTIMATED_ON_ALL, LOOKED_AT
 from residuum.identification.discrepancy.track import Track
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Settings, Simulator, estimate
+from residuum.identification.work import go_on
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -156,7 +156,7 @@ def fitted(model: PhysicalModel, fold: Fold, *, look: bool = False, initial: Seq
 
     Of a whole run the first states are sought from `initial` on, where they are known roughly.
     """
-    in_time()
+    go_on()
     if not model.free and not fold.whole:
         return Fitted(model, [], np.inf)
     found = estimated(model, fold.train, LOOKED_AT if look else ESTIMATED, initial)

@@ -33,6 +33,7 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
+from residuum.identification.work import at_most
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -78,11 +79,18 @@ def improve(
     """
     _check_fixed(model, free)
     how = Request(mapping, add, effects, free, learned, None if seconds is None else EXPLAINING_TIME * seconds)
+    with at_most() as work:
+        found = _either_way(model, records, how, seconds, tell)
+    return replace(found, work=work)
+
+
+def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, seconds: float | None, tell: Tell) -> Improvement:
+    """The improvement with the end of the records kept aside, or with the beginning where that end is strange."""
     began, parts = time.perf_counter(), split(records)
     found = _improved(model, records, parts, how, tell)
     if found.improvement.explanation is not None and found.improvement.explanation.by_share:
         return found.improvement
-    if add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
+    if how.add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
     again = split(records, end=False)
     spent = time.perf_counter() - began

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.discrepancy.block_cutting import blocks_of
-from residuum.identification.discrepancy.deadline import within
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged, estimated_on_all, looked_at
-from residuum.identification.discrepancy.policy.blocks import LEAST_SHARE
+from residuum.identification.discrepancy.policy.blocks import LEAST_SHARE, SHARE_WORK
 from residuum.identification.discrepancy.share_search import search_by_share
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, with_coloured_noise
+from residuum.identification.work import at_most
 
 ASIDE = "every block in turn"
 """What is kept aside, in words."""
@@ -47,9 +47,9 @@ def joined_by_share(
 ) -> Joined | None:
     """Add those of the `effects` that are real on blocks kept aside, one after the other; None where no blocks can be cut.
 
-    Effects None are all that fit. After so many `seconds` what was found so far joins.
+    Effects None are all that fit. After `SHARE_WORK`, or so many `seconds`, what was found so far joins.
     """
-    with within(seconds):
+    with at_most(SHARE_WORK, seconds):
         shares = search_by_share(model, experiments, effects, learned=learned)
     if shares is None:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +13,7 @@ from residuum.identification.discrepancy.candidate import Candidate, Quantity
 from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
+from residuum.identification.work import Work
 
 _ERROR_AFTER, _STD = "error_after", "std_"
 """Keys of an effect's provenance: the held-out error with it, and the standard deviation of a parameter."""
@@ -32,7 +33,10 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
-    """The improved model with provenance, and how its error on held-out data (`aside`) fell, in `error_unit` of `output`."""
+    """The improved model with provenance, and how its error on held-out data (`aside`) fell, in `error_unit` of `output`.
+
+    `work` is what it took, and what was not tried.
+    """
 
     model: PhysicalModel
     history: tuple[Step, ...]
@@ -41,6 +45,7 @@ class Improvement:
     error_unit: str
     explanation: Explanation | None
     aside: str
+    work: Work = field(default_factory=Work)
 
     @property
     def added(self) -> list[EffectUse]:

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtr
 
-from residuum.identification.discrepancy.deadline import OutOfTime, in_time
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, Fitted, cross_judged, looked_at
 from residuum.identification.discrepancy.policy.blocks import (
     AS_GOOD,
@@ -41,6 +40,7 @@ from residuum.identification.discrepancy.proposals import starts
 from residuum.identification.discrepancy.side_by_side import each_beside
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.model import find_effect, tied_to
+from residuum.identification.work import OutOfWork, go_on, left_out
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class ShareStep:
     """One step: the model before it, its errors, all candidates (the leading first), and the group of the first.
 
     `wins` is how often each of the group leads when blocks are resampled; `accepted` is None where none is real; `tried` is the
-    part of the candidates that there was time for; `real` are those that chance does not explain, by share.
+    part of the candidates that there was work left for; `real` are those that chance does not explain, by share.
     """
 
     base: PhysicalModel
@@ -99,9 +99,11 @@ def share_step(blocks: Blocks, experiments: Sequence[Experiment], before: Errors
 
     def one(key: Key) -> Shared | None:
         try:
+            go_on()
             return _shared(key, blocks, experiments, before)
-        except OutOfTime:
+        except OutOfWork:
             late.append(key)
+            left_out(f"{key.effect}@{key.target}")
             return None
 
     judged = [s for s in each_beside(one, keys) if s is not None]
@@ -127,7 +129,7 @@ def preferred(real: Sequence[Shared], before: Errors) -> Shared | None:
 
 
 def _simplest_first(model: PhysicalModel, keys: Sequence[Key]) -> list[Key]:
-    """Effects with few parameters before those with many: what there is no time for would not have led a tie."""
+    """Effects with few parameters before those with many: what there is no work left for would not have led a tie."""
 
     def weight(key: Key) -> int:
         effect = find_effect(key[0])
@@ -142,7 +144,7 @@ def _shared(key: Key, blocks: Blocks, experiments: Sequence[Experiment], before:
     looks = [look for start in starts(key, blocks, experiments) if (look := looked_at(start, blocks)) is not None]
     if not looks or min(look.cost for look in looks) > (1.0 - PROMISED_FALL) * blocks.base.cost:
         return None
-    in_time()
+    go_on()
     found = None
     for look in sorted(looks, key=lambda look: look.cost)[:FOLLOWED_STARTS]:
         crossed = cross_judged(look, blocks)

@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from residuum.identification.discrepancy.block_cutting import blocks_of
-from residuum.identification.discrepancy.deadline import OutOfTime
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged, looked_at
 from residuum.identification.discrepancy.policy.blocks import LEAST_SHARE, MOST_STEPS, PAIR_LEADS, REAL
 from residuum.identification.discrepancy.policy.noise import BEYOND_NOISE
 from residuum.identification.discrepancy.proposals import curves
 from residuum.identification.discrepancy.share import Shared, ShareStep, judged_against, preferred, share_step
 from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
+from residuum.identification.work import OutOfWork, left_out
 
 
 @dataclass(eq=False)
@@ -70,7 +70,8 @@ def search_by_share(
     try:
         blocks = blocks_of(model, experiments)
         base = None if blocks is None else cross_judged(blocks.base, blocks)
-    except OutOfTime:
+    except OutOfWork:
+        left_out("what takes away most on blocks kept aside")
         return None
     if blocks is None or base is None:
         return None
@@ -83,7 +84,8 @@ def search_by_share(
         return ends[0]
     try:
         judged = [_as_one(end, blocks, base[1]) for end in ends]
-    except OutOfTime:
+    except OutOfWork:
+        left_out("a second way of adding effects")
         return ends[0]
     return _better(list(zip(ends, judged, strict=True)), base[1])
 
@@ -115,7 +117,8 @@ def _together(first: ShareStep, blocks: Blocks, before: Errors, wanted: _Wanted)
         end = ShareSearch(blocks, [led, *_further(led, wanted)])
         try:
             one = _as_one(end, blocks, before) if len(end.accepted) > 1 else None
-        except OutOfTime:
+        except OutOfWork:
+            left_out("effects that are real together alone")
             break
         if one is not None and one.share > LEAST_SHARE and one.p_value < REAL / PAIR_LEADS:
             end.steps[0] = first.led_by(replace(leading, p_value=one.p_value))
@@ -124,14 +127,15 @@ def _together(first: ShareStep, blocks: Blocks, before: Errors, wanted: _Wanted)
 
 
 def _further(step: ShareStep, wanted: _Wanted) -> Iterator[ShareStep]:
-    """The steps that follow, while one is real and there is time."""
+    """The steps that follow, while one is real and there is work left."""
     taken: list[Key] = []
     while step.accepted is not None and len(taken) < MOST_STEPS - 1:
         taken.append(step.accepted.key)
         try:
             blocks = blocks_of(step.accepted.model, wanted.experiments)
             base = None if blocks is None else cross_judged(blocks.base, blocks)
-        except OutOfTime:
+        except OutOfWork:
+            left_out(f"effects beside {step.accepted.key.effect}")
             return
         if blocks is None or base is None:
             return

@@ -14,6 +14,7 @@ from residuum.identification.discrepancy.policy.noise import SLOW
 from residuum.identification.discrepancy.remaining import Remaining
 from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.work import Work
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text
 
@@ -53,8 +54,22 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "drifting": explanation.search.drifting,
         "by_share": explanation.by_share,
         "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
+        "work": work_json(explanation.work),
         "seconds": explanation.seconds,
     }
+
+
+def work_json(work: Work) -> dict[str, Any]:
+    """What was computed, and what was not tried because the work, or the seconds that a user gave, were over."""
+    return {"samples": work.samples, "fits": work.fits, "not_tried": work.not_tried, "out_of_seconds": work.timed_out}
+
+
+def work_text(work: Work) -> list[str]:
+    """A line where something was not tried."""
+    if not work.not_tried:
+        return []
+    why = "the seconds given were over" if work.timed_out else "the work that a search may take was done"
+    return [f"  not tried, for {why}: {', '.join(work.not_tried)}"]
 
 
 def free_term_json(free: FreeTerm) -> dict[str, Any]:
@@ -165,5 +180,6 @@ def explanation_text(explanation: Explanation) -> str:
         f"  next: {p.do} (tells {' from '.join(p.separates)} in {100 * p.power:.0f} % of the cases)"
         for p in explanation.next_experiment[:2]
     ]
+    lines += work_text(explanation.work)
     lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")
     return "\n".join(lines)

@@ -7,7 +7,7 @@ from typing import Any
 
 from residuum.identification.discrepancy.improvement import Improvement, quantities_of
 from residuum.identification.physics import EffectUse
-from residuum.library.answers.explanation import held_text, remaining_json
+from residuum.library.answers.explanation import held_text, remaining_json, work_json, work_text
 from residuum.library.answers.quantities import quantities_json, sizes_text
 from residuum.library.answers.tied_effects import tied_json, tied_text
 
@@ -28,6 +28,7 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
         "kept_aside": improvement.aside,
         "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
         "remaining": None if remaining is None else remaining_json(remaining),
+        "work": work_json(improvement.work),
         "model_file": file,
     }
 
@@ -53,6 +54,7 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
+    lines += work_text(improvement.work)
     lines.append(f"verdict: {improvement.verdict}")
     return "\n".join([*lines, f"model file (estimated on everything): {file}"] if file else lines)
 

@@ -22,7 +22,12 @@ from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
-Seconds = Annotated[float, typer.Option(help="Longest time for the search [s]; the best answer so far is given.", min=0.0)]
+Seconds = Annotated[
+    float | None,
+    typer.Option(
+        help="Longest time for the search [s]; the answer then depends on the machine, and says what was not tried.", min=0.0
+    ),
+]
 
 Learned = Annotated[
     bool, typer.Option("--learned", help="Learn a curve over one signal when no effect of the catalogue explains the error.")
@@ -35,7 +40,7 @@ def explain_command(
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
     learned: Learned = False,
-    seconds: Seconds = 12.0,
+    seconds: Seconds = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,

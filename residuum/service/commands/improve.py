@@ -44,7 +44,7 @@ def improve_command(
         typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
     ] = None,
     learned: Learned = False,
-    seconds: Seconds = 34.0,
+    seconds: Seconds = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,

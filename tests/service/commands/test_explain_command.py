@@ -6,6 +6,7 @@ import pytest
 
 from residuum.identification.discrepancy.candidate import Quantity
 from residuum.identification.discrepancy.held_values import HeldValue
+from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
 from residuum.library.answers.quantities import sizes_text
 
@@ -21,6 +22,7 @@ def explanation(verdict, times, held=()):
         search=SimpleNamespace(drifting=False, timing=[]),
         next_experiment=(),
         held=held,
+        work=Work(),
     )
 
 

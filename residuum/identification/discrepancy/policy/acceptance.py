@@ -51,7 +51,9 @@ PLAIN_SHIFT = 4.0
 """Standard deviations from zero at which a shift in time must lie to stay in a model. Chosen."""
 MOST_TOGETHER = 8
 """Choices among effects that cannot be told apart that are tried together at most. Chosen."""
+EXACT_WORK = 1_000_000_000
+"""[samples] In which an exact structure has to be found. Chosen."""
 EXACT_TIME = 0.4
-"""Part of the time in which an exact structure has to be found. Chosen."""
+"""Part of the seconds that a user gives in which it has to be found. Chosen."""
 EXPLAINING_TIME = 0.5
-"""Part of the time of an improvement that `explain` gets; the rest is for estimating what it names. Chosen."""
+"""Part of the seconds that a user gives an improvement which `explain` gets; the rest is for estimating what it names. Chosen."""

@@ -55,3 +55,5 @@ RESAMPLES = 400
 """Draws of the blocks with replacement that say how often a candidate leads. Chosen."""
 MOST_STEPS = 4
 """Effects that join one after the other. Chosen."""
+SHARE_WORK = 400_000_000
+"""[samples] Of a search by share. Chosen."""

@@ -78,4 +78,6 @@ BLOCK_STARTS = 4
 """Starts of an effect that are looked at on blocks. Chosen."""
 
 MOST_THREADS = 4
-"""Pieces of work side by side. Chosen."""
+"""Threads for pieces of work side by side. Chosen."""
+AT_ONCE = 8
+"""Pieces of work that begin before it is asked again how much work is left, on every machine. Chosen."""

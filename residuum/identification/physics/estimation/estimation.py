@@ -34,6 +34,7 @@ from residuum.identification.physics.estimation.least_squares import (
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Runs, Simulator
+from residuum.identification.work import count_fit
 
 Array = npt.NDArray[np.float64]
 
@@ -155,6 +156,7 @@ def estimate(
     """
     if not experiments or not any(e.measured.any() for e in experiments):
         raise NotIdentifiable(f"model {model.name!r}: no output of it was measured; there is nothing to estimate from")
+    count_fit()
     names = tuple(model.free if free is None else free)
     problem = _Problem(Simulator(model), list(experiments), names, settings)
     start = [np.array(x) for x in initial] if initial is not None else problem.first_states()

@@ -26,6 +26,7 @@ from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman_recursions import kalman_filter, predict_ahead
 from residuum.identification.physics.simulate.kalman_recursions import smooth as adjoint_smoother
 from residuum.identification.physics.simulate.simulation import Simulator
+from residuum.identification.work import count_samples
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +99,7 @@ class Filter:
         """Filter (and smooth) one experiment from first states x0; `scales` are its `state_scales`, where they are known."""
         p = self.simulator.p()
         steps = substeps or self.simulator.substeps(experiment, x0, p)
+        count_samples(experiment.n * steps * (1 + len(self.columns)))
         z0 = np.concatenate([x0, np.zeros(len(self.balances))])
         P0, Q = self._covariances(experiment, state_scales(self.simulator, experiment, x0, steps) if scales is None else scales)
         arguments: tuple[Any, ...] = (

@@ -17,6 +17,7 @@ from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate import integration
 from residuum.identification.physics.simulate.block_means import means_in_blocks
 from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.work import count_samples
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -225,6 +226,7 @@ class Simulator:
         self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
         q, at = self.kernel.system, joined
+        count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
         return integration.simulate(q, at.U, at.starts, p, initial, at.sample_times, substeps, at.holds, at.follows, columns)
 
     def look(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None = None) -> dict[str, Array]:
