@@ -12,8 +12,9 @@ import pytest
 
 from residuum.identification.record_formats import write_record
 from residuum.service.fieldbus.can_bus import open_bus
+from residuum.service.fieldbus.can_log import read_can_log
 from residuum.service.fieldbus.register_trace import read_trace
-from residuum.service.fieldbus.replay import read_can_log, replay_to_can, replay_to_modbus
+from residuum.service.fieldbus.replay import replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 
 _spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).with_name("trained.py"))
@@ -49,7 +50,7 @@ def watched(free_port, free_channel):
 def replay(file, source, speed):
     if source.kind == "can":
         bus = open_bus(source.channel)
-        replay_to_can(read_can_log(file), bus, speed)
+        replay_to_can(read_can_log(file).frames, bus, speed)
         bus.close()
     else:
         registers, pages = read_trace(file)
