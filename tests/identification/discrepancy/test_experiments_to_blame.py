@@ -54,11 +54,11 @@ def held_in_its_loop(course, h, steps, stiffness, damping, weight, strain, frict
 
 def record_of_the_axis(stiffness, damping, **effects):
     rng = np.random.default_rng(3)
-    course = np.cumsum(np.concatenate([np.full(n, rng.uniform(-5.0, 5.0)) for n in rng.integers(100, 700, 40)])[:8000]) * 2e-3
-    course -= np.linspace(0.0, course[-1], 8000)
+    course = np.cumsum(np.concatenate([np.full(n, rng.uniform(-5.0, 5.0)) for n in rng.integers(100, 700, 40)])[:6000]) * 2e-3
+    course -= np.linspace(0.0, course[-1], 6000)
     names = ("weight", "strain", "friction", "rise", "cog")
     torque, angle, speed = held_in_its_loop(course, 2e-3, 60, stiffness, damping, *(effects.get(n, 0.0) for n in names))
-    channels = {"torque": torque, "angle": angle + 2e-4 * rng.normal(size=8000), "speed": speed + 0.01 * rng.normal(size=8000)}
+    channels = {"torque": torque, "angle": angle + 2e-4 * rng.normal(size=6000), "speed": speed + 0.01 * rng.normal(size=6000)}
     return Record(channels, {"torque": "N*m", "angle": "rad", "speed": "rad/s"}, 2e-3)
 
 
