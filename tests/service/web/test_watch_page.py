@@ -51,7 +51,7 @@ def test_the_guided_way_of_the_tutorial_by_clicking(run_service, open_page, legi
 
     key(page, "name").fill("fan")
     key(page, "channel").fill(channel)
-    key(page, "length").fill("4")
+    key(page, "length").fill("5")
     key(page, "map-file").set_input_files(RIG / "fan.dbc")
     expect(page.get_by_role("cell", name="n_fan")).to_be_visible()
     legible(page)
