@@ -12,6 +12,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.cli import run
+from residuum.service.settings import SETTINGS_FILE
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, known_revisions
 
@@ -155,11 +156,12 @@ BA_ "SampleTime" BO_ 514 0.1;
         (PACK.replace("8|16@1-", "8|57@1-"), 1, "WRONG .*has nothing to stream: .*current does not fit in message current"),
     ],
 )
-def test_a_dbc_file_is_said_to_stream_what_it_does(data, tmp_path, capsys, text, status, says):
+def test_a_dbc_file_is_said_to_stream_what_it_does(data, tmp_path, capsys, monkeypatch, text, status, says):
     (tmp_path / "bms.dbc").write_text(text)
     source = {"kind": "can", "channel": "virtual:doctor", "map": str(tmp_path / "bms.dbc")}
     machine = {"asset": "pack", "diagnoser": "robust-residual", "window": {"cut": "sliding"}, "sources": [source]}
     (tmp_path / "settings.json").write_text(json.dumps({"machines": [machine]}))
-    assert run(["doctor", "--data", str(data), "--settings", str(tmp_path / "settings.json")]) in (0, 1)
+    monkeypatch.setenv(SETTINGS_FILE, str(tmp_path / "settings.json"))
+    assert run(["doctor", "--data", str(data)]) in (0, 1)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "can bus" in line]
     assert re.match(says, line) and (status == 1) == line.startswith("WRONG")

@@ -119,7 +119,7 @@ def test_of_a_log_that_is_cut_in_the_middle_of_a_frame_what_came_before_stays(wr
     whole = path.read_bytes()
     for cut in range(len(whole) * 3 // 4, len(whole) * 3 // 4 + 40, 3):
         path.write_bytes(whole[:cut])
-        if whole[cut - 1 : cut] == b"\n" and ending != ".blf":
+        if whole[cut - 1 : cut] in (b"\n", b"\r") and ending != ".blf":
             continue
         log = read_can_log(path)
         record = read_can_record(path, dbc)
