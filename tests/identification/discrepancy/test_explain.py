@@ -99,8 +99,11 @@ def test_physics_outside_the_catalogue_is_not_claimed():
 def test_a_load_that_walks_at_random_is_not_taken_for_an_effect():
     """It has a mean, as a constant load and an off-centre spring have; only its wandering tells it apart."""
     walk = explain(load_model("gate-drive"), [drive({"x-random-walk-load": "medium"}, profile="rich", seed=1)])
-    constant = explain(load_model("gate-drive"), [drive({"constant-load": "medium"}, profile="rich", seed=1)])
     assert walk.verdict != "missing-effect"
+
+
+def test_a_constant_load_is_told_from_one_that_walks():
+    constant = explain(load_model("gate-drive"), [drive({"constant-load": "medium"}, profile="rich", seed=1)])
     assert (constant.verdict, constant.candidates[0].effect) == ("missing-effect", "constant-load")
 
 
@@ -124,11 +127,13 @@ def test_a_supply_with_a_resistance_is_not_taken_for_friction_under_load():
     assert values["k"] * values["u_ref"] == pytest.approx(0.1, rel=0.1)  # ohm
 
 
-def test_a_contact_that_nothing_leads_to_is_reached_from_its_special_case():
-    """Play is found from the spring that fits best, a stop where the measured speed says that the gate was."""
+def test_play_that_nothing_leads_to_is_reached_from_the_spring_that_fits_best():
     play = explain(load_model("gate-drive"), [drive({"backlash": "medium"}, duration=30.0, rate=500.0, profile="rich", seed=0)])
     assert play.candidates[0].effect == "backlash"
     assert play.candidates[0].parameters["gap"].value == pytest.approx(1.5, rel=0.02)
+
+
+def test_a_stop_that_nothing_leads_to_is_reached_where_the_measured_speed_says_that_the_gate_was():
     stopped = explain(load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)])
     assert stopped.candidates[0].effect == "end-stop"
     assert stopped.search.best.rmse[0] == pytest.approx(0.3, rel=0.1)  # the noise alone; it was a hundred times that
