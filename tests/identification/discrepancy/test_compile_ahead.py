@@ -6,7 +6,7 @@ import sys
 
 EXPLAINING = """
 import numba.core.event as event
-from residuum.identification.discrepancy.compare import compare
+from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.discrepancy.compile_ahead import compile_ahead
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.physics import load_model
