@@ -1,0 +1,45 @@
+"""One effect that may be missing, and what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from residuum.identification.physics import Key
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its standard deviation and unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect that may be missing, with what speaks for it.
+
+    `step` counts the effects that were accepted before it; the errors are RMS simulation errors of `output` before and after it was
+    added, on blocks that the fit has not seen; `share` is the part of the error's power that it takes away there.
+    """
+
+    effect: str
+    balance: str
+    probability: float
+    indistinguishable_from: tuple[str, ...]
+    parameters: Mapping[str, Quantity]
+    error_before: float
+    error_after: float
+    error_unit: str
+    output: str
+    within_bounds: bool
+    share: Quantity
+    step: int = 0
+    held_out: bool = True
+
+    @property
+    def key(self) -> Key:
+        """The effect at its place."""
+        return Key(self.effect, self.balance)
