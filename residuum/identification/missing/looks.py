@@ -121,8 +121,11 @@ def _substeps(model: PhysicalModel, parts: Sequence[Experiment], parent: Structu
     return [max(parent.steps[court.last.windows])] * len(parts)
 
 
-def look(seen: Glance, court: Court) -> Judged | None:
-    """The full fit, from the best of the short glances by way of the middle rung and from the best long ones; the best one judged."""
+def look(seen: Glance, court: Court, *, any_value: bool = False) -> Judged | None:
+    """The full fit, from the best of the short glances by way of the middle rung and from the best long ones; the best one judged.
+
+    None where all diverge or, unless `any_value` will do, their values refuse them.
+    """
     parent, best = seen.parent, None
     for kind, (_, model) in seen.seen.items():
         structure = Structure(seen.keys, model, parent.states, parent.steps)
@@ -132,7 +135,7 @@ def look(seen: Glance, court: Court) -> Judged | None:
             if near is None:
                 continue
             structure = structure.at(court.middle, near)
-        best = _lower(best, _fully(structure, seen, court), court)
+        best = _lower(best, _fully(structure, seen, court, any_value), court)
     return best
 
 
@@ -144,9 +147,11 @@ def follow(models: Sequence[PhysicalModel], seen: Glance, states: Structure, cou
     return best
 
 
-def _fully(structure: Structure, seen: Glance, court: Court) -> Judged | None:
+def _fully(structure: Structure, seen: Glance, court: Court, any_value: bool = False) -> Judged | None:
     found = court.judge(structure, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
-    return None if found is None or _is_absurd(found.model, seen) or not _shows(found.model, seen, court) else found
+    if found is None or any_value:
+        return found
+    return None if _is_absurd(found.model, seen) or not _shows(found.model, seen, court) else found
 
 
 def _lower(one: Judged | None, other: Judged | None, court: Court) -> Judged | None:

@@ -1,0 +1,222 @@
+"""Improve: add effects to a model, re-estimate it, and count the error on data that were not used for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.blas_threads import one_thread
+from residuum.identification.errors import BadModel, NotIdentifiable
+from residuum.identification.missing.data import Data, matched
+from residuum.identification.missing.explain import Explanation, doubts_of, explain, remaining
+from residuum.identification.missing.following import followed
+from residuum.identification.missing.improvement import Improvement, Step, with_provenance
+from residuum.identification.missing.judged import Judged
+from residuum.identification.missing.kept_aside import Split, error_on, split
+from residuum.identification.missing.ladder import climb_at_likelier_timing
+from residuum.identification.missing.looks import Court, glance, look
+from residuum.identification.missing.proposals import freed, without_idle
+from residuum.identification.missing.search import Search, Tell, begun, chain, untold
+from residuum.identification.missing.structure import fitted
+from residuum.identification.physics import Key, PhysicalModel, candidates
+from residuum.identification.physics.model import find_effect, tied_to
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.work import at_most
+
+Array = npt.NDArray[np.float64]
+Found = list[tuple[str | None, Judged]]
+"""What was added (None: the model as it was), and the structure then."""
+
+
+@one_thread()
+def improve(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    *,
+    add: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    free: Sequence[str] = (),
+    learned: bool = False,
+    seconds: float | None = None,
+    tell: Tell = untold,
+) -> Improvement:
+    """Add the effects `add` (id or id@target), or with None those that `explain` names.
+
+    The errors of the history are those on data that the estimate has not seen: every block in turn, or what is kept aside of several
+    records or by a record's note. Values that the model fixes stay, but for those named in `free`. Where the error does not fall, what
+    `explain` names does not join, and the model is returned as it was. The verdict is that of `compare` on the returned model, `improved`
+    or `not-improved` where the effects were asked for.
+
+    Raises
+    ------
+    BadModel
+        An effect that is not in the catalogue, does not fit the model, or fits several places and names none; a name in `free` that is no
+        fixed parameter.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    _check_fixed(model, free)
+    for id in add or ():
+        find_effect(_parts(id).effect)
+    parts = split(records)
+    with at_most() as work:
+        start = freed(model, free)
+        if add is None:
+            told: Tell = lambda share, doing: tell(0.8 * share, doing)  # noqa: E731
+            given = {"effects": effects, "learned": learned, "seconds": seconds, "tell": told}
+            explanation: Explanation | None = explain(start, parts.training, mapping, **given)  # type: ignore[arg-type]
+            found = explanation.search  # type: ignore[union-attr]
+            keys = [k for k in found.best.keys if k not in {Key("value", h.name) for h in explanation.held}]  # type: ignore[union-attr]
+            if explanation.held:  # type: ignore[union-attr]
+                found = _joined(matched(start, parts.training, mapping), keys)
+        else:
+            explanation = None
+            start = _with_columns_of(start, records, add)
+            keys = [_resolved(start, id) for id in add]
+            found = _joined(matched(start, parts.training, mapping), keys)
+        tell(0.85, "estimating on everything")
+        as_it_was = [(None, _alone(model, found, mapping, parts))] if free else []
+        ordered = _ordered(found, keys, asked=add is not None)
+        first = f"{' and '.join(free)} freed" if free else None
+        steps: Found = [*as_it_was, (first, found.base), *((key.effect, one) for key, one in ordered)]
+        return _answer(model, records, mapping, found, steps, parts, explanation, work, asked=add is not None)
+
+
+def _answer(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    found: Search,
+    steps: Found,
+    parts: Split,
+    explanation: Explanation | None,
+    work: object,
+    *,
+    asked: bool,
+) -> Improvement:
+    hold = found.court.data.experiments[0].hold
+    errors = [
+        error_on(one.model, parts, mapping, hold[: len(one.model.inputs)]) if parts.testing else one.rms for _, one in steps
+    ]
+    o = _output(errors)
+    output = list(found.base.model.outputs.values())[o]
+    history = [
+        Step(name, float(error[o]), remaining(replace_best(found, one)) if not parts.testing else None)
+        for (name, one), error in zip(steps, errors, strict=True)
+    ]
+    fell = history[-1].error < history[0].error
+    if not fell and not asked:
+        history, better = history[:1], _estimated(found.base, found, records, mapping, parts)
+    else:
+        better = _estimated(steps[-1][1], found, records, mapping, parts)
+    improved = with_provenance(better.model, doubts_of(replace_best(found, better)), records, history, output.name, output.unit)
+    improved = without_idle(improved, model)
+    if asked:
+        verdict = "improved" if fell else "not-improved"
+    else:
+        verdict = "unknown-effect" if compare(improved, records, mapping).present else "adequate"
+    return Improvement(improved, tuple(history), verdict, output.name, output.unit, explanation, parts.aside, work)  # type: ignore[arg-type]
+
+
+def replace_best(found: Search, best: Judged) -> Search:
+    """What was found, with another structure as the best."""
+    return Search(found.court, found.base, best, found.along, found.every, [], found.tried)
+
+
+def _output(errors: Sequence[Array]) -> int:
+    """The output whose error falls most."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = errors[-1] / errors[0]
+    return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
+
+
+def _ordered(found: Search, keys: Sequence[Key], *, asked: bool) -> list[tuple[Key, Judged]]:
+    """The effects and the structures with them: as they were asked for, or in the order in which each takes away most."""
+    if not asked:
+        return [(key, after) for key, _, after in chain(found, keys)]
+    return [(key, found.every[tuple(sorted(keys[: k + 1]))]) for k, key in enumerate(keys)]
+
+
+def _joined(data: Data, keys: Iterable[Key]) -> Search:
+    """The effects joined one after the other, whatever they do."""
+    found = begun(climb_at_likelier_timing(data))
+    for key in keys:
+        parent = found.best
+        along = followed(parent.model, found.court.data, parent.errors, found.court.last)
+        seen = None if along is None else glance(parent.structure, key, along, found.court)
+        one = None if seen is None else look(seen, found.court, any_value=True)
+        if one is None:
+            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it")
+        found.every[one.keys] = one
+        found.best = one
+    return found
+
+
+def _alone(model: PhysicalModel, found: Search, mapping: Mapping[str, str] | None, parts: Split) -> Judged:
+    """The model with its values held, judged as what was found is."""
+    data = replace(found.court.data, model=matched(model, parts.training, mapping).model)
+    structure = replace(found.base.structure, model=data.model)
+    court = Court(data, found.court.last, found.court.middle, found.court.scale)
+    one = court.judge(structure, steps=20, tolerance=1e-5)
+    return found.base if one is None else one
+
+
+def _estimated(one: Judged, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None, parts: Split) -> Judged:
+    """The structure estimated on everything."""
+    if not parts.testing:
+        return one
+    court = found.court
+    everything = matched(one.model, records, mapping)
+    everything = replace(
+        everything, experiments=[replace(e, hold=court.data.experiments[0].hold) for e in everything.experiments]
+    )
+    rung = (
+        everything.rung(court.last.windows)
+        if any(r.windows == court.last.windows for r in everything.rungs)
+        else everything.rungs[-1]
+    )
+    again = Court(everything, rung, rung, court.scale)
+    estimate = fitted(one.model, rung.parts, None, court.scale, steps=20, tolerance=1e-6)
+    if estimate is None:
+        return one
+    judged = again.judge(one.structure.at(rung, estimate), steps=3, tolerance=1e-6)
+    return one if judged is None else judged
+
+
+def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
+    fixed = [name for name, p in model.parameters.items() if p.fixed]
+    if unknown := [name for name in names if name not in fixed]:
+        there = ", ".join(fixed) or "none"
+        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; there are {there}")
+
+
+def _with_columns_of(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]) -> PhysicalModel:
+    """The model with those columns of the records among its inputs that a forgotten input is to be tied to."""
+    for name in [n for id in ids for n in tied_to(id) if find_effect(_parts(id).effect).takes_columns]:
+        if name not in model.inputs and all(name in record.names for record in records):
+            model = model.with_input(name, records[0].units.get(name, ""))
+    return model
+
+
+def _parts(id: str) -> Key:
+    """Effect and target of `id@target` or `id:target`; no target where none is said."""
+    name, _, target = id.replace(":", "@", 1).partition("@")
+    return Key(name, target)
+
+
+def _resolved(model: PhysicalModel, id: str) -> Key:
+    name, target = _parts(id)
+    fitting = [t for _, t in candidates(model, [name])]
+    if target:
+        model.with_effect(name, target)
+        return Key(name, target)
+    if not fitting:
+        raise BadModel(f"effect {name!r}: fits no balance, input or output of model {model.name!r}, or is in it already")
+    if len(fitting) > 1:
+        raise BadModel(f"effect {name!r}: fits {', '.join(fitting)}; say which, as {name}@{fitting[0]}")
+    return Key(name, fitting[0])

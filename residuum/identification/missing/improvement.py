@@ -1,0 +1,83 @@
+"""What an improvement is: the model with provenance, and how its error on data kept aside fell."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from residuum.identification.missing.candidate import Candidate, Quantity
+from residuum.identification.missing.explain import Explanation, Remaining
+from residuum.identification.physics import EffectUse, PhysicalModel
+from residuum.identification.record import Record
+from residuum.identification.work import Work
+
+_ERROR_AFTER, _STD = "error_after", "std_"
+"""Keys of an effect's provenance: the held-out error with it, and the standard deviation of a parameter."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One line of the history: what was added (None: the model as it was), the held-out error after it, and what remains then."""
+
+    added: str | None
+    error: float
+    remaining: Remaining | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """The improved model with provenance, and how its error on held-out data (`aside`) fell, in `error_unit` of `output`.
+
+    `work` is what it took, and what was not tried.
+    """
+
+    model: PhysicalModel
+    history: tuple[Step, ...]
+    verdict: str
+    output: str
+    error_unit: str
+    explanation: Explanation | None
+    aside: str
+    work: Work
+
+    @property
+    def added(self) -> list[EffectUse]:
+        """The effects that joined, estimated on everything; `quantities_of` tells their sizes."""
+        ids = [step.added for step in self.history]
+        return [use for use in self.model.effects if use.id in ids and _ERROR_AFTER in use.provenance]
+
+    def candidate(self, use: EffectUse) -> Candidate | None:
+        """An effect that was added, as `explain` judged it; None where it was asked for."""
+        candidates = () if self.explanation is None else self.explanation.candidates
+        return next((c for c in candidates if c.key == use.key), None)
+
+
+def with_provenance(
+    model: PhysicalModel, std: Mapping[str, float], records: Sequence[Record], history: Sequence[Step], output: str, unit: str
+) -> PhysicalModel:
+    """Each effect with its records, date, held-out error before and after, and the standard deviation of its parameters."""
+    for before, after in pairwise(history):
+        use = next((u for u in model.effects if u.id == after.added and _ERROR_AFTER not in u.provenance), None)
+        if use is None:
+            continue
+        note = {
+            "records": ", ".join(record.source for record in records),
+            "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+            "output": output,
+            "error_before": before.error,
+            _ERROR_AFTER: after.error,
+            "error_unit": unit,
+        }
+        note |= {_STD + n: float(s) for n in use.parameters if np.isfinite(s := std.get(f"{use.label}.{n}", np.nan))}
+        model = model.with_provenance(use.label, note)
+    return model
+
+
+def quantities_of(use: EffectUse) -> dict[str, Quantity]:
+    """The parameters of an effect that was added, with their standard deviations: 0 where held, infinite where undetermined."""
+    doubts = {n: 0.0 if p.fixed else float(use.provenance.get(_STD + n, np.inf)) for n, p in use.parameters.items()}
+    return {n: Quantity(p.value, doubts[n], p.unit) for n, p in use.parameters.items()}
