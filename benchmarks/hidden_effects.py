@@ -21,7 +21,6 @@ import orjson
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
-from residuum.identification.discrepancy.join_effects import added
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
@@ -178,18 +177,17 @@ def _explained(case: Case) -> dict[str, Any]:
         "group": [first.effect, *first.indistinguishable_from] if first else [],
         "chi_square": chi_square(case, explanation) if case.family in SINGLE else None,
         "probability": group_probability(explanation),
-        "accepted": [key[0] for key in explanation.search.accepted],
+        "accepted": [key[0] for key in explanation.accepted],
         "unknown": explanation.probability_unknown,
         "seconds": explanation.seconds,
     }
 
 
 def chi_square(case: Case, explanation: Explanation) -> float:
-    """Twice the log-likelihood that the hidden effect gains over the refitted base: how much of it the record can show."""
-    search, id = explanation.search, case.hidden[0][0]
-    known = [s for key, s in search.alternatives[0].items() if key[0] == id] if search.alternatives else []
-    fitted = known or [added(search.base, explanation.experiments, key) for key in candidates(search.base.model, [id])]
-    return 2.0 * max((s.log_likelihood - search.base.log_likelihood for s in fitted if s is not None), default=0.0)
+    """Twice the log-likelihood that the hidden effect gains over the base where errors are noise: how much the record can show."""
+    found, id = explanation.search, case.hidden[0][0]
+    gains = [found.base.seen - one.seen for keys, one in found.every.items() if len(keys) == 1 and keys[0].effect == id]
+    return 2.0 * max(gains, default=0.0) if found.court.scale.nats else 0.0
 
 
 def group_probability(explanation: Explanation) -> float:

@@ -1,1 +1,1 @@
-"""Compare a model with measurements: where it fails, which effect is missing, what adding it does."""
+"""Which physical effect does a model lack? One judge: free simulation, on blocks that the fit has not seen."""

@@ -21,9 +21,8 @@ class Quantity:
 class Candidate:
     """One effect that may be missing, with what speaks for it.
 
-    `step` counts the effects that were accepted before it; `evidence` is its log odds against "nothing more is missing";
-    the errors are RMS simulation errors of `output` before and after it was added, on data that were not used for the
-    estimation where `held_out` says so; `share` is the part of the error's power that it takes away on blocks kept aside.
+    `step` counts the effects that were accepted before it; the errors are RMS simulation errors of `output` before and after it
+    was added, on blocks that the fit has not seen; `share` is the part of the error's power that it takes away there.
     """
 
     effect: str
@@ -36,10 +35,9 @@ class Candidate:
     error_unit: str
     output: str
     within_bounds: bool
-    evidence: float
+    share: Quantity
     step: int = 0
-    held_out: bool = False
-    share: Quantity | None = None
+    held_out: bool = True
 
     @property
     def key(self) -> Key:

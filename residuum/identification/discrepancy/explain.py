@@ -4,35 +4,53 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.block_cutting import blocks_of
+from residuum.identification.discrepancy.advice import NextExperiment, Undetectable, next_experiments, undetectable
 from residuum.identification.discrepancy.candidate import Candidate
-from residuum.identification.discrepancy.completeness import at_the_noise, is_incomplete
-from residuum.identification.discrepancy.experiments_to_blame import searched
-from residuum.identification.discrepancy.free_term import FreeTerm, free_term
-from residuum.identification.discrepancy.held_out_blocks import Blocks
-from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
-from residuum.identification.discrepancy.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.judgement import Judgement, judge
-from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
-from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
-from residuum.identification.discrepancy.policy.blocks import SHARE_WORK
-from residuum.identification.discrepancy.proposals import informed
-from residuum.identification.discrepancy.remaining import Remaining, remaining_on
-from residuum.identification.discrepancy.search import Tell, untold
-from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.share_judgement import as_search, does_better, judged, with_shares
-from residuum.identification.discrepancy.share_search import ShareSearch, search_by_share
-from residuum.identification.discrepancy.structures import times_each_its_innovations
-from residuum.identification.discrepancy.visibility import Undetectable, undetectable
-from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect, match
+from residuum.identification.discrepancy.data import Data, data_of, matched
+from residuum.identification.discrepancy.following import followed
+from residuum.identification.discrepancy.free_term import FreeTerm, free_terms
+from residuum.identification.discrepancy.ladder import climb_at_likelier_timing
+from residuum.identification.discrepancy.policy import MOST_EFFORT
+from residuum.identification.discrepancy.proposals import HELD, forgotten_columns
+from residuum.identification.discrepancy.search import Search, Tell, Wanted, search, untold
+from residuum.identification.discrepancy.structure import fitted
+from residuum.identification.discrepancy.verdict import Step, is_timing, share_of, steps_of, verdict_on
+from residuum.identification.physics import Key, PhysicalModel, find_effect, noise_floor, with_coloured_noise
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.work import OutOfWork, Work, at_most, begun, left_out
+from residuum.identification.residual_analysis.input_timing import innovation_variance, innovations_of, turned_timing
+from residuum.identification.work import Work, at_most
+
+
+@dataclass(frozen=True)
+class HeldValue:
+    """A parameter's value in the model, where it is fixed, and the one that the records ask for, with its standard deviation.
+
+    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the area that drives it).
+    """
+
+    name: str
+    held: float
+    value: float
+    std: float
+    unit: str
+    indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """What a model leaves on unseen blocks: `share` of the power of the model as it was, `times_noise` the largest RMS error
+    over its measurement noise, and the block of time `where` (from, to) [s] in which most of it lies.
+    """
+
+    share: float
+    times_noise: float
+    where: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,21 +66,25 @@ class Explanation:
         "unknown" to at most one.
     probability_none, probability_unknown : float
     unexplained_share : float
-        Part of what could be explained that no candidate explains.
+        Part of what could be explained that only a free term explains.
     free : FreeTerm or None
-        The smooth term that best explains the rest.
+        The smooth term that takes away most of the rest.
     undetectable, next_experiment
         What this experiment cannot show, and what would.
-    finer : int
-        How many times shorter than usual the windows of `experiments` are.
+    accepted, timing : tuple of Key
+        The effects that joined, and shifts in time by less than a sample: how the record was taken.
+    drifting : bool
+        Whether an unknown load that wanders in time does more than any effect.
+    left : mapping of output
+        RMS error that the best structure leaves, its unit, and how often that is what its own past cannot predict.
     held : tuple of HeldValue
-        Parameters that the model holds fixed and that were freed, for another value does more than any effect.
-    by_share : bool
-        Whether the effects were named by what they take away on blocks kept aside, for no structure of the catalogue is exact.
-    remaining : Remaining or None
-        What the model with the accepted effects leaves on those blocks; None where the records are too short for any.
+        Parameters that the model holds fixed, and that the records ask otherwise.
+    remaining : Remaining
+        What the model with the accepted effects leaves on unseen blocks.
     work : Work
-        Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
+        Samples simulated, fits made, and what was not tried.
+    search : Search
+        Everything that was tried.
     """
 
     verdict: str
@@ -72,24 +94,16 @@ class Explanation:
     unexplained_share: float
     free: FreeTerm | None
     undetectable: tuple[Undetectable, ...]
-    next_experiment: tuple[Proposal, ...]
-    search: Search
-    experiments: list[Experiment]
-    finer: int
+    next_experiment: tuple[NextExperiment, ...]
+    accepted: tuple[Key, ...]
+    timing: tuple[Key, ...]
+    drifting: bool
+    left: Mapping[str, tuple[float, str, float]]
     held: tuple[HeldValue, ...]
-    by_share: bool
-    remaining: Remaining | None
+    remaining: Remaining
     work: Work
+    search: Search
     seconds: float
-
-    @property
-    def left(self) -> dict[str, tuple[float, str, float]]:
-        """What the model with the accepted effects leaves of each measured output: RMS error, its unit, and how often that is
-        what its own past cannot predict (`SLOW` and more: something slow is missing, or drifts).
-        """
-        best = self.search.best
-        each = zip(best.model.outputs.values(), best.rmse, times_each_its_innovations(best), strict=True)
-        return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}
 
 
 @one_thread()
@@ -115,7 +129,7 @@ def explain(
     effects : iterable of effect id
         Consider only these (default: all that fit the model).
     learned : bool
-        Where nothing with a name is real, learn a curve over one signal.
+        Consider curves to be learned over one signal, too.
     seconds : float, optional
         Time after which the search is left as well as after its work; the answer then depends on the machine, and says so.
     tell : callable
@@ -128,158 +142,131 @@ def explain(
     Raises
     ------
     BadRecord, BadUnit, BadModel
-        Columns that do not fit the model; an effect that is not in the catalogue.
+        Columns that do not fit the model, records too short; an effect that is not in the catalogue.
     NotIdentifiable
         The model diverges on a record.
 
     Notes
     -----
-    Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
-    then named as a group).
+    Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are then
+    named as a group).
     """
     began = time.perf_counter()
-    wanted = None if effects is None else tuple(effects)
+    wanted = Wanted(None if effects is None else tuple(effects), learned)
+    for id in wanted.effects or ():
+        find_effect(id)
     with at_most() as work:
-        found = _explained(model, records, mapping, wanted, learned, seconds, tell)
-    return replace(found, work=work, seconds=time.perf_counter() - began)
+        data = with_forgotten(matched(model, records, mapping), wanted)
+        with at_most(MOST_EFFORT, seconds):
+            found = at_its_timing(search(data, wanted, tell), wanted, tell)
+        tell(0.8, "what is left")
+        return _answer(found, wanted, records, mapping, work, began)
 
 
-def _explained(
-    model: PhysicalModel,
+def with_forgotten(data: Data, wanted: Wanted) -> Data:
+    """The data with those spare columns as idle inputs that what a balance lacks resembles."""
+    asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
+    if not asked or not any(e.spare for e in data.experiments):
+        return data
+    along = followed(climb_at_likelier_timing(data).structure.model, data)
+    return data if along is None else data.with_columns(forgotten_columns(data.model, along))
+
+
+def at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
+    """The search at the other input timing, where what was found fits better there: the timing was chosen without it."""
+    court, best = found.court, found.best
+    if not best.keys:
+        return found
+    other = data_of(court.data.model, turned_timing(court.data.experiments))
+    rung = other.rung(court.last.windows)
+    states = best.structure.states[court.last.windows]
+    turned = fitted(best.model, rung.parts, states, court.scale, steps=10, tolerance=1e-4)
+    here = innovations_of(np.split(best.errors, court.last.starts[1:-1]))
+    if turned is None or innovations_of(turned.residuals) >= here:
+        return found
+    return search(other, wanted, tell, turn=False)
+
+
+def _answer(
+    found: Search,
+    wanted: Wanted,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
-    wanted: Sequence[str] | None,
-    learned: bool,
-    seconds: float | None,
-    tell: Tell,
+    work: Work,
+    began: float,
 ) -> Explanation:
-    began = time.perf_counter()
-    model, whole = _informed(model, records, mapping, wanted)
-    exact, shares = _exact_in_bounds(model, records, mapping, wanted, seconds, tell), None
-    structured = exact is not None and _is_structured(exact.found, records, mapping)
-    if exact is None or structured or _leaves_more_than_noise(exact.found):
-        tell(0.5, "what takes away most on blocks kept aside")
-        with at_most(SHARE_WORK, None if seconds is None else seconds - (time.perf_counter() - began)):
-            shares = search_by_share(model, whole, wanted, learned=learned)
-    blocks = blocks_of(model, whole) if shares is None else shares.blocks
-    by_share = exact is None or _is_inexact(exact.found, shares)
-    last = _taken_by_share(model, records, mapping, wanted, shares) if exact is None or by_share else exact
-    found, experiments = last.found, last.experiments
-    tell(0.75, "drawing what no effect explains")
-    free = free_term(found.best, experiments)
-    if by_share:
-        judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0) if shares is None else judged(shares, found)
-    else:
-        judgement = _judged_as_exact(last, free, blocks, structured)
-    tell(0.85, "what could not have been seen, and the next experiment")
+    best = found.best
+    stds = doubts_of(found)
+    adequate = not compare(best.model, records, mapping).present
+    free = free_terms(found.base, found.court)
+    verdict = verdict_on(found, free, stds, adequate=adequate)
+    steps = steps_of(found)
+    rest = free_terms(best, found.court) if best.keys else free
     return Explanation(
-        verdict=judgement.verdict,
-        candidates=judgement.candidates,
-        probability_none=judgement.none,
-        probability_unknown=judgement.unknown,
-        unexplained_share=judgement.unexplained_share,
-        free=free,
-        undetectable=undetectable(found),
-        next_experiment=next_experiments(found, judgement.candidates, experiments),
+        verdict=verdict.verdict,
+        candidates=verdict.candidates,
+        probability_none=verdict.none,
+        probability_unknown=verdict.unknown,
+        unexplained_share=_unexplained(found, rest),
+        free=next(iter(rest), None),
+        undetectable=undetectable(found, wanted, found.along),
+        next_experiment=next_experiments(found, verdict.candidates),
+        accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
+        timing=tuple(s.key for s in steps if is_timing(s.key, found)),
+        drifting=verdict.unknown > 0.5 and bool(free) and free[0].axis == "time",
+        left=_left(found),
+        held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
+        remaining=remaining(found),
+        work=work,
         search=found,
-        experiments=experiments,
-        finer=last.finer,
-        held=held_values(model, last.doubted, found.best),
-        by_share=by_share,
-        remaining=None if blocks is None else remaining_on(found.best.model, blocks),
-        work=begun(),
         seconds=time.perf_counter() - began,
     )
 
 
-def _informed(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None
-) -> tuple[PhysicalModel, list[Experiment]]:
-    """The model with columns of the records that may be forgotten inputs, and the whole records as its experiments."""
-    _, whole = match(model, records, mapping)
-    if wanted is not None and not any(find_effect(id).takes_columns for id in wanted):
-        return model, whole
-    knowing = informed(model, whole)
-    return knowing, whole if knowing is model else match(knowing, records, mapping)[1]
+def doubts_of(found: Search) -> dict[str, float]:
+    """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
+    last, best = found.court.last, found.best
+    states = best.structure.states[last.windows]
+    estimate = fitted(best.model, last.parts, states, found.court.scale, steps=1, tolerance=1e-3)
+    if estimate is None:
+        return {}
+    std = np.sqrt(np.maximum(np.diag(with_coloured_noise(estimate, last.parts).covariance), 0.0))
+    return dict(zip(estimate.parameters, std.tolist(), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class _Exact:
-    """What a search found, exactly or by share, the experiments, how fine they are cut, and the fixed values that are doubted."""
-
-    found: Search
-    experiments: list[Experiment]
-    finer: int
-    doubted: list[list[str]]
-
-
-def _exact_in_bounds(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-    wanted: Sequence[str] | None,
-    seconds: float | None,
-    tell: Tell,
-) -> _Exact | None:
-    """What the search for an exact structure found with its part of the work; None where it is not done by then."""
-    try:
-        with at_most(EXACT_WORK, None if seconds is None else EXACT_TIME * seconds):
-            return _exact(model, records, mapping, wanted, tell)
-    except OutOfWork:
-        left_out("the search for an exact structure, to its end")
-        tell(0.5, "no exact structure was found with the work for it")
-        return None
+def _unexplained(found: Search, rest: Sequence[FreeTerm]) -> float:
+    """Part of what could be explained that only the best free term explains."""
+    if not rest:
+        return 0.0
+    named = max(found.base.cost - found.best.cost, 0.0)
+    more = max(found.best.cost - rest[0].cost, 0.0)
+    return more / (more + named) if more > 0.0 else 0.0
 
 
-def _taken_by_share(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-    wanted: Sequence[str] | None,
-    shares: ShareSearch | None,
-) -> _Exact:
-    """What was accepted by its share in the place of an exact structure; nothing where no blocks could be cut."""
-    experiments, base = experiments_and_base(model, records, mapping)
-    count = len(candidates(model, wanted))
-    found = Search(base, base, count) if shares is None else as_search(shares, base, experiments, count)
-    return _Exact(found, experiments, 1, [])
+def remaining(found: Search) -> Remaining:
+    """What the best structure leaves on unseen blocks."""
+    data, best = found.court.data, found.best
+    Y = np.concatenate([e.Y for e in data.experiments])
+    noise = np.nan_to_num(noise_floor(Y))
+    times = best.rms[data.measured] / np.where(noise > 0.0, noise, np.nan)[data.measured]
+    largest = float(np.nanmax(times)) if np.isfinite(times).any() else float("inf")
+    where = int(np.argmax(found.court.scale.by_block(best.power)))
+    return Remaining(1.0 - share_of(found.base, best).value, largest, data.times_of(where))
 
 
-def _judged_as_exact(exact: _Exact, free: FreeTerm | None, blocks: Blocks | None, structured: bool) -> Judgement:
-    """The judgement on an exact structure, with shares; never `adequate` where `compare` finds what is left `structured`."""
-    judgement = judge(exact.found, free, incomplete=is_incomplete(exact.found, exact.experiments))
-    if blocks is not None:
-        judgement = replace(judgement, candidates=with_shares(judgement.candidates, exact.found, blocks))
-    if judgement.verdict == "adequate" and structured:
-        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
-    return judgement
+def _left(found: Search) -> dict[str, tuple[float, str, float]]:
+    best, parts = found.best, np.split(found.best.errors, found.court.last.starts[1:-1])
+    told = {}
+    for o, output in enumerate(best.model.outputs.values()):
+        if found.court.data.measured[o]:
+            errors = [p[:, o] for p in parts]
+            rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+            told[output.name] = (rms, output.unit, rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300))
+    return told
 
 
-def _exact(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None, tell: Tell
-) -> _Exact:
-    doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
-    while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
-        doubted.append(names)
-        again = freed(model, [names[0] for names in doubted])
-        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
-    return _Exact(found, experiments, finer, doubted)
-
-
-def _is_inexact(found: Search, shares: ShareSearch | None) -> bool:
-    """Whether the structure found leaves more than noise, and what explains most on blocks kept aside does better there."""
-    return shares is not None and bool(shares.accepted) and does_better(shares, found.best.model)
-
-
-def _is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> bool:
-    """Whether `compare` finds structure in what is left, where nothing was found that is missing, and nothing that drifts."""
-    return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
-
-
-def _leaves_more_than_noise(found: Search) -> bool:
-    """Whether a search for an exact structure ended without one.
-
-    What drifts has a mean in every neighbouring block, and an effect would stand for it: then nothing is named.
-    """
-    return not found.drifting and not at_the_noise(found.best)
+def _held(step: Step, found: Search, stds: Mapping[str, float]) -> HeldValue:
+    name = step.key.target
+    before, now = found.court.data.model.parameters[name], found.best.model.parameters[name]
+    alike = [k.target for one in step.group for k in one.keys if k.effect == HELD and k.target != name]
+    return HeldValue(name, before.value, now.value, float(stds.get(name, 0.0)), now.unit, tuple(dict.fromkeys(alike)))

@@ -1,135 +1,102 @@
-"""The free term: what any smooth function of one signal, in one balance, would explain beyond a structure.
+"""The free term: what any smooth function of one signal, in one balance, would take away on unseen blocks.
 
 It stands for the effects that the catalogue does not have. A balance receives Σ c_j·φ_j(axis) with hat functions φ_j on a
 signal of the model (velocity, position, current, temperature, level, time); its effect on the outputs is propagated through the
-linearised model and c is found by whitened least squares together with the free parameters and initial states. It pays for
-every coefficient.
+model linearised along its simulation, and c follows from the same equations as the parameters. A name stands only where no such
+function does plainly more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.evidence import tempered
-from residuum.identification.discrepancy.first_order import first_order_fit
+from residuum.identification.discrepancy.judged import Equations, Judged, equations, summed
 from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
-from residuum.identification.discrepancy.policy.answers import FACTOR_KNOTS, FREE_TERM_KNOTS
-from residuum.identification.discrepancy.policy.likelihood import FREE_TERM_RIDGE
-from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.discrepancy.looks import Court
+from residuum.identification.discrepancy.structure import fitted
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
-from residuum.identification.residual_analysis.innovations import Noises
 from residuum.identification.side_by_side import side_by_side
 
-FloatArray = npt.NDArray[np.float64]
+Array = npt.NDArray[np.float64]
+KNOTS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
+"""Axes of the free term, and how many hat functions stand on each."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeTerm:
-    """The best free term.
+    """One free term: where it acts, the signal it is a function of, its curve (`value` in `unit` over `at`), and its errors.
 
-    Attributes
-    ----------
-    balance, axis, unit : str
-        Where it acts, the signal it is a function of, the unit of its value.
-    at, value : array, shape (knots,)
-        The curve: the term at these values of the axis.
-    rest : float
-        Power of the residual that remains, outputs in units of their innovations' scale.
-    gain : float
-        Log-likelihood gain over the structure, coefficients paid for.
-    evidence : float
-        The same, tempered, and less the logarithm of the number of free terms tried.
+    `power` (blocks, measured outputs) in the court's scale, on blocks that it has not seen; it has so many `parameters` more.
     """
 
     balance: str
     axis: str
     unit: str
-    at: FloatArray
-    value: FloatArray
-    rest: float
-    gain: float
-    evidence: float
+    at: Array
+    value: Array
+    power: Array
+    parameters: int
+    cost: float
 
 
-def free_term(structure: Structure, experiments: Sequence[Experiment]) -> FreeTerm | None:
-    """The free term that explains most beyond the structure; None when the model has nowhere to put one."""
-    model = structure.model
-    responses = [
-        linear_response(model, e, x, s) for e, x, s in zip(experiments, structure.initial, structure.substeps, strict=True)
-    ]
-    if not all(np.all(np.isfinite(r.F)) for r in responses):
-        return None
+def free_terms(one: Judged, court: Court) -> list[FreeTerm]:
+    """Every free term beside a structure, the best first; none where the model diverges or has nowhere to put one."""
+    last, model = court.last, one.model
+    found = fitted(model, last.parts, one.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
+    at = None if found is None else equations(found.model, found, last, court.scale)
+    if found is None or at is None:
+        return []
+    each = zip(last.parts, found.initial, found.substeps, strict=True)
+    responses = [linear_response(found.model, e, x, s) for e, x, s in each]
+    if not all(np.all(np.isfinite(r.F)) and np.all(np.isfinite(r.C)) for r in responses):
+        return []
+    kernel = at
 
-    def fitted(term: tuple[str, str, FloatArray, list[FloatArray]]) -> FreeTerm:
-        balance, axis, knots, terms = term
-        columns = [e.means(r.to(balance, t)) for e, r, t in zip(experiments, responses, terms, strict=True)]
-        by_parameters = [np.concatenate([J, c], axis=2) for J, c in zip(structure.by_parameters, columns, strict=True)]
-        step, pointwise, rest = first_order_fit(
-            structure, structure.residuals, by_parameters, structure.by_states, ridge=FREE_TERM_RIDGE
-        )
-        price = 0.5 * terms[0].shape[1] * np.log(structure.samples)
-        d = pointwise - structure.pointwise
-        unit = model.balances[balance].unit if axis in FREE_TERM_KNOTS else ""  # a factor has none
-        value, power = step[len(structure.parameters) :], scaled_power(rest, structure.noises)
-        return FreeTerm(balance, axis, unit, knots, value, power, float(d.sum()) - price, tempered(d) - price)
+    def judged(term: tuple[str, str, Array, list[Array]]) -> FreeTerm:
+        return _judged(term, one, court, kernel, responses)
 
-    found = side_by_side(fitted, list(_terms(structure, experiments, responses)))
-    if not found:
-        return None
-    best = max(found, key=lambda term: term.gain)
-    return replace(best, evidence=best.evidence - float(np.log(len(found))))
+    terms = list(_terms(found.model, last.parts, responses))
+    return sorted(side_by_side(judged, terms), key=lambda term: term.cost)
 
 
-def scaled_power(residuals: Sequence[FloatArray], noises: Noises) -> float:
-    """Σ over outputs of the residual's mean square in units of the innovations' squared scale."""
-    stacked = np.concatenate(residuals)
-    return float(
-        sum(np.nanmean(stacked[:, o] ** 2) / noise.innovation_variance for o, noise in enumerate(noises) if noise is not None)
-    )
+def _judged(
+    term: tuple[str, str, Array, list[Array]], one: Judged, court: Court, at: Equations, responses: Sequence[LinearResponse]
+) -> FreeTerm:
+    balance, axis, knots, hats = term
+    scale, last = court.scale, court.last
+    measured = scale.weights > 0.0
+    columns = np.concatenate([r.to(balance, h) for r, h in zip(responses, hats, strict=True)])
+    columns = scale.whitened(columns * scale.weights[:, None], at.starts)[:, measured]
+    columns[~at.known] = 0.0
+    extra, clip = at.beside_states(columns), scale.clip[measured]
+    left = np.where(at.known, np.clip(at.unseen(last, court.data.fold, extra), -clip, clip), 0.0)
+    power = summed(left**2, last, court.data.blocks)
+    parameters = one.parameters + len(knots)
+    unit = one.model.balances[balance].unit
+    return FreeTerm(balance, axis, unit, knots, at.step(extra), power, parameters, scale.cost(power, parameters))
 
 
 def _terms(
-    structure: Structure, experiments: Sequence[Experiment], responses: Sequence[LinearResponse]
-) -> Iterator[tuple[str, str, FloatArray, list[FloatArray]]]:
-    simulator = Simulator(structure.model)
-    for name, balance in structure.model.balances.items():
-        signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(experiments, responses, strict=True)]
-        times = [e.sample_time * np.arange(e.n, dtype=float) for e in experiments]
-        axes = {axis: [s[axis] for s in signals] for axis in FREE_TERM_KNOTS if axis in signals[0]} | {"time": times}
+    model: PhysicalModel, parts: Sequence[Experiment], responses: Sequence[LinearResponse]
+) -> Iterator[tuple[str, str, Array, list[Array]]]:
+    """Balance, axis, knots and hat functions (n, knots) of each part."""
+    simulator, begin = Simulator(model), min(part.t0 for part in parts)
+    times = [part.t0 - begin + part.sample_time * np.arange(part.n) for part in parts]
+    for name, balance in model.balances.items():
+        signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(parts, responses, strict=True)]
+        axes = {axis: [s[axis] for s in signals] for axis in KNOTS if axis in signals[0]} | {"time": times}
         for axis, values in axes.items():
             joined = np.concatenate(values)
-            if not np.ptp(joined) > 0:
-                continue
-            for count in FREE_TERM_KNOTS[axis]:
-                knots = np.linspace(joined.min(), joined.max(), count)
-                yield name, axis, knots, [_hats(v, knots) for v in values]
-        yield from _changing(structure.model, name, signals, times)
+            if np.all(np.isfinite(joined)) and np.ptp(joined) > 0:
+                knots: Array = np.linspace(joined.min(), joined.max(), KNOTS[axis])
+                yield name, axis, knots, [_hats(np.asarray(v), knots) for v in values]
 
 
-def _changing(
-    model: PhysicalModel, balance: str, signals: Sequence[Mapping[str, FloatArray]], times: Sequence[FloatArray]
-) -> Iterator[tuple[str, str, FloatArray, list[FloatArray]]]:
-    """Each effect of the balance with a size that changes with the speed, or with time: then it is not that effect."""
-    for use in model.effects:
-        name = f"term:{use.label.split('@')[0]}"
-        if use.target != balance or name not in signals[0]:
-            continue
-        axes = {"time": list(times)}
-        if "velocity" in signals[0]:
-            axes["velocity"] = [np.abs(s["velocity"]) for s in signals]
-        for axis, values in axes.items():
-            joined = np.concatenate(values)
-            if np.ptp(joined) > 0:
-                knots = np.linspace(joined.min(), joined.max(), FACTOR_KNOTS)
-                terms = [_hats(v, knots) * s[name][:, None] for v, s in zip(values, signals, strict=True)]
-                yield balance, f"{axis} (factor of {use.id})", knots, terms
-
-
-def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
+def _hats(x: Array, knots: npt.NDArray[np.floating[Any]]) -> Array:
     """Piecewise linear functions, one at each knot, shape (n, knots); they sum to one."""
-    width = knots[1] - knots[0]
-    return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots[None, :]) / width)
+    return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots) / (knots[1] - knots[0]))

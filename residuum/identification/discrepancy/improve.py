@@ -2,50 +2,34 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.begin_improving import Request, asked_for, explained, with_inputs_of
-from residuum.identification.discrepancy.explain import Explanation
-from residuum.identification.discrepancy.final_estimate import (
-    doubts_of,
-    least_simulation_error,
-    on_everything,
-    vanished,
-    without_needless,
-)
-from residuum.identification.discrepancy.held_out import Split, split
-from residuum.identification.discrepancy.held_out_error import HeldOutError
-from residuum.identification.discrepancy.held_values import freed
-from residuum.identification.discrepancy.improve_by_share import ASIDE, joined_by_share
+from residuum.identification.discrepancy.data import Data, matched
+from residuum.identification.discrepancy.explain import Explanation, doubts_of, explain, remaining
+from residuum.identification.discrepancy.following import followed
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
-from residuum.identification.discrepancy.join_effects import all_joined
-from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIME, STRANGE
-from residuum.identification.discrepancy.proposals import uninformed
-from residuum.identification.discrepancy.search import Tell, untold
-from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.errors import BadModel
-from residuum.identification.physics import Experiment, PhysicalModel, match
+from residuum.identification.discrepancy.judged import Judged
+from residuum.identification.discrepancy.kept_aside import Split, error_on, split
+from residuum.identification.discrepancy.ladder import climb_at_likelier_timing
+from residuum.identification.discrepancy.looks import Court, glance, look
+from residuum.identification.discrepancy.proposals import freed, without_idle
+from residuum.identification.discrepancy.search import Search, Tell, begun, chain, untold
+from residuum.identification.discrepancy.structure import fitted
+from residuum.identification.errors import BadModel, NotIdentifiable
+from residuum.identification.physics import Key, PhysicalModel, candidates
+from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.work import at_most
 
-FloatArray = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Attempt:
-    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not: it refused an
-    effect, or its error stands far above the rest's.
-    """
-
-    improvement: Improvement
-    strange: bool
+Array = npt.NDArray[np.float64]
+Found = list[tuple[str | None, Judged]]
+"""What was added (None: the model as it was), and the structure then."""
 
 
 @one_thread()
@@ -61,13 +45,12 @@ def improve(
     seconds: float | None = None,
     tell: Tell = untold,
 ) -> Improvement:
-    """Add the effects `add` (id or id@target), or with None those that `explain` accepts, one after the other.
+    """Add the effects `add` (id or id@target), or with None those that `explain` names.
 
-    Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
-    simulation error on the rest does not rise. Where the end of a record refuses an effect, or its error stands far above
-    the rest's, the beginning is kept aside instead: the end may show what the rest never did. The returned model is
-    re-estimated on everything. Values that the model fixes stay, but for those named in `free`. The verdict is that of `compare`
-    on the returned model: `adequate` where its error is not structured.
+    The errors of the history are those on data that the estimate has not seen: every block in turn, or what is kept aside of
+    several records or by a record's note. Values that the model fixes stay, but for those named in `free`. Where the error does
+    not fall, what `explain` names does not join, and the model is returned as it was. The verdict is that of `compare` on the
+    returned model, `improved` or `not-improved` where the effects were asked for.
 
     Raises
     ------
@@ -78,27 +61,131 @@ def improve(
         The model diverges on a record.
     """
     _check_fixed(model, free)
-    how = Request(mapping, add, effects, free, learned, None if seconds is None else EXPLAINING_TIME * seconds)
+    for id in add or ():
+        find_effect(_parts(id).effect)
+    parts = split(records)
     with at_most() as work:
-        found = _either_way(model, records, how, seconds, tell)
-    return replace(found, work=work)
+        start = freed(model, free)
+        if add is None:
+            told: Tell = lambda share, doing: tell(0.8 * share, doing)  # noqa: E731
+            given = {"effects": effects, "learned": learned, "seconds": seconds, "tell": told}
+            explanation: Explanation | None = explain(start, parts.training, mapping, **given)  # type: ignore[arg-type]
+            found = explanation.search  # type: ignore[union-attr]
+            keys = [k for k in found.best.keys if k not in {Key("value", h.name) for h in explanation.held}]  # type:
+            ignore[union-attr] if explanation.held:  # type: ignore[union-attr]
+                found = _joined(matched(start, parts.training, mapping), keys)
+        else:
+            explanation = None
+            start = _with_columns_of(start, records, add)
+            keys = [_resolved(start, id) for id in add]
+            found = _joined(matched(start, parts.training, mapping), keys)
+        tell(0.85, "estimating on everything")
+        as_it_was = [(None, _alone(model, found, mapping, parts))] if free else []
+        ordered = _ordered(found, keys, asked=add is not None)
+        first = f"{' and '.join(free)} freed" if free else None
+        steps: Found = [*as_it_was, (first, found.base), *((key.effect, one) for key, one in ordered)]
+        return _answer(model, records, mapping, found, steps, parts, explanation, work, asked=add is not None)
 
 
-def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, seconds: float | None, tell: Tell) -> Improvement:
-    """The improvement with the end of the records kept aside, or with the beginning where that end is strange."""
-    began, parts = time.perf_counter(), split(records)
-    found = _improved(model, records, parts, how, tell)
-    if found.improvement.explanation is not None and found.improvement.explanation.by_share:
-        return found.improvement
-    if how.add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
-        return found.improvement
-    again = split(records, end=False)
-    spent = time.perf_counter() - began
-    if again.aside == parts.aside or (seconds is not None and spent > EXPLAINING_TIME * seconds):
-        return found.improvement
-    later: Tell = lambda share, doing: tell(0.8 + 0.2 * share, doing)  # noqa: E731
-    other = _improved(model, records, again, replace(how, seconds=None if seconds is None else seconds - spent), later)
-    return found.improvement if other.strange else other.improvement
+def _answer(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    found: Search,
+    steps: Found,
+    parts: Split,
+    explanation: Explanation | None,
+    work: object,
+    *,
+    asked: bool,
+) -> Improvement:
+    hold = found.court.data.experiments[0].hold
+    errors = [
+        error_on(one.model, parts, mapping, hold[: len(one.model.inputs)]) if parts.testing else one.rms for _, one in steps
+    ]
+    o = _output(errors)
+    output = list(found.base.model.outputs.values())[o]
+    history = [
+        Step(name, float(error[o]), remaining(replace_best(found, one)) if not parts.testing else None)
+        for (name, one), error in zip(steps, errors, strict=True)
+    ]
+    fell = history[-1].error < history[0].error
+    if not fell and not asked:
+        history, better = history[:1], _estimated(found.base, found, records, mapping, parts)
+    else:
+        better = _estimated(steps[-1][1], found, records, mapping, parts)
+    improved = with_provenance(better.model, doubts_of(replace_best(found, better)), records, history, output.name, output.unit)
+    improved = without_idle(improved, model)
+    if asked:
+        verdict = "improved" if fell else "not-improved"
+    else:
+        verdict = "unknown-effect" if compare(improved, records, mapping).present else "adequate"
+    return Improvement(improved, tuple(history), verdict, output.name, output.unit, explanation, parts.aside, work)  # type: ignore[arg-type]
+
+
+def replace_best(found: Search, best: Judged) -> Search:
+    """What was found, with another structure as the best."""
+    return Search(found.court, found.base, best, found.along, found.every, [], found.tried)
+
+
+def _output(errors: Sequence[Array]) -> int:
+    """The output whose error falls most."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = errors[-1] / errors[0]
+    return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
+
+
+def _ordered(found: Search, keys: Sequence[Key], *, asked: bool) -> list[tuple[Key, Judged]]:
+    """The effects and the structures with them: as they were asked for, or in the order in which each takes away most."""
+    if not asked:
+        return [(key, after) for key, _, after in chain(found, keys)]
+    return [(key, found.every[tuple(sorted(keys[: k + 1]))]) for k, key in enumerate(keys)]
+
+
+def _joined(data: Data, keys: Iterable[Key]) -> Search:
+    """The effects joined one after the other, whatever they do."""
+    found = begun(climb_at_likelier_timing(data))
+    for key in keys:
+        parent = found.best
+        along = followed(parent.model, found.court.data, parent.errors, found.court.last)
+        seen = None if along is None else glance(parent.structure, key, along, found.court)
+        one = None if seen is None else look(seen, found.court, any_value=True)
+        if one is None:
+            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it")
+        found.every[one.keys] = one
+        found.best = one
+    return found
+
+
+def _alone(model: PhysicalModel, found: Search, mapping: Mapping[str, str] | None, parts: Split) -> Judged:
+    """The model with its values held, judged as what was found is."""
+    data = replace(found.court.data, model=matched(model, parts.training, mapping).model)
+    structure = replace(found.base.structure, model=data.model)
+    court = Court(data, found.court.last, found.court.middle, found.court.scale)
+    one = court.judge(structure, steps=20, tolerance=1e-5)
+    return found.base if one is None else one
+
+
+def _estimated(one: Judged, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None, parts: Split) -> Judged:
+    """The structure estimated on everything."""
+    if not parts.testing:
+        return one
+    court = found.court
+    everything = matched(one.model, records, mapping)
+    everything = replace(
+        everything, experiments=[replace(e, hold=court.data.experiments[0].hold) for e in everything.experiments]
+    )
+    rung = (
+        everything.rung(court.last.windows)
+        if any(r.windows == court.last.windows for r in everything.rungs)
+        else everything.rungs[-1]
+    )
+    again = Court(everything, rung, rung, court.scale)
+    estimate = fitted(one.model, rung.parts, None, court.scale, steps=20, tolerance=1e-6)
+    if estimate is None:
+        return one
+    judged = again.judge(one.structure.at(rung, estimate), steps=3, tolerance=1e-6)
+    return one if judged is None else judged
 
 
 def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
@@ -108,71 +195,28 @@ def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
         raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; there are {there}")
 
 
-def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> _Attempt:
-    tell(0.0, "estimating the model as it is")
-    begun = explained(model, parts, how, tell) if how.add is None else asked_for(model, records, parts, how, how.add)
-    explanation, experiments, finer = begun.explanation, begun.experiments, 1
-    if explanation is not None:
-        if explanation.by_share and (shared := _improved_by_share(model, records, explanation, how, tell)) is not None:
-            return _Attempt(shared, False)
-        finer = explanation.finer
-    judge = HeldOutError(parts, experiments, begun.base, how.mapping, finer)
-    history = [Step(None, judge.error(begun.as_it_was))]
-    history += [Step(f"{name} freed", judge.error(begun.base)) for name in how.free]
-    kept, refused = all_joined(begun, judge, history, tell)
-    strange = refused or bool(np.any(judge.errors(kept) > STRANGE * kept.rmse))
-    tell(0.8, "estimating on everything")
-    kept, simulates_better = _slimmed(kept, experiments, judge, history, may_drop=how.add is None)
-    final = on_everything(kept, records, how.mapping, finer, least_error=simulates_better)
-    for use in vanished(final, history, [] if explanation is None else explanation.search.timing):
-        final = replace(final, model=final.model.without_effect(use.label))
-        history.append(Step(f"-{use.id}", history[-1].error))
-    improved = uninformed(with_provenance(final.model, doubts_of(final), records, history, judge.output, judge.unit), model)
-    fell = history[-1].error < history[0].error
-    verdict = ("improved" if fell else "not-improved") if how.add is not None else _verdict(improved, records, how.mapping)
-    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
+def _with_columns_of(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str]) -> PhysicalModel:
+    """The model with those columns of the records among its inputs that a forgotten input is to be tied to."""
+    for name in [n for id in ids for n in tied_to(id) if find_effect(_parts(id).effect).takes_columns]:
+        if name not in model.inputs and all(name in record.names for record in records):
+            model = model.with_input(name, records[0].units.get(name, ""))
+    return model
 
 
-def _slimmed(
-    kept: Structure, experiments: Sequence[Experiment], judge: HeldOutError, history: list[Step], *, may_drop: bool
-) -> tuple[Structure, bool]:
-    """The structure without what is needless, where that `may_drop`, as the history tells; and whether it simulates better at its
-    least simulation error.
-    """
-    if may_drop:
-        kept, dropped = without_needless(kept, experiments, judge, history[-1].error)
-        history += dropped
-    plain = least_simulation_error(kept, experiments)
-    if plain is None or not (error := judge.error(plain)) < history[-1].error:
-        return kept, False
-    history[:] = [replace(s, error=error) if s.together or s is history[-1] else s for s in history]
-    return kept, True
+def _parts(id: str) -> Key:
+    """Effect and target of `id@target` or `id:target`; no target where none is said."""
+    name, _, target = id.replace(":", "@", 1).partition("@")
+    return Key(name, target)
 
 
-def _improved_by_share(
-    model: PhysicalModel, records: Sequence[Record], explanation: Explanation, how: Request, tell: Tell
-) -> Improvement | None:
-    """The model with what is real on blocks kept aside of all records; None where no blocks can be cut."""
-    tell(0.6, "judging what was found on all records")
-    knowing = with_inputs_of(freed(model, how.free), explanation.search.base.model)
-    whole = match(knowing, records, how.mapping)[1]
-    named = sorted({c.effect for c in explanation.candidates})
-    began, joined = time.perf_counter(), None
-    for ids in [named, how.effects] if named else [how.effects]:  # all that fit, where those named on a part do not hold on all
-        left = None if how.seconds is None else how.seconds - (time.perf_counter() - began)
-        joined = joined_by_share(knowing, whole, ids, learned=how.learned, seconds=left)
-        if joined is None or joined.added:
-            break
-    if joined is None:
-        return None
-    history = [Step(id, error) for id, error in zip([None, *joined.added], joined.errors, strict=True)]
-    unit = joined.model.outputs[joined.output].unit
-    improved = with_provenance(joined.model, joined.std, records, history, joined.output, unit)
-    improved = uninformed(improved, model)
-    verdict = _verdict(improved, records, how.mapping)
-    return Improvement(improved, tuple(history), verdict, joined.output, unit, explanation, ASIDE)
-
-
-def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
-    """That of `compare` on the model as it will be written: `adequate`, or what is left has no name."""
-    return "unknown-effect" if compare(improved, records, mapping).present else "adequate"
+def _resolved(model: PhysicalModel, id: str) -> Key:
+    name, target = _parts(id)
+    fitting = [t for _, t in candidates(model, [name])]
+    if target:
+        model.with_effect(name, target)
+        return Key(name, target)
+    if not fitting:
+        raise BadModel(f"effect {name!r}: fits no balance, input or output of model {model.name!r}, or is in it already")
+    if len(fitting) > 1:
+        raise BadModel(f"effect {name!r}: fits {', '.join(fitting)}; say which, as {name}@{fitting[0]}")
+    return Key(name, fitting[0])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from residuum.identification.discrepancy.candidate import Candidate, Quantity
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.explain import Explanation, Remaining
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.work import Work
@@ -21,14 +21,11 @@ _ERROR_AFTER, _STD = "error_after", "std_"
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the history: what was added (None: the model as it was, `-id`: dropped) and the held-out error after it.
-
-    Effects that lower it only `together` share the error that they have together.
-    """
+    """One line of the history: what was added (None: the model as it was), the held-out error after it, and what remains then."""
 
     added: str | None
     error: float
-    together: bool = False
+    remaining: Remaining | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +42,16 @@ class Improvement:
     error_unit: str
     explanation: Explanation | None
     aside: str
-    work: Work = field(default_factory=Work)
+    work: Work
 
     @property
     def added(self) -> list[EffectUse]:
-        """The effects that joined and stayed, estimated on everything; `quantities_of` tells their sizes."""
+        """The effects that joined, estimated on everything; `quantities_of` tells their sizes."""
         ids = [step.added for step in self.history]
         return [use for use in self.model.effects if use.id in ids and _ERROR_AFTER in use.provenance]
 
     def candidate(self, use: EffectUse) -> Candidate | None:
-        """An effect that was added, as `explain` judged it on the rest; None where it was asked for."""
+        """An effect that was added, as `explain` judged it; None where it was asked for."""
         candidates = () if self.explanation is None else self.explanation.candidates
         return next((c for c in candidates if c.key == use.key), None)
 
@@ -64,7 +61,7 @@ def with_provenance(
 ) -> PhysicalModel:
     """Each effect with its records, date, held-out error before and after, and the standard deviation of its parameters."""
     for before, after in pairwise(history):
-        use = next((u for u in model.effects if u.id == after.added), None)
+        use = next((u for u in model.effects if u.id == after.added and _ERROR_AFTER not in u.provenance), None)
         if use is None:
             continue
         note = {

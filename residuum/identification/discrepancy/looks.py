@@ -1,101 +1,186 @@
-"""Looks at the catalogue: all candidates on top of a structure, screened and the likeliest refitted; none is tried twice."""
+"""Looks at a proposal beside a structure: a glance from every first value, then the fit of the most promising.
+
+Both kinds of glance are needed. Friction in a long oscillation shows on the whole record only, and there a wrong phase hides
+everything else, which shows on short windows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from residuum.identification.discrepancy.policy.likelihood import SAME
-from residuum.identification.discrepancy.policy.trials import NEAR
-from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.discrepancy.trials import trials
-from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates, find_effect
+import numpy as np
+
+from residuum.identification.discrepancy.data import Data, Rung
+from residuum.identification.discrepancy.following import Track
+from residuum.identification.discrepancy.judged import Judged, judged
+from residuum.identification.discrepancy.ladder import mean_error
+from residuum.identification.discrepancy.policy import ABSURD, GLANCED
+from residuum.identification.discrepancy.proposals import HELD, beginnings, conditions_along
+from residuum.identification.discrepancy.scale import Scale
+from residuum.identification.discrepancy.structure import States, Structure, fitted
+from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
+from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.model import find_effect
+
+SHORT, LONG, SECOND = "short", "long", "second"
+FOLLOWED_STARTS = 2
+"""First values that go on after one step."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """What one search is about: data, the model with its nominal values, effects to consider, how many to refit and to accept.
+@dataclass(frozen=True, eq=False)
+class Court:
+    """What all structures of a level are judged by: the data, the rung of the judgement, the rung of short looks, the scale."""
 
-    `tell` hears of every look at the catalogue; `looks` are those that were taken, by the effects in the model; `shot` are
-    structures that were found over short stretches, for the looks from which one effect leads there.
+    data: Data
+    last: Rung
+    middle: Rung
+    scale: Scale
+
+    def judge(self, structure: Structure, *, steps: int, tolerance: float) -> Judged | None:
+        """The structure fitted on the last rung, and judged there; None where it diverges."""
+        found = fitted(
+            structure.model,
+            self.last.parts,
+            structure.states.get(self.last.windows),
+            self.scale,
+            steps=steps,
+            tolerance=tolerance,
+        )
+        return None if found is None else judged(structure.at(self.last, found), found, self.last, self.data, self.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Glance:
+    """A proposal beside a parent: by kind of look the error and the model after three steps; `sizes` are its first
+    values, `along` is where the parent's filter went."""
+
+    parent: Structure
+    key: Key
+    seen: Mapping[str, tuple[float, PhysicalModel]]
+    sizes: Mapping[str, Sequence[float]]
+    along: Track
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The parent's and its own."""
+        return tuple(sorted((*self.parent.keys, self.key)))
+
+    @property
+    def hides(self) -> bool:
+        """Whether it has states of its own: beside others it may do what it does not do alone."""
+        _, model = next(iter(self.seen.values()))
+        return len(Simulator(model).states) > len(Simulator(self.parent.model).states)
+
+
+def glance(parent: Structure, key: Key, along: Track, court: Court) -> Glance | None:
+    """Three steps from each first value, on short windows where errors stand out, and on the last rung; None where all diverge."""
+    first = beginnings(key, along)
+    sizes: dict[str, list[float]] = {}
+    for model in first:
+        for name, value in _values(model, key).items():
+            sizes.setdefault(name, []).append(abs(value))
+    seen: dict[str, tuple[float, PhysicalModel]] = {}
+    looks = [(LONG, court.last.parts, parent.states[court.last.windows])]
+    if court.middle is not court.last and not court.scale.nats:
+        few, which = court.middle.thinned(GLANCED)
+        looks.append((SHORT, few, parent.states[court.middle.windows][which]))
+    for kind, parts, states in looks:
+        each = sorted(_glimpsed(first, parts, states, parent, court), key=lambda one: one[0])[:FOLLOWED_STARTS]
+        further = [_steps(model, parts, states, parent, court, 2) for _, model in each]
+        again = [one for one in further if one is not None] or each
+        again.sort(key=lambda one: one[0])
+        if again:
+            seen[kind] = again[0]
+        if len(again) > 1 and court.scale.nats:  # small effects of the wrong shape mislead
+            seen[SECOND] = again[1]
+    return Glance(parent, key, seen, sizes, along) if seen else None
+
+
+def _glimpsed(
+    models: Sequence[PhysicalModel], parts: Sequence[Experiment], states: States, parent: Structure, court: Court
+) -> list[tuple[float, PhysicalModel]]:
+    """Errors after one step from each first value, and the models there."""
+    each = [_steps(model, parts, states, parent, court, 1) for model in models]
+    return [one for one in each if one is not None]
+
+
+def _steps(
+    model: PhysicalModel, parts: Sequence[Experiment], states: States, parent: Structure, court: Court, steps: int
+) -> tuple[float, PhysicalModel] | None:
+    found = fitted(
+        model, parts, states, court.scale, steps=steps, tolerance=1e-3, substeps=_substeps(model, parts, parent, court)
+    )
+    return None if found is None else (mean_error(found, court.last, court.scale), found.model)
+
+
+def _substeps(model: PhysicalModel, parts: Sequence[Experiment], parent: Structure, court: Court) -> list[int] | None:
+    """Those of the parent, where the model has no states more that may be faster."""
+    if len(Simulator(model).states) > len(Simulator(parent.model).states):
+        return None
+    return [max(parent.steps[court.last.windows])] * len(parts)
+
+
+def look(seen: Glance, court: Court, *, any_value: bool = False) -> Judged | None:
+    """The full fit, from the best of the short glances by way of the middle rung and from the best long ones; the best one
+    judged.
+
+    None where all diverge or, unless `any_value` will do, their values refuse them.
     """
+    parent, best = seen.parent, None
+    for kind, (_, model) in seen.seen.items():
+        structure = Structure(seen.keys, model, parent.states, parent.steps)
+        if kind == SHORT:
+            states = parent.states[court.middle.windows]
+            near = fitted(model, court.middle.parts, states, court.scale, steps=8, tolerance=1e-3)
+            if near is None:
+                continue
+            structure = structure.at(court.middle, near)
+        best = _lower(best, _fully(structure, seen, court, any_value), court)
+    return best
 
-    experiments: Sequence[Experiment]
-    nominal: PhysicalModel | None
-    wanted: tuple[str, ...] | None
-    refits: int
-    most_effects: int
-    tell: Callable[[str], None] = field(default=lambda _doing: None)
-    looks: dict[frozenset[str], Look] = field(default_factory=dict)
-    shot: list[Structure] = field(default_factory=list)
 
-    def look(self, structure: Structure, without: Key | None = None) -> Look:
-        """All candidates on top of a structure, or all but one; those that were tried there before are not tried again."""
-        effects = frozenset(use.label for use in structure.model.effects)
-        pairs = [pair for pair in self.candidates(structure) if pair != without]
-        look = self.looks.get(effects)
-        if look is None or not look.is_from(structure):
-            look = self.looks[effects] = Look(Screen(structure, self.experiments, self.origin(structure)))
-        if new := [pair for pair in pairs if pair not in look.tried]:
-            beside = ", ".join(use.id for use in structure.model.effects)
-            self.tell("trying the effects of the catalogue" + (f" beside {beside}" if beside else ""))
-            look.add(*trials(look.screen, new, self.refits), new)
-        look.add(self._one_effect_away(structure, pairs, look.refitted), (), ())
-        return look
+def follow(models: Sequence[PhysicalModel], seen: Glance, states: Structure, court: Court) -> Judged | None:
+    """The lowest of the full fits from other first values of what was glanced at."""
+    best = None
+    for model in models:
+        best = _lower(best, _fully(Structure(seen.keys, model, states.states, states.steps), seen, court), court)
+    return best
 
-    def _one_effect_away(
-        self, structure: Structure, pairs: Sequence[Key], known: Mapping[Key, Structure]
-    ) -> dict[Key, Structure]:
-        """Of the structures found over short stretches those with one effect more, where likelier than what is `known`."""
-        here = _effects(structure)
-        found: dict[Key, Structure] = {}
-        for other in self.shot:
-            more = _effects(other) - here
-            if len(more) == 1 and _effects(other) > here and (key := next(iter(more))) in pairs:
-                likelier = key not in known or other.log_likelihood > known[key].log_likelihood
-                found |= {key: other} if likelier else {}
+
+def _fully(structure: Structure, seen: Glance, court: Court, any_value: bool = False) -> Judged | None:
+    found = court.judge(structure, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
+    if found is None or any_value:
         return found
-
-    def candidates(self, structure: Structure) -> list[Key]:
-        """Those that the structure does not have yet."""
-        fitting: list[Key] = list(candidates(structure.model, self.wanted))
-        return fitting if self.wanted is not None else [key for key in fitting if find_effect(key[0]).exact]
-
-    def origin(self, structure: Structure) -> PhysicalModel:
-        """The structure's model, at its nominal values where the estimation led some of them away."""
-        if self.nominal is None or not strayed(self.nominal, structure, NEAR):
-            return structure.model
-        values = self.nominal.values
-        return structure.model.with_values({n: values[n] for n in structure.parameters if n in self.nominal.parameters})
+    return None if _is_absurd(found.model, seen) or not _shows(found.model, seen, court) else found
 
 
-@dataclass(eq=False)
-class Look:
-    """Candidates on top of one structure: as screened, refitted, and which were tried."""
-
-    screen: Screen
-    refitted: dict[Key, Structure] = field(default_factory=dict)
-    tested: list[Screened] = field(default_factory=list)
-    tried: set[Key] = field(default_factory=set)
-
-    def is_from(self, structure: Structure) -> bool:
-        """Whether the structure is the one that was looked from, to what the likelihood can tell."""
-        base = self.screen.base
-        return base.drifting == structure.drifting and abs(base.log_likelihood - structure.log_likelihood) < SAME
-
-    def add(self, refitted: Mapping[Key, Structure], tested: Iterable[Screened], tried: Iterable[Key]) -> None:
-        """What else was tried there."""
-        self.refitted |= refitted
-        self.tested += tested
-        self.tried |= set(tried)
+def _lower(one: Judged | None, other: Judged | None, court: Court) -> Judged | None:
+    """The one whose fit leaves less of what it has seen."""
+    if one is None or other is None:
+        return one or other
+    return one if one.seen <= other.seen else other
 
 
-def _effects(structure: Structure) -> set[Key]:
-    return {use.key for use in structure.model.effects}
+def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
+    if key.effect == HELD:
+        return {}
+    use = next(use for use in model.effects if use.key == key)
+    return {name: p.value for name, p in use.parameters.items()}
 
 
-def strayed(nominal: PhysicalModel, structure: Structure, factor: float) -> list[str]:
-    """Free parameters that lie farther than this factor from their nominal values."""
-    known = {n: p.value for n, p in nominal.parameters.items() if n in structure.parameters and p.value != 0.0}
-    return [n for n, value in known.items() if not 1.0 / factor < abs(structure.model.values[n] / value) < factor]
+def _shows(model: PhysicalModel, seen: Glance, court: Court) -> bool:
+    """Whether the effect can be told from an unknown load within a window: a far body on a soft spring is one."""
+    if seen.key.effect == HELD or type(find_effect(seen.key.effect)).shows is Effect.shows:
+        return True
+    conditions = replace(conditions_along(seen.key, seen.along), duration=max(p.n * p.sample_time for p in court.last.parts))
+    return find_effect(seen.key.effect).shows(_values(model, seen.key), conditions)
+
+
+def _is_absurd(model: PhysicalModel, seen: Glance) -> bool:
+    """Whether a value left all its first values: a ripple without a period is a load."""
+    for name, value in _values(model, seen.key).items():
+        known = [v for v in seen.sizes.get(name, ()) if v > 0]
+        if known and (abs(value) > ABSURD * max(known) or 0 < abs(value) < min(known) / (100.0 * ABSURD)):
+            return True
+    return not np.all(np.isfinite(list(model.values.values())))

@@ -1,260 +1,343 @@
-"""Forward–backward search over structures: which effects, together, the data want in the model."""
+"""The beam search: effects join one after the other, and ties travel, since what is one effect alone may be told apart beside
+another.
+
+At every level each proposal beside each structure of the beam is glanced at, the best of every kind of look are fitted fully
+and judged on unseen blocks, and the simplest within chance of the best leads. After each effect that joined, the unit of the
+error is asked again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from itertools import count
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.drifting_load import likeliest_drifting_load
-from residuum.identification.discrepancy.evidence import preferred, tempered_gain
-from residuum.identification.discrepancy.exchange import exchange_all, settle, with_two
-from residuum.identification.discrepancy.growth import grow
-from residuum.identification.discrepancy.holding_up import holds_up
-from residuum.identification.discrepancy.looks import Task, strayed
-from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ACCEPT_MORE, DRIFT_SHARE
-from residuum.identification.discrepancy.policy.trials import FAR, FEWEST_REFITS, HALF_THE_ERROR, MOST_EFFECTS, NEAR, NEARLY_ALL
-from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.search_state import Asked, Search, evidence_asked, never
-from residuum.identification.discrepancy.shooting import effects_by_shooting, pairs_by_shooting
-from residuum.identification.discrepancy.structure_comparison import mean_ratio, schwarz
-from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure, refit
-from residuum.identification.discrepancy.structures import Structure, times_its_innovations
-from residuum.identification.discrepancy.trials import polished
+from residuum.identification.discrepancy.comparing import going_on, is_alike, is_nothing, is_real, simplest
+from residuum.identification.discrepancy.data import Data
+from residuum.identification.discrepancy.following import Track, followed
+from residuum.identification.discrepancy.judged import Judged, judged
+from residuum.identification.discrepancy.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
+from residuum.identification.discrepancy.looks import LONG, SHORT, Court, Glance, follow, glance, look
+from residuum.identification.discrepancy.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT, NOISY, UNEVEN
+from residuum.identification.discrepancy.proposals import HELD, grown, proposed, specialised
+from residuum.identification.discrepancy.scale import Scale, clipped, of_noise, of_power, plain
+from residuum.identification.discrepancy.structure import Structure, fitted
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, Key, PhysicalModel
-from residuum.identification.residual_analysis.policy.noise import MUCH_LEFT, SLOW
-from residuum.identification.side_by_side import beside, side_by_side
+from residuum.identification.physics import Key
+from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.noise_floor import times_the_noise
+from residuum.identification.side_by_side import each_beside
+from residuum.identification.work import OutOfWork, go_on, left_out
 
-FloatArray = npt.NDArray[np.float64]
+Array = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]
-"""Told how far the work is: share done 0 … 1, and what is done now."""
+"""Told how far the work is (0 … 1), and what is being done."""
 
 
 def untold(_share: float, _doing: str) -> None:
-    """For those who do not ask how far the work is."""
+    """For those who do not ask."""
 
 
-def search(
-    base: Structure,
-    experiments: Sequence[Experiment],
-    *,
-    nominal: PhysicalModel | None = None,
-    effects: Iterable[str] | None = None,
-    refits: int = FEWEST_REFITS,
-    most_effects: int = MOST_EFFECTS,
-    leave: Asked = never,
-    late: Asked = never,
-    tell: Tell = untold,
-) -> Search:
-    """Add the best effect, again and again while the evidence wants one more.
+@dataclass(frozen=True)
+class Wanted:
+    """What may be proposed: the effects of these ids (None: all), learned curves, values that the model holds."""
 
-    At each step all candidates are screened to first order on top of what was found so far, the best `refits` are
-    re-estimated in full with the noise colour of their own, and the winner is accepted when its evidence exceeds
-    log(number of candidates) + `ACCEPT`.
+    effects: tuple[str, ...] | None = None
+    learned: bool = False
+    held: bool = True
 
-    Where noise that drifts explains more, with no effect at all, than everything that was found, or where what was found leaves a
-    slow error and is not wanted beside noise that drifts, the search is done again with noise that may drift: a load that walks
-    at random resembles every effect that has a mean. So it is where a load of every window's own explains more.
 
-    Where the base could only be fitted far from the values of `nominal` (an inertia without end, so that a torque which lacks
-    a large term does nothing), nothing can be added there; the search is first done from near those values.
+@dataclass(eq=False)
+class Search:
+    """What was tried.
 
-    What has grown is judged again, and where it leaves much sought from other beginnings and over short stretches, unless who
-    asked knows that the experiments are to blame: `leave` is asked of what has grown, `late` of every shift in time besides.
-
-    How many looks at the catalogue it takes nobody knows before: `tell` hears a share that each brings nearer to all.
+    `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure that was judged there by
+    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had.
     """
-    wanted, looks = None if effects is None else tuple(effects), count()
-    task = Task(experiments, nominal, wanted, refits, most_effects, lambda doing: tell(1.0 - 0.8 ** next(looks), doing))
-    drifting = beside(lambda: fit_structure(base.model, experiments, base.initial, drifting=True))
-    near = None if nominal is None else _near(nominal, base, experiments)
-    if near is not None:
-        found = _forward(near, task, leave, late)
-        if found.accepted and found.best.log_likelihood > base.log_likelihood + ACCEPT + np.log(found.count):
-            return found
-    found = _forward(base, task, leave, late)
-    if found.accepted or found.refuted:
-        drift = drifting()
-        if drift is not None and _does_as_well(drift, found, experiments):
-            return _forward(drift, task, leave, late)
-    load = likeliest_drifting_load(base, experiments)
-    return _forward(load, task, leave, late) if load is not None and _outdoes(load, found) else found
+
+    court: Court
+    base: Judged
+    best: Judged
+    along: Track | None
+    every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
+    group: list[Judged] = field(default_factory=list)
+    tried: int = 1
 
 
-def _does_as_well(drift: Structure, found: Search, experiments: Sequence[Experiment]) -> bool:
-    """Whether noise that drifts explains what was found."""
-    if drift.log_likelihood > found.best.log_likelihood + ACCEPT:
-        return True
-    if times_its_innovations(found.best) <= SLOW:
-        return False
-    beside = fit_structure(found.best.model, experiments, found.best.initial, drifting=True)
-    return beside is None or tempered_gain(beside, drift) - beside.penalty(drift) < evidence_asked(found, ACCEPT)
+def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
+    """Which effects are missing in the data's model, at the likelier input timing where it may be turned.
 
-
-def _outdoes(load: Structure, found: Search) -> bool:
-    """Whether a load of every window's own is likelier than what was found, and leaves far less of the error.
-
-    Little less it leaves where it makes up for what an effect, or the integration of its input, does not follow exactly.
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges on the records.
     """
-    likelier = schwarz(load, found.base) > schwarz(found.best, found.base) + evidence_asked(found, ACCEPT)
-    return likelier and mean_ratio(load.rmse, found.best.rmse) < DRIFT_SHARE
-
-
-def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
-    """The base fitted within `NEAR` of the nominal values; None where it lies within a few times that anyway, or diverges."""
-    if not strayed(nominal, base, FAR):
-        return None
-    values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
-    narrowed = dict(nominal.parameters)
-    for n, value in values.items():
-        low, high = sorted((value / NEAR, value * NEAR))
-        p = narrowed[n]
-        narrowed[n] = replace(p, lower=max(low, p.lower), upper=min(high, p.upper))
+    tell(0.0, "estimating the model as it is")
+    found = begun(climb_at_likelier_timing(data) if turn else climb(data))
+    beam, kept = [found.best], None
     try:
-        return base_structure(replace(nominal, parameters=narrowed), experiments)
-    except NotIdentifiable:
-        return None
-
-
-def _forward(base: Structure, task: Task, leave: Asked, late: Asked) -> Search:
-    found = Search(base, base, len(task.candidates(base)))
-    grow(found, task, late)
-    if leave(found) or late(found):
-        return found
-    first = dict(found.alternatives[0]) if found.alternatives else {}
-    settle(found, task)
-    for _ in range(task.most_effects):
-        if not _shot_besides(found, task):
-            break
-        grow(found, task)
-        exchange_all(found, task, found.accepted[-1:])
-    if times_its_innovations(found.base) <= SLOW or _do_nearly_all(found, 1):
-        return found
-    return _begun_otherwise(found, first, task)
-
-
-def _begun_otherwise(found: Search, first: dict[Key, Structure], task: Task) -> Search:
-    """The search, or another one that begins with two effects or with another `first` one and does more."""
-    if not _do_nearly_all(found, 2):
-        other = _begun_with_two(found, task)
-        found = other if other is not None and _does_more(other, found) else found
-    for key in _other_beginnings(found, first):
-        if _do_nearly_all(found, 2):
-            break
-        another = _begun_with(key, found, first, task)
-        found = another if _does_more(another, found) else found
+        for depth in range(DEPTH):
+            if is_nothing(found.best, found.base, found.court.scale):
+                break
+            tell(0.1 + 0.6 * depth / DEPTH, _beside(found.best.keys))
+            glances = _glances(found, beam, wanted, kept)
+            kept = _kept(glances) if kept is None else kept
+            ranked = _fitted(found, glances)
+            if not ranked:
+                break
+            found.tried = len(glances)
+            if _joins(found, ranked):
+                beam = _settled(found, ranked)
+                continue
+            if depth > 0 or found.court.scale.nats:
+                break
+            beam = going_on(ranked, found.court.scale)
+    except OutOfWork:
+        left_out(f"effects {_beside(found.best.keys)}")
     return found
 
 
-def _do_nearly_all(found: Search, effects: int) -> bool:
-    """Whether so many effects were accepted and leave little more than noise."""
-    if len(found.accepted) != effects:
-        return False
-    far, left = times_its_innovations(found.base), times_its_innovations(found.best)
-    return bool(np.log(left) < NEARLY_ALL * np.log(far))
+def begun(climbed: Climbed) -> Search:
+    """The model as it is, judged; in nats where all it leaves is noise."""
+    data, last = climbed.data, climbed.last
+    first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
+    if first is None:
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records")
+    scale = of_power(climbed.scale, data, first.power)
+    first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
+    court = Court(data, last, climbed.middle, scale)
+    found = Search(court, first, first, None, {(): first})
+    if (settled := settle(first, court)) is not None:
+        court, first = settled
+        found = Search(court, first, first, None, {(): first})
+    return found
 
 
-def _does_more(other: Search, found: Search) -> bool:
-    """Whether the other search ended higher; against nothing at all several effects count only as far as each is wanted."""
-    if found.accepted:
-        return schwarz(other.best, found.base) > schwarz(found.best, found.base)
-    gain = tempered_gain(other.best, found.base) - other.best.penalty(found.base)
-    return len(other.accepted) > 1 and gain > evidence_asked(found, ACCEPT_MORE)
-
-
-def _other_beginnings(found: Search, first: dict[Key, Structure]) -> list[Key]:
-    """Of its first candidates those that a search may also begin with: the likeliest that it does not have and did not refuse,
-    and the one that leaves least of the error.
-
-    Where a base is far off, the first best may lead astray, and where two effects are missing neither may be enough alone, nor
-    hold up without the other. What is slow the noise swallows, so that the likelihood hardly sees it go.
+def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
+    """The court in nats and the structure judged there, where what it leaves is noise alike all along the records; None
+    otherwise.
     """
-    others = {key: s for key, s in first.items() if key not in (*found.accepted, *found.refuted)}
-    if not others:
-        return []
-    key = preferred(others, found.base)
-    if key is None and not found.accepted:  # a part of what is missing need not be worth its price alone
-        key = max(others, key=lambda k: others[k].log_likelihood)
-    least = min(others, key=lambda k: mean_ratio(others[k].rmse, found.base.rmse))
-    falls = mean_ratio(others[least].rmse, found.base.rmse) < HALF_THE_ERROR
-    return list(dict.fromkeys([*([] if key is None else [key]), *([least] if falls else [])]))
+    last, data = court.last, court.data
+    found = fitted(best.model, last.parts, best.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
+    scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    for turn in range(3):  # outputs weighed by their own errors, then these whitened
+        if found is None or scale is None:
+            return None
+        states = best.structure.at(last, found).states[last.windows]
+        scale = replace(scale, filters=None) if turn == 0 else scale
+        found = fitted(found.model, last.parts, states, scale, steps=12, tolerance=1e-5)
+        scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    if found is None or scale is None:
+        return None
+    times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
+    if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
+        return None
+    scale = clipped(scale, found.residuals, last)
+    in_nats = judged(best.structure.at(last, found), found, last, data, scale)
+    return None if in_nats is None else (replace(court, scale=scale), in_nats)
 
 
-def _begun_with(key: Key, found: Search, first: dict[Key, Structure], task: Task) -> Search:
-    """The search that begins with this effect."""
-    best = polished(first[key], task.experiments)
-    present = {use.key for use in found.base.model.effects}
-    other = replace(
-        found,
-        best=best,
-        before=[found.base],
-        alternatives=[first | {key: best}],
-        accepted=[key],
-        refuted=[],
-        held_out={},
-        plain=[],
-        timing=[shift for shift in found.timing if shift in present],
-    )
-    grow(other, task)
-    settle(other, task)
-    return other
+def _unevenness(residuals: Sequence[Array], scale: Scale, court: Court) -> float:
+    """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
+    starts, measured = court.last.starts.tolist(), court.data.measured
+    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]
+    block = court.last.block
+    n = np.bincount(block, minlength=court.data.blocks)
+    powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
+    scatter = np.sqrt(2.0 / n[n > 0].mean())
+    return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
 
 
-def _shot_besides(found: Search, task: Task) -> bool:
-    """Accept one more effect that shooting finds where much more than noise is left; whether there is one."""
-    best = found.best
-    if len(found.accepted) >= task.most_effects or times_its_innovations(best) < MUCH_LEFT:
+def _beside(keys: Sequence[Key]) -> str:
+    return "beside " + " and ".join(key.effect for key in keys) if keys else "beside nothing else"
+
+
+def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Key] | None) -> dict[tuple[Key, ...], Glance]:
+    """A glance at every proposal beside every structure of the beam."""
+    tasks, seen = [], set()
+    for parent in beam:
+        along = followed(parent.model, found.court.data, parent.errors, found.court.last)
+        if along is None:
+            continue
+        found.along = along if found.along is None else found.along
+        for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
+            keys = tuple(sorted((*parent.keys, key)))
+            if key not in parent.keys and keys not in seen and (kept is None or key in kept):
+                seen.add(keys)
+                tasks.append(partial(_glanced, parent.structure, key, along, found.court))
+    each = each_beside(lambda task: task(), tasks)
+    return {one.keys: one for one in each if one is not None}
+
+
+def _glanced(parent: Structure, key: Key, along: Track, court: Court) -> Glance | None:
+    try:
+        go_on()
+        return glance(parent, key, along, court)
+    except OutOfWork:
+        left_out(f"{key.effect}@{key.target}")
+        return None
+
+
+def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
+    """Proposals worth a look beside others: the best of the first level, and those that hide alone (own states, no slope yet)."""
+    kept = {one.key for one in glances.values() if one.hides}
+    for kind in (SHORT, LONG):
+        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
+        kept |= {one.key for one in there[:KEPT]}
+        if there:
+            usual = float(np.median([one.seen[kind][0] for one in there]))
+            kept |= {one.key for one in there if abs(one.seen[kind][0] / usual - 1.0) < 1e-6}
+    return kept
+
+
+def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judged]:
+    """The best of each kind of glance fitted fully and judged, with those related to the best of them; the best first."""
+    top: dict[tuple[Key, ...], Glance] = {}
+    for kind in (SHORT, LONG):
+        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
+        top |= {one.keys: one for one in there[:FITTED]}
+    each = each_beside(lambda seen: _looked(seen, found.court), list(top.values()))
+    here = {one.keys: one for one in each if one is not None}
+    here |= _related(found, here, glances)
+    found.every |= here
+    return sorted(here.values(), key=lambda one: one.cost)
+
+
+def _looked(seen: Glance, court: Court) -> Judged | None:
+    try:
+        return look(seen, court)
+    except OutOfWork:
+        left_out(f"{seen.key.effect}@{seen.key.target}, followed to its end")
+        return None
+
+
+def _related(
+    found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
+) -> dict[tuple[Key, ...], Judged]:
+    """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
+    does: from nothing they may not be reached, or end on the way.
+    """
+    tasks = []
+    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
+        general = [seen for seen in glances.values() if _is_for(seen, one, _special(seen.key))]
+        special = [
+            (seen, key) for seen in glances.values() for key in one.keys if _special(key) == seen.key and _is_for(seen, one, key)
+        ]
+        if not (general or special):
+            continue
+        along = followed(one.model, found.court.data, one.errors, found.court.last)
+        if along is not None:
+            each = [(seen, grown(seen.key, along)) for seen in general] + [
+                (seen, specialised(seen.key, along)) for seen, _ in special
+            ]
+            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
+    led = each_beside(lambda task: task(), tasks)
+    better: dict[tuple[Key, ...], Judged] = {}
+    for one in led:
+        known = None if one is None else better.get(one.keys, here.get(one.keys))
+        if one is not None and (known is None or one.seen < known.seen):
+            better[one.keys] = one
+    return better
+
+
+def _special(key: Key) -> Key | None:
+    """The effect that a proposed one generalises, at its place."""
+    special = "" if key.effect == HELD else find_effect(key.effect).generalises
+    return Key(special, key.target) if special and special != key.effect else None
+
+
+def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
+    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
+    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
+
+
+def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
+    """Whether the simplest of the best is real; it is the best from now on."""
+    scale, before = found.court.scale, found.best
+    chosen = simplest(ranked, scale)
+    if not is_real(chosen, before, found.base, scale, found.tried):
         return False
-    screen = Screen(best, task.experiments, task.origin(best))
-    task.tell("trying effects over short stretches")
-    models = effects_by_shooting(screen, task.candidates(best))
-    tops = _tops(models, best, task)
-    if not tops:
-        return False
-    key, better = next(iter(tops.items()))
-    if key in found.refuted or tempered_gain(better, best) - better.penalty(best) < evidence_asked(found, ACCEPT_MORE):
-        return False
-    if not holds_up(found, key, better, task.experiments):
-        return False
-    del found.before[len(found.accepted) :], found.alternatives[len(found.accepted) :]
-    found.before.append(best)
-    found.alternatives.append(tops)
-    found.accepted.append(key)
-    found.best = better
+    found.best = chosen
+    found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
     return True
 
 
-def _begun_with_two(found: Search, task: Task) -> Search | None:
-    """The search that begins with the two effects that shooting finds; None where they do not hold up."""
-    base = found.base
-    screen = Screen(base, task.experiments, task.origin(base))
-    task.tell("trying pairs of effects over short stretches")
-    pairs = pairs_by_shooting(screen, task.candidates(base))
-    tops = _tops(pairs, base, task)
-    if not tops:
-        return None
-    best = next(iter(tops.values()))
-    none = replace(found, best=base, before=[], alternatives=[], accepted=[], refuted=[], held_out={}, plain=[])
-    other = with_two(none, best, task.experiments)
-    if other is None:
-        return None
-    grow(other, task)
-    exchange_all(other, task, [])
-    return other
-
-
-def _tops(models: Sequence[PhysicalModel], before: Structure, task: Task) -> dict[Key, Structure]:
-    """Models that were found over short stretches refitted on whole experiments, by their last effect, the likeliest first; later
-    looks know all of them.
+def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
+    """The beam for the next level: after the windows were lengthened, or the unit of the error turned, its structures judged
+    anew.
     """
-    fitted = side_by_side(lambda model: refit(before, model, task.experiments), models)
-    tops = [polished(s, task.experiments) for s in fitted if s is not None]
-    task.shot.extend(tops)
-    found: dict[Key, Structure] = {}
-    for top in sorted(tops, key=lambda s: -schwarz(s, before)):
-        found.setdefault(top.model.effects[-1].key, top)
-    return found
+    if not found.court.scale.nats and (longer := _lengthened(found)) is not None:
+        found.court, found.base, found.best = longer
+        found.every, found.group = {(): found.base, found.best.keys: found.best}, []
+        return [found.best]
+    turned = None if found.court.scale.nats else settle(found.best, found.court)
+    if turned is None:
+        beam = going_on(ranked, found.court.scale)
+        return beam if found.best in beam else [found.best, *beam[:-1]]
+    court, best = turned
+    again = [one for one in ranked if one.keys != best.keys][: 2 * BEAM]
+    fits = [best, *(one for one in (court.judge(o.structure, steps=15, tolerance=1e-6) for o in again) if one is not None)]
+    base = court.judge(found.base.structure, steps=15, tolerance=1e-6) or found.base
+    chosen = simplest(fits, court.scale)
+    found.court, found.best, found.base = court, chosen, base
+    found.every = {one.keys: one for one in [*fits, base]}
+    found.group = [one for one in fits if one is not chosen and is_alike(one, chosen, None, court.scale)]
+    return [chosen, *found.group][:BEAM]
+
+
+def _lengthened(found: Search) -> tuple[Court, Judged, Judged] | None:
+    """Base and best judged on the next longer windows, where the best one follows those now; None otherwise."""
+    data, court = found.court.data, found.court
+    longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
+    if not longer:
+        return None
+    rung, flat = longer[0], plain(data)
+    best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
+    base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
+    if best is None or base is None or mean_error(best, rung, flat) > FOLLOWED:
+        return None
+    scale = clipped(flat, base.residuals, rung)
+    first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
+    if first is None:
+        return None
+    scale = of_power(scale, data, first.power)
+    now = judged(found.best.structure.at(rung, best), best, rung, data, scale)
+    if now is None:
+        return None
+    first = replace(first, cost=scale.cost(first.power, first.parameters))
+    return replace(court, last=rung, scale=scale), first, now
+
+
+def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+    """The effects of the best structure in the order in which each takes away most, with what was before and after it."""
+    rest, before, order = list(keys), found.base, []
+    while rest:
+        each = [(key, _with(found, (*before.keys, key))) for key in rest]
+        known = [(key, one) for key, one in each if one is not None]
+        if not known:
+            break
+        key, after = min(known, key=lambda one: one[1].cost)
+        order.append((key, before, after))
+        rest.remove(key)
+        before = after
+    return order
+
+
+def _with(found: Search, keys: Iterable[Key]) -> Judged | None:
+    """The best structure with these of its effects alone."""
+    names = tuple(sorted(keys))
+    if names not in found.every:
+        model = found.best.model
+        for use in found.best.model.effects:
+            if use.key in found.best.keys and use.key not in names:
+                model = model.without_effect(use.label)
+        one = found.court.judge(
+            Structure(names, model, found.best.structure.states, found.best.structure.steps), steps=15, tolerance=1e-5
+        )
+        if one is None:
+            return None
+        found.every[names] = one
+    return found.every[names]

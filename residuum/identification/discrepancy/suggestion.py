@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.policy.answers import FORMULA_TERMS
 
 FloatArray = npt.NDArray[np.float64]
 
+FORMULA_TERMS = 3
+"""Functions that a formula has at most."""
 LIBRARY: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "1": np.ones_like,
     "{z}": lambda z: z,

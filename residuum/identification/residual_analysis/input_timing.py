@@ -41,7 +41,11 @@ def at_likelier_timing(
     first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
     if isinstance(first, NotIdentifiable):
         raise first
-    return first if isinstance(other, NotIdentifiable) or innovations_of(first[1].residuals) <= innovations_of(other[1].residuals) else other
+    return (
+        first
+        if isinstance(other, NotIdentifiable) or innovations_of(first[1].residuals) <= innovations_of(other[1].residuals)
+        else other
+    )
 
 
 def innovations_of(residuals: Sequence[FloatArray]) -> float:

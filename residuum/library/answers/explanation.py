@@ -7,11 +7,8 @@ from math import isfinite
 from typing import Any
 
 from residuum.identification.discrepancy.candidate import Candidate
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.explain import Explanation, HeldValue, Remaining
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.held_values import HeldValue
-from residuum.identification.discrepancy.remaining import Remaining
-from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.work import Work
@@ -50,10 +47,9 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
         "held_values": [asdict(held) for held in explanation.held],
-        "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
-        "drifting": explanation.search.drifting,
-        "by_share": explanation.by_share,
-        "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
+        "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
+        "drifting": explanation.drifting,
+        "remaining": remaining_json(explanation.remaining),
         "work": work_json(explanation.work),
         "seconds": explanation.seconds,
     }
@@ -82,8 +78,14 @@ def free_term_json(free: FreeTerm) -> dict[str, Any]:
         "unit": free.unit,
         "at": free.at,
         "value": free.value,
-        "evidence": free.evidence,
     }
+
+
+def because(candidate: Candidate) -> str:
+    """One sentence for the candidate: how much it takes away, of what, and what may stand for it."""
+    share = f"{100 * candidate.share.value:.0f} ± {100 * candidate.share.std:.0f} %"
+    alike = f"; {' or '.join(candidate.indistinguishable_from)} would do as well" if candidate.indistinguishable_from else ""
+    return f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on blocks kept aside{alike}"
 
 
 def _candidate_json(candidate: Candidate) -> dict[str, Any]:
@@ -99,7 +101,7 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "output": candidate.output,
         "held_out": candidate.held_out,
         "within_bounds": candidate.within_bounds,
-        "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
+        "share": {"value": candidate.share.value, "std": candidate.share.std},
         "because": because(candidate),
     } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
 
@@ -159,10 +161,10 @@ def _rest_text(explanation: Explanation) -> list[str]:
         for output, (rms, unit, times) in explanation.left.items()
         if times > from_
     ]
-    if explanation.search.drifting:
+    if explanation.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
     return lines + [
-        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
+        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.timing
     ]
 
 

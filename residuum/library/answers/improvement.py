@@ -17,7 +17,8 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
     remaining = None if improvement.explanation is None else improvement.explanation.remaining
     return {
         "history": [
-            {"added": step.added, "error": step.error} | ({"together": True} if step.together else {})
+            {"added": step.added, "error": step.error}
+            | ({} if step.remaining is None else {"remaining": remaining_json(step.remaining)})
             for step in improvement.history
         ],
         "verdict": improvement.verdict,
@@ -48,9 +49,7 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
     """The short human report."""
     lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
     lines += [
-        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
-        + (" (together, each alone raises it)" if step.together else "")
-        for step in improvement.history
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)

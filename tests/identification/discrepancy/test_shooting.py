@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from numba import njit
-
-from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.shooting import pairs_by_shooting
 from residuum.identification.discrepancy.structures import times_its_innovations
+
+from residuum.identification.discrepancy.explain import explain
 from residuum.identification.physics import candidates, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy.noise import SLOW
@@ -62,7 +62,7 @@ def test_explain_names_both_with_their_sizes(record):
     beside = "coulomb-friction tooth-ripple quadratic-drag position-load input-dead-zone hysteresis"
     found = explain(read_model(MIXER), [record], effects=beside.split())
     assert found.verdict == "missing-effect"
-    assert {id for id, _ in found.search.accepted} == {"coulomb-friction", "tooth-ripple"}
+    assert {id for id, _ in found.accepted} == {"coulomb-friction", "tooth-ripple"}
     values = found.search.best.model.values
     assert values["tooth-ripple@shaft.n"] == pytest.approx(TEETH, rel=1e-3)
     assert np.hypot(values["tooth-ripple@shaft.a"], values["tooth-ripple@shaft.b"]) == pytest.approx(COG, rel=0.02)

@@ -8,7 +8,7 @@ from residuum.identification.discrepancy.suggestion import suggestion
 
 
 def term(at, value):
-    return FreeTerm("shaft", "velocity", "N*m", at, value, rest=0.0, gain=10.0, evidence=10.0)
+    return FreeTerm("shaft", "velocity", "N*m", at, value, power=np.zeros((1, 1)), parameters=9, cost=0.0)
 
 
 def test_the_functions_that_made_the_curve_are_found():

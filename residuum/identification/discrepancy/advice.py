@@ -9,14 +9,14 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.candidate import Candidate
+from residuum.identification.discrepancy.following import Track
+from residuum.identification.discrepancy.judged import Judged
+from residuum.identification.discrepancy.policy import TIE
+from residuum.identification.discrepancy.proposals import HELD, beginnings, proposed
+from residuum.identification.discrepancy.scale import Scale, of_noise
+from residuum.identification.discrepancy.search import Search, Wanted
 from residuum.identification.errors import BadInput
-from residuum.identification.missing.candidate import Candidate
-from residuum.identification.missing.following import Track
-from residuum.identification.missing.judged import Judged
-from residuum.identification.missing.policy import TIE
-from residuum.identification.missing.proposals import HELD, beginnings, proposed
-from residuum.identification.missing.scale import Scale, of_noise
-from residuum.identification.missing.search import Search, Wanted
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import side_by_side
@@ -112,8 +112,8 @@ def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -
 def next_experiments(found: Search, candidates: Sequence[Candidate]) -> tuple[NextExperiment, ...]:
     """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
 
-    Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can absorb taken
-    out, is the non-centrality of a χ² test at `LEVEL` that tells them apart.
+    Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can absorb
+    taken out, is the non-centrality of a χ² test at `LEVEL` that tells them apart.
     """
     pair = _rivals(found, candidates)
     if pair is None:

@@ -21,8 +21,8 @@ _STATES = Settings(iterations=20, tolerance=1e-4)
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """`training` records, and `testing` ones each with the sample from which it counts (0: the whole record); none where the judge's
-    own blocks are what is kept aside.
+    """`training` records, and `testing` ones each with the sample from which it counts (0: the whole record); none where the
+    judge's own blocks are what is kept aside.
     """
 
     training: list[Record]
@@ -36,7 +36,9 @@ class Split:
 
 
 def split(records: Sequence[Record]) -> Split:
-    """Several records: every third is kept aside (of two, the second). One: what comes after its note `split: 0.7`, else nothing."""
+    """Several records: every third is kept aside (of two, the second). One: what comes after its note `split: 0.7`, else
+    nothing.
+    """
     if len(records) > 1:
         testing = [k for k in range(len(records)) if k % 3 == 2] or [len(records) - 1]
         return Split([r for k, r in enumerate(records) if k not in testing], [(records[k], 0) for k in testing])

@@ -5,12 +5,13 @@ g_b = T_bᵀe_b of each block b, the fit without a fold of blocks moves by
 
     δθ = (Σ H_rest + d·diag Σ H)⁻¹ Σ g_rest,    e_out → e_out − T_out δθ,
 
-so a refit costs nothing. The damping d refuses what only fits: a value that the rest leaves nearly undetermined would go anywhere.
+so a refit costs nothing. The damping d refuses what only fits: a value that the rest leaves nearly undetermined would go
+anywhere.
 
 References
 ----------
-R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A. Vehtari, A. Gelman, J. Gabry, Stat. Comput.
-27 (2017) 1413 (paired differences on data kept aside).
+R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A. Vehtari, A. Gelman, J. Gabry, Stat.
+Comput. 27 (2017) 1413 (paired differences on data kept aside).
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.missing.data import Data, Rung
-from residuum.identification.missing.policy import DAMPING
-from residuum.identification.missing.scale import Scale
-from residuum.identification.missing.structure import Structure
+from residuum.identification.discrepancy.data import Data, Rung
+from residuum.identification.discrepancy.policy import DAMPING
+from residuum.identification.discrepancy.scale import Scale
+from residuum.identification.discrepancy.structure import Structure
 from residuum.identification.physics import Estimate, Key, PhysicalModel, Simulator
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 
@@ -81,8 +82,8 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Errors (rows, measured outputs) of a fit in a scale, their slopes by parameters with first states projected out, those by first
-    `states`, and the values with their bounds; `huber` weighs what is clipped, windows begin at `starts`.
+    """Errors (rows, measured outputs) of a fit in a scale, their slopes by parameters with first states projected out, those by
+    first `states`, and the values with their bounds; `huber` weighs what is clipped, windows begin at `starts`.
     """
 
     errors: Array
@@ -113,7 +114,9 @@ class Equations:
         return np.asarray(solve_scaled(H + DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[self.slopes.shape[2] :, 0])
 
     def unseen(self, rung: Rung, fold: npt.NDArray[np.int64], extra: Array | None = None) -> Array:
-        """The errors of each row, its fold of blocks left out of the fit; `extra` are slopes of further terms beside first states."""
+        """The errors of each row, its fold of blocks left out of the fit; `extra` are slopes of further terms beside first
+        states.
+        """
         T, theta, lower, upper = self.slopes, self.theta, self.lower, self.upper
         if extra is not None:
             T = np.concatenate([T, extra], axis=2)
@@ -125,7 +128,7 @@ class Equations:
         each = [row_fold == k for k in np.unique(fold)]
         H = [np.einsum("roi,roj->ij", T[at], T[at]) for at in each]
         g = [np.einsum("roi,ro->i", T[at], r[at]) for at in each]
-        ridge = DAMPING * np.diag(np.diag(sum(H)))  # type: ignore[arg-type]
+        ridge = DAMPING * np.diag(np.diag(sum(H)))
         for k, at in enumerate(each):
             rest = [n for n in range(len(each)) if n != k]
             step = solve_scaled(sum((H[n] for n in rest), ridge), sum(g[n] for n in rest)[:, None], 1e-10)[:, 0]

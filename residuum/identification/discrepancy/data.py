@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.policy import BLOCKS, FOLDS, LADDER, SHORTEST_WINDOW
 from residuum.identification.errors import BadRecord
-from residuum.identification.missing.policy import BLOCKS, FOLDS, LADDER, SHORTEST_WINDOW
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.record import Record
 
@@ -75,7 +75,7 @@ class Data:
         """Begin and end of a block [s], in its record's time."""
         each = self.blocks // len(self.experiments)
         e, k = self.experiments[block // each], block % each
-        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / each) for edge in (k, k + 1))  # type: ignore[return-value]
+        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / each) for edge in (k, k + 1))
 
     def rows(self, rung: Rung) -> Integers:
         """Of each row of a rung the row among all experiments, one after the other."""

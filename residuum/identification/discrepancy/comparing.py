@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.missing.judged import Judged
-from residuum.identification.missing.policy import (
+from residuum.identification.discrepancy.judged import Judged
+from residuum.identification.discrepancy.policy import (
     BEAM,
     EVERYWHERE,
     MERITLESS,
@@ -18,7 +18,7 @@ from residuum.identification.missing.policy import (
     TIE,
     WORTH,
 )
-from residuum.identification.missing.scale import Scale
+from residuum.identification.discrepancy.scale import Scale
 
 Array = npt.NDArray[np.float64]
 _RESAMPLED = 400
@@ -45,8 +45,8 @@ def ahead(new: Judged, old: Judged, scale: Scale) -> float:
 
 
 def corrected(new: Judged, old: Judged) -> float:
-    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors, summed over pieces as
-    long as those remember (self-normalised: an effect may show in few places, not in one alone).
+    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors, summed over
+    pieces as long as those remember (self-normalised: an effect may show in few places, not in one alone).
     """
     rows = (old.left * (old.left - new.left)).sum(axis=1)
     e = old.left.sum(axis=1)

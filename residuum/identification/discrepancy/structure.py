@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.data import Rung
+from residuum.identification.discrepancy.scale import Scale
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.missing.data import Rung
-from residuum.identification.missing.scale import Scale
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Settings, Simulator, estimate
 from residuum.identification.work import go_on
 
@@ -21,8 +21,8 @@ States = Sequence[Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Effects `keys` in a `model`; by the windows a record of each rung that was visited, the first `states` of its windows and the
-    integration `steps` a sample there.
+    """Effects `keys` in a `model`; by the windows a record of each rung that was visited, the first `states` of its windows and
+    the integration `steps` a sample there.
     """
 
     keys: tuple[Key, ...]
@@ -52,8 +52,8 @@ def fitted(
     tolerance: float,
     substeps: Sequence[int] | None = None,
 ) -> Estimate | None:
-    """The model at its least error on these windows in the scale's unit, from where states are known roughly; `substeps` are integration
-    steps a sample, where they are known.
+    """The model at its least error on these windows in the scale's unit, from where states are known roughly; `substeps` are
+    integration steps a sample, where they are known.
 
     None where it diverges, or nothing can be estimated.
     """

@@ -1,4 +1,6 @@
-"""Every number that missing physics is judged by: its unit in brackets (none: a ratio or a count), its meaning, and what set it."""
+"""Every number that missing physics is judged by: its unit in brackets (none: a ratio or a count), its meaning, and what set
+it.
+"""
 
 LADDER = (27, 9, 3, 1)
 """Windows a record, from short horizons to the whole: long simulations lock in wrongly from a poor start. Chosen."""

@@ -1,8 +1,8 @@
 """The unit in which errors are measured: power where an error stands out of its noise, nats of that noise where it does not.
 
 A whitened likelihood misleads on inexact machines: it believes that what is left is noise. Raw power is deaf in noise. What the
-error looks like says which unit is right: one that stands far above what its own past cannot predict, or is larger here than there,
-is no noise.
+error looks like says which unit is right: one that stands far above what its own past cannot predict, or is larger here than
+there, is no noise.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy.typing as npt
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
-from residuum.identification.missing.data import Data, Rung
-from residuum.identification.missing.policy import CLIPPED, WEAKEST, WHITENING
+from residuum.identification.discrepancy.data import Data, Rung
+from residuum.identification.discrepancy.policy import CLIPPED, WEAKEST, WHITENING
 from residuum.identification.physics import noise_floor
 
 Array = npt.NDArray[np.float64]
@@ -28,8 +28,8 @@ NORMAL_MEDIAN = 0.6745
 class Scale:
     """Weights (outputs,) of errors, their whitening `filters`, and what counts as how much.
 
-    `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,) is the first model's and `floor`
-    the part of the cost that is noise; in `nats` a parameter costs `price`.
+    `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,) is the first model's and
+    `floor` the part of the cost that is noise; in `nats` a parameter costs `price`.
     """
 
     weights: Array

@@ -1,7 +1,8 @@
 """The first model on ever longer windows, each rung begun where the one before ended.
 
-Long simulations of oscillating or integrating machines lock in wrongly from a poor start. The last rung is the whole record, unless the
-model does not forget its first state within a window (a plant that integrates, a closed loop) and follows little there.
+Long simulations of oscillating or integrating machines lock in wrongly from a poor start. The last rung is the whole record,
+unless the model does not forget its first state within a window (a plant that integrates, a closed loop) and follows little
+there.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from residuum.identification.discrepancy.data import Data, Rung, data_of
+from residuum.identification.discrepancy.policy import FOLLOWED
+from residuum.identification.discrepancy.scale import Scale, clipped, plain
+from residuum.identification.discrepancy.structure import States, Structure, fitted
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.missing.data import Data, Rung, data_of
-from residuum.identification.missing.policy import FOLLOWED
-from residuum.identification.missing.scale import Scale, clipped, plain
-from residuum.identification.missing.structure import States, Structure, fitted
 from residuum.identification.physics import Estimate, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing

@@ -1,24 +1,24 @@
 """From what was tried to names: groups, probabilities that were counted, and the verdict.
 
-Blocks are drawn again with replacement; in every draw the structure wins that would have been chosen on those blocks. What a group, "none"
-and "unknown" win is their probability.
+Blocks are drawn again with replacement; in every draw the structure wins that would have been chosen on those blocks. What a
+group, "none" and "unknown" win is their probability.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.missing.candidate import Candidate, Quantity
-from residuum.identification.missing.comparing import is_alike
-from residuum.identification.missing.free_term import FreeTerm
-from residuum.identification.missing.judged import Judged
-from residuum.identification.missing.policy import DRAWS, SMALL, TIE, WORTH
-from residuum.identification.missing.proposals import HELD
-from residuum.identification.missing.search import Search, chain
+from residuum.identification.discrepancy.candidate import Candidate, Quantity
+from residuum.identification.discrepancy.comparing import is_alike
+from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.judged import Judged
+from residuum.identification.discrepancy.policy import DRAWS, SMALL, TIE, WORTH
+from residuum.identification.discrepancy.proposals import HELD
+from residuum.identification.discrepancy.search import Search, chain
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
 
@@ -32,7 +32,9 @@ LISTED = 6
 
 @dataclass(frozen=True)
 class Step:
-    """An effect that joined: the structures before and after, those that do the same in its place, and what else was tried there."""
+    """An effect that joined: the structures before and after, those that do the same in its place, and what else was tried
+    there.
+    """
 
     key: Key
     before: Judged
@@ -68,8 +70,8 @@ def steps_of(found: Search) -> list[Step]:
 
 
 def counted(found: Search, free: Sequence[FreeTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
-    """How often each structure wins when blocks are drawn again; "none" where it is not worth its while and the model is `adequate`,
-    "unknown" where it is not and the model is not, or where a free term does plainly more.
+    """How often each structure wins when blocks are drawn again; "none" where it is not worth its while and the model is
+    `adequate`, "unknown" where it is not and the model is not, or where a free term does plainly more.
     """
     scale = found.court.scale
     tried = sorted(found.every.values(), key=lambda one: one.cost)[:MOST_RIVALS]
@@ -116,8 +118,6 @@ def verdict_on(found: Search, free: Sequence[FreeTerm], stds: Mapping[str, float
 
 
 def _scaled(candidate: Candidate, factor: float) -> Candidate:
-    from dataclasses import replace
-
     return replace(candidate, probability=candidate.probability * factor)
 
 
@@ -144,9 +144,10 @@ def _candidates(
         _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, found)
         for key in named
     ]
-    for key in sorted(others, key=lambda k: (-shares[k], others[k].cost))[: LISTED if number == 0 else 0]:
-        if key.effect != HELD:
-            listed.append(_candidate(key, others[key], step, number, 0.0 if rest else shares[key], [], stds, found))
+    told = sorted((k for k in others if k.effect != HELD), key=lambda k: (-shares[k], others[k].cost))[
+        : LISTED if number == 0 else 0
+    ]
+    listed += [_candidate(key, others[key], step, number, 0.0 if rest else shares[key], [], stds, found) for key in told]
     return listed
 
 
@@ -162,11 +163,8 @@ def _undecided(found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds:
     """Nothing is real: those that took away most are told with what they win."""
     alone = sorted((one for one in found.every.values() if len(one.keys) == 1), key=lambda one: one.cost)[:LISTED]
     step = Step(Key("", ""), found.base, found.base, (), ())
-    listed = []
-    for one in alone:
-        if one.keys[0].effect != HELD and one.cost < found.base.cost:
-            listed.append(_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found))
-    return listed
+    told = [one for one in alone if one.keys[0].effect != HELD and one.cost < found.base.cost]
+    return [_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found) for one in told]
 
 
 def _candidate(

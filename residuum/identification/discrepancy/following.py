@@ -1,7 +1,8 @@
 """Where the machine was and what its balances lacked, as the measurements show them; and effects regressed on that.
 
-A simulation that has gone astray (an arm without its weight, an axis that a cog holds) does not point to the effect. The Kalman filter
-stays with the machine: along its states, the term of an effect that is missing resembles the missing term of its balance.
+A simulation that has gone astray (an arm without its weight, an axis that a cog holds) does not point to the effect. The Kalman
+filter stays with the machine: along its states, the term of an effect that is missing resembles the missing term of its
+balance.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.discrepancy.data import Data, Rung
 from residuum.identification.errors import BadInput
-from residuum.identification.missing.data import Data, Rung
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.model import find_effect, place_of, term_name
@@ -29,8 +30,8 @@ ROWS = 4000
 class Track:
     """All experiments, one after the other: `experiment` (inputs and outputs), states X (n, states), what each balance lacked.
 
-    `errors` (n, outputs) are those of the model's simulation, 0 where nothing is known of them; `longest` are the rows of the longest
-    experiment.
+    `errors` (n, outputs) are those of the model's simulation, 0 where nothing is known of them; `longest` are the rows of the
+    longest experiment.
     """
 
     model: PhysicalModel
@@ -85,8 +86,8 @@ def _joined(experiments: Sequence[Experiment]) -> Experiment:
 def regressed(key: Key, start: Mapping[str, float], along: Track) -> PhysicalModel | None:
     """The track's model with the effect, in the sizes that what its balance lacked asks for.
 
-    Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose parameters may
-    be off. None for an effect with states of its own, without sizes or with none inside its bounds.
+    Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose
+    parameters may be off. None for an effect with states of its own, without sizes or with none inside its bounds.
     """
     effect, model = find_effect(key.effect), along.model
     if effect.place != "balance" or not effect.sizes or effect.states(model.site(key.target, effect)):
