@@ -136,7 +136,7 @@ def _read_and_exit(file: Path) -> None:
     tempfile.tempdir = str(file.parent)
     code = 1
     try:
-        code = upload_reader.main(MEMORY, SECONDS, str(file), f'{{"options": {{}}, "unpacked": {MEMORY}}}')
+        code = upload_reader.main(MEMORY, SECONDS, str(file), f'{{"options": {{}}, "unpacked": {MEMORY}, "dbc": null}}')
         sys.stdout.flush()
     except Exception as error:
         os.write(1, f"{type(error).__name__}: {error}".encode("utf-8", "replace"))

@@ -184,7 +184,7 @@ def _explained(case: Case) -> dict[str, Any]:
 
 
 def chi_square(case: Case, explanation: Explanation) -> float:
-    """Twice the log-likelihood that the hidden effect gains over the base where errors are noise: how much the record can show."""
+    """Twice the log-likelihood that the hidden effect gains where errors are noise: how much of it the record can show."""
     found, id = explanation.search, case.hidden[0][0]
     gains = [found.base.seen - one.seen for keys, one in found.every.items() if len(keys) == 1 and keys[0].effect == id]
     return 2.0 * max(gains, default=0.0) if found.court.scale.nats else 0.0

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import residuum
+from residuum.service.commands import COMMANDS
 
 ROOT = Path(residuum.__file__).parent
 MAY_IMPORT = {
@@ -92,26 +93,68 @@ def test_no_import_cycles():
         visit(name, [])
 
 
-STARTED = {
-    "__main__": "python -m residuum",
-    "identification/discrepancy/compile_ahead": "python -m, by make and the container's build",
-    "identification/physics/files/model_schema": "docs/make_reference.py writes the schema of model files from it",
-    "identification/unit_registry": "units loads it for a unit that is none of the common ones",
-    "service/fieldbus/opcua": "the list of sources loads it when such a source is opened: its library is an extra",
-    "service/fieldbus/sparkplug": "the list of sources loads it when such a source is opened: its libraries are an extra",
-    "service/finding_metrics": "the service loads it when findings are published as Sparkplug B: its libraries are an extra",
-    "service/finding_nodes": "the service loads it when findings are offered over OPC UA: its library is an extra",
-    "service/commands/": "the console program loads a command by its name",
-    "service/storage/migrations/": "alembic loads them by their place",
-    "service/work/worker_preload": "the fork server loads it by its name",
+DOORS = {
+    "library": ["residuum"],
+    "command line": [
+        "residuum.__main__",
+        "residuum.service.cli",
+        *(f"residuum.service.commands.{module}" for module, _ in COMMANDS.values()),
+    ],
+    "service": ["residuum.service.app"],
 }
-"""What nothing imports because something else starts it, and what that is."""
+"""Where a user comes in, and the modules that this begins with; commands are loaded by their names."""
+STARTED = {
+    "identification/physics/files/model_schema": "docs/make_reference.py writes the schema of model files from it",
+    "service/storage/migrations/": "alembic loads them by their place",
+}
+"""What no door reaches because something else starts it, and what that is."""
 
 
-def test_every_module_is_reached():
-    """A module that nothing imports is started by something named here, or goes: to the peers of `benchmarks`, or altogether."""
-    names = {str(path.relative_to(ROOT).with_suffix("")): path for path in modules() if path.stem != "__init__"}
-    reached = {name for path in modules() for name in imported(path)}
-    alone = {name for name in names if "residuum." + name.replace("/", ".") not in reached}
-    unnamed = {name for name in alone if not name.startswith(tuple(STARTED))}
-    assert not unnamed, f"nothing reaches {sorted(unnamed)}"
+def named(path):
+    """Modules that the text of a module names: what is imported by its name, when it is needed."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("residuum."):
+            yield node.value
+
+
+def dotted(path):
+    return ".".join(["residuum", *path.relative_to(ROOT).with_suffix("").parts]).removesuffix(".__init__")
+
+
+def reached_from(starts):
+    """All modules; and those that these import, with the packages that they lie in, however far away."""
+    files = {dotted(path): path for path in modules()}
+    reached, waiting = set(), list(starts)
+    while waiting:
+        name = waiting.pop()
+        if name in files and name not in reached:
+            reached.add(name)
+            waiting += [*imported(files[name]), *named(files[name]), name.rpartition(".")[0]]
+    return set(files), reached
+
+
+def test_every_module_is_reached_from_a_door():
+    """A module that neither library nor commands nor service reach gets a door, or goes: to the peers, or altogether."""
+    everything, reached = reached_from(start for starts in DOORS.values() for start in starts)
+    places = {f"{name.removeprefix('residuum.').replace('.', '/')}/" for name in everything - reached}
+    unnamed = {place for place in places if not place.startswith(tuple(STARTED))}
+    assert not unnamed, f"neither library nor command line nor service reaches {sorted(unnamed)}"
+    assert all(any(place.startswith(start) for place in places) for start in STARTED), "what is reached needs no other start"
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_what_begins_a_door_is_there(door):
+    everything, _ = reached_from(())
+    assert set(DOORS[door]) <= everything
+
+
+def test_what_only_a_name_in_nobodys_text_reaches_is_found(tmp_path, monkeypatch):
+    (tmp_path / "library").mkdir()
+    (tmp_path / "__init__.py").write_text("from residuum.library import used")
+    (tmp_path / "library" / "island.py").write_text("from residuum.library import other_island")
+    for name in ("__init__", "used", "other_island"):
+        (tmp_path / "library" / f"{name}.py").touch()
+    (tmp_path / "residuum").symlink_to(tmp_path)
+    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path / "residuum")
+    everything, reached = reached_from(["residuum"])
+    assert everything - reached == {"residuum.library.island", "residuum.library.other_island"}

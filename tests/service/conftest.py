@@ -25,6 +25,8 @@ from residuum.service.machines.pipeline import Pipeline
 from residuum.service.settings import load_settings
 
 PATIENCE = 60.0
+_PROCESS = os.environ.get("PYTEST_XDIST_WORKER")  # gw0, gw1, … when several processes run the tests, each its share
+_PORTS = range(20_000, 32_000, 1_500)  # below those of outgoing connections
 
 
 def find_program(name):
@@ -47,13 +49,22 @@ _chance = random.SystemRandom()
 def _free_port():
     """A port that nobody listens at, and that no outgoing connection is given by the system before somebody does.
 
-    (Who tries again and again to connect to a port of those, is in the end connected to himself and holds the port.)
+    (Who tries again and again to connect to a port of those, is in the end connected to himself and holds the port.) Each process
+    that runs tests has ports of its own: it may be a while until somebody listens at one.
     """
+    first = _PORTS[int((_PROCESS or "gw0").removeprefix("gw")) % len(_PORTS)]
     while True:
-        port = _chance.randint(20_000, 32_000)
+        port = first + _chance.randrange(_PORTS.step)
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             return port
+
+
+@pytest.fixture(scope="session", autouse=True)
+def trained_diagnosers(tmp_path_factory):
+    """A folder in which `trained.py` keeps what one of the processes that run the tests has trained, for the others."""
+    folder = tmp_path_factory.getbasetemp()
+    os.environ["RESIDUUM_TEST_TRAINED"] = str(folder if _PROCESS is None else folder.parent)
 
 
 @pytest.fixture

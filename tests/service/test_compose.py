@@ -6,6 +6,8 @@ import re
 import subprocess
 import sys
 import time
+import tomllib
+import urllib.parse
 import urllib.request
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import jsonschema
 import pytest
 import yaml
 
+from residuum.service.commands import COMMANDS
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.security.access import ApiKeys, Role
@@ -56,6 +59,74 @@ def test_the_services_settings_name_the_machines_of_the_compose_file():
             assert address in commands[machine.asset]
             assert source.kind == "can" or source.host == machine.asset
             (read_dbc if source.kind == "can" else read_register_map)(source.map_file)
+
+
+DOCKERFILE = (ROOT / "Dockerfile").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+IMAGES = {
+    "postgres": {
+        "port": 5432,
+        "needs": {"POSTGRES_USER", "POSTGRES_PASSWORD", "POSTGRES_DB"},
+        "keeps": "/var/lib/postgresql/data",
+    },
+    "eclipse-mosquitto": {"port": 1883, "needs": set(), "keeps": "/mosquitto/config/mosquitto.conf"},
+    "prom/prometheus": {"port": 9090, "needs": set(), "keeps": "/prometheus"},
+    "grafana/grafana": {"port": 3000, "needs": set(), "keeps": "/var/lib/grafana"},
+}
+"""What the images of others have, by their documentation: the port they listen on, variables that they need, where they keep."""
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_our_commands_and_variables_are_those_of_the_image(name):
+    program, command, *_ = OURS[name]["command"]
+    assert program in PROJECT["scripts"] and command in COMMANDS
+    variables = {variable.removeprefix("RESIDUUM_").lower() for variable in OURS[name].get("environment", {})}
+    assert variables <= {*Settings.model_fields, "settings"}
+    assert OURS[name]["user"].split(":")[0] in re.findall(r"useradd --uid (\d+)", DOCKERFILE)
+
+
+def test_the_image_has_what_its_variables_ask_for():
+    (extras,) = re.findall(r'pip install .*"\.\[(.*?)\]"', DOCKERFILE)
+    environment = OURS["residuum"]["environment"]
+    assert "psycopg" in environment["RESIDUUM_DATABASE"] and "postgres" in extras.split(",")
+    assert environment["RESIDUUM_MQTT"].startswith("mqtt:") and "mqtt" in extras.split(",")
+    assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
+    copied = {file for line in re.findall(r"^COPY (?!--from)(.*)$", DOCKERFILE, re.MULTILINE) for file in line.split()[:-1]}
+    assert all((ROOT / file).exists() for file in copied) and {PROJECT["readme"], *PROJECT["license-files"]} <= copied
+
+
+def test_ports_are_those_that_somebody_listens_on():
+    published = {name: port for name, service in COMPOSE["services"].items() for port in service.get("ports", [])}
+    assert {port.split(":")[0] for port in published.values()} == {"127.0.0.1"}, "nothing is open to other machines"
+    for name, port in published.items():
+        inside = port.split(":")[-1]
+        other = IMAGES.get(COMPOSE["services"][name]["image"].split(":")[0])
+        listens = {str(other["port"])} if other else {*OURS[name]["command"], *re.findall(r"EXPOSE (\d+)", DOCKERFILE)}
+        assert inside in listens, f"{name} listens on {listens}, not on {inside}"
+
+
+def test_services_name_each_other_by_host_port_and_password():
+    environment = OURS["residuum"]["environment"]
+    for url, image in ((environment["RESIDUUM_DATABASE"], "postgres"), (environment["RESIDUUM_MQTT"], "eclipse-mosquitto")):
+        parts = urllib.parse.urlsplit(url)
+        service = COMPOSE["services"][parts.hostname]
+        assert service["image"].split(":")[0] == image and parts.port == IMAGES[image]["port"]
+        assert set(service["networks"]) & set(OURS["residuum"]["networks"])
+    database, given = urllib.parse.urlsplit(environment["RESIDUUM_DATABASE"]), COMPOSE["services"]["postgres"]["environment"]
+    assert (database.username, database.password, database.path[1:]) == tuple(
+        given[f"POSTGRES_{name}"] for name in ("USER", "PASSWORD", "DB")
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in COMPOSE["services"] if name not in OURS])
+def test_images_of_others_are_pinned_and_get_what_they_need(name):
+    service = COMPOSE["services"][name]
+    image, _, tag = service["image"].partition(":")
+    assert tag and tag != "latest" and IMAGES[image]["needs"] <= set(service.get("environment", {}))
+    inside = {volume.split(":")[1] for volume in service.get("volumes", [])}
+    assert IMAGES[image]["keeps"] in inside
+    files = re.findall(r"/\S+\.(?:yml|conf)", " ".join(service.get("command", [])))
+    assert all(file in inside for file in files)
 
 
 def on_this_machine(command, ports, group):

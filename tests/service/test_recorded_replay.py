@@ -12,8 +12,9 @@ import pytest
 
 from residuum.identification.record_formats import write_record
 from residuum.service.fieldbus.can_bus import open_bus
+from residuum.service.fieldbus.can_log import read_can_log
 from residuum.service.fieldbus.register_trace import read_trace
-from residuum.service.fieldbus.replay import read_can_log, replay_to_can, replay_to_modbus
+from residuum.service.fieldbus.replay import replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 
 _spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).with_name("trained.py"))
@@ -23,9 +24,9 @@ _spec.loader.exec_module(trained)
 RECORDED = Path(__file__).parents[1] / "recorded"
 CUT = {"gate-actuator": "movement", "gripping-pliers": "round", "process-plant": "sliding"}
 CASES = [
-    ("gate-actuator", "gate_actuator.blf", 2.0, ["healthy", "faulty"]),
+    ("gate-actuator", "gate_actuator.blf", 4.0, ["healthy", "faulty"]),
     ("gripping-pliers", "gripping_pliers.blf", 4.0, ["healthy"] * 3 + ["faulty"] * 3),
-    ("process-plant", "process_plant.trace", 10.0, ["healthy"] * 3 + ["faulty"] * 7),
+    ("process-plant", "process_plant.trace", 20.0, ["healthy"] * 3 + ["faulty"] * 7),
 ]
 
 
@@ -49,7 +50,7 @@ def watched(free_port, free_channel):
 def replay(file, source, speed):
     if source.kind == "can":
         bus = open_bus(source.channel)
-        replay_to_can(read_can_log(file), bus, speed)
+        replay_to_can(read_can_log(file).frames, bus, speed)
         bus.close()
     else:
         registers, pages = read_trace(file)

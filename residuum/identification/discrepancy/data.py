@@ -19,7 +19,7 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """All records in so many `windows` each; `block` (rows,) is the block of each row, `experiment` (parts,) where a part lies."""
+    """All records in so many `windows` each; `block` (rows,) is each row's block, `experiment` (parts,) where a part lies."""
 
     windows: int
     parts: list[Experiment]

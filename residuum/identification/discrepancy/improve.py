@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,15 +17,15 @@ from residuum.identification.discrepancy.judged import Judged
 from residuum.identification.discrepancy.kept_aside import Split, error_on, split
 from residuum.identification.discrepancy.ladder import climb_at_likelier_timing
 from residuum.identification.discrepancy.looks import Court, glance, look
-from residuum.identification.discrepancy.proposals import freed, without_idle
-from residuum.identification.discrepancy.search import Search, Tell, begun, chain, untold
+from residuum.identification.discrepancy.proposals import HELD, freed, without_idle
+from residuum.identification.discrepancy.search import Search, Tell, Wanted, begun, chain, untold
 from residuum.identification.discrepancy.structure import fitted
 from residuum.identification.errors import BadModel, NotIdentifiable
 from residuum.identification.physics import Key, PhysicalModel, candidates
 from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
-from residuum.identification.work import at_most
+from residuum.identification.work import Work, at_most
 
 Array = npt.NDArray[np.float64]
 Found = list[tuple[str | None, Judged]]
@@ -63,67 +63,82 @@ def improve(
     _check_fixed(model, free)
     for id in add or ():
         find_effect(_parts(id).effect)
-    parts = split(records)
+    parts, start = split(records), freed(model, free)
     with at_most() as work:
-        start = freed(model, free)
         if add is None:
-            told: Tell = lambda share, doing: tell(0.8 * share, doing)  # noqa: E731
-            given = {"effects": effects, "learned": learned, "seconds": seconds, "tell": told}
-            explanation: Explanation | None = explain(start, parts.training, mapping, **given)  # type: ignore[arg-type]
-            found = explanation.search  # type: ignore[union-attr]
-            keys = [k for k in found.best.keys if k not in {Key("value", h.name) for h in explanation.held}]  # type:
-            ignore[union-attr] if explanation.held:  # type: ignore[union-attr]
-                found = _joined(matched(start, parts.training, mapping), keys)
+            how = Wanted(None if effects is None else tuple(effects), learned)
+            start_from = _named(start, parts, mapping, how, seconds, lambda share, doing: tell(0.8 * share, doing))
         else:
-            explanation = None
-            start = _with_columns_of(start, records, add)
-            keys = [_resolved(start, id) for id in add]
-            found = _joined(matched(start, parts.training, mapping), keys)
+            start_from = _asked(_with_columns_of(start, records, add), parts, mapping, add)
         tell(0.85, "estimating on everything")
-        as_it_was = [(None, _alone(model, found, mapping, parts))] if free else []
-        ordered = _ordered(found, keys, asked=add is not None)
+        found = start_from.found
         first = f"{' and '.join(free)} freed" if free else None
-        steps: Found = [*as_it_was, (first, found.base), *((key.effect, one) for key, one in ordered)]
-        return _answer(model, records, mapping, found, steps, parts, explanation, work, asked=add is not None)
+        steps: Found = [(first, found.base), *((key.effect, one) for key, one in start_from.joined)]
+        if free:
+            steps = [(None, _as_it_was(model, found, parts, mapping)), *steps]
+        improved = _answer(model, records, mapping, start_from, steps, parts)
+    return replace(improved, work=work)
+
+
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """What was searched or asked for, the effects that join one after the other, and what `explain` says, where it was asked."""
+
+    found: Search
+    joined: list[tuple[Key, Judged]]
+    explanation: Explanation | None
+
+
+def _named(
+    model: PhysicalModel, parts: Split, mapping: Mapping[str, str] | None, how: Wanted, seconds: float | None, tell: Tell
+) -> _Begun:
+    """The effects that `explain` names; where it frees values that the model holds, beside those as they are held."""
+    said = explain(model, parts.training, mapping, effects=how.effects, learned=how.learned, seconds=seconds, tell=tell)
+    found = said.search
+    keys = [key for key in found.best.keys if key.effect != HELD]
+    if said.held:
+        found = _joined(found.court.data, keys)
+    return _Begun(found, [(key, after) for key, _, after in chain(found, keys)], said)
+
+
+def _asked(model: PhysicalModel, parts: Split, mapping: Mapping[str, str] | None, ids: Sequence[str]) -> _Begun:
+    """The effects that the user names, in this order, whatever they do."""
+    keys = [_resolved(model, id) for id in ids]
+    found = _joined(matched(model, parts.training, mapping), keys)
+    return _Begun(found, [(key, found.every[tuple(sorted(keys[: k + 1]))]) for k, key in enumerate(keys)], None)
 
 
 def _answer(
     model: PhysicalModel,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
-    found: Search,
+    start_from: _Begun,
     steps: Found,
     parts: Split,
-    explanation: Explanation | None,
-    work: object,
-    *,
-    asked: bool,
 ) -> Improvement:
+    found, asked = start_from.found, start_from.explanation is None
     hold = found.court.data.experiments[0].hold
-    errors = [
-        error_on(one.model, parts, mapping, hold[: len(one.model.inputs)]) if parts.testing else one.rms for _, one in steps
-    ]
+    errors = [error_on(one.model, parts, mapping, hold) if parts.testing else one.rms for _, one in steps]
     o = _output(errors)
     output = list(found.base.model.outputs.values())[o]
     history = [
-        Step(name, float(error[o]), remaining(replace_best(found, one)) if not parts.testing else None)
+        Step(name, float(error[o]), None if parts.testing else remaining(_led_by(found, one)))
         for (name, one), error in zip(steps, errors, strict=True)
     ]
     fell = history[-1].error < history[0].error
-    if not fell and not asked:
-        history, better = history[:1], _estimated(found.base, found, records, mapping, parts)
-    else:
-        better = _estimated(steps[-1][1], found, records, mapping, parts)
-    improved = with_provenance(better.model, doubts_of(replace_best(found, better)), records, history, output.name, output.unit)
+    if not (fell or asked):
+        history, steps = history[:1], steps[:1]
+    better = _estimated(steps[-1][1], found, records, mapping, parts)
+    improved = with_provenance(better.model, doubts_of(_led_by(found, better)), records, history, output.name, output.unit)
     improved = without_idle(improved, model)
     if asked:
         verdict = "improved" if fell else "not-improved"
     else:
         verdict = "unknown-effect" if compare(improved, records, mapping).present else "adequate"
-    return Improvement(improved, tuple(history), verdict, output.name, output.unit, explanation, parts.aside, work)  # type: ignore[arg-type]
+    return Improvement(improved, tuple(history), verdict, output.name, output.unit, start_from.explanation, parts.aside, Work())
 
 
-def replace_best(found: Search, best: Judged) -> Search:
+def _led_by(found: Search, best: Judged) -> Search:
     """What was found, with another structure as the best."""
     return Search(found.court, found.base, best, found.along, found.every, [], found.tried)
 
@@ -133,13 +148,6 @@ def _output(errors: Sequence[Array]) -> int:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = errors[-1] / errors[0]
     return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))
-
-
-def _ordered(found: Search, keys: Sequence[Key], *, asked: bool) -> list[tuple[Key, Judged]]:
-    """The effects and the structures with them: as they were asked for, or in the order in which each takes away most."""
-    if not asked:
-        return [(key, after) for key, _, after in chain(found, keys)]
-    return [(key, found.every[tuple(sorted(keys[: k + 1]))]) for k, key in enumerate(keys)]
 
 
 def _joined(data: Data, keys: Iterable[Key]) -> Search:
@@ -157,7 +165,7 @@ def _joined(data: Data, keys: Iterable[Key]) -> Search:
     return found
 
 
-def _alone(model: PhysicalModel, found: Search, mapping: Mapping[str, str] | None, parts: Split) -> Judged:
+def _as_it_was(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> Judged:
     """The model with its values held, judged as what was found is."""
     data = replace(found.court.data, model=matched(model, parts.training, mapping).model)
     structure = replace(found.base.structure, model=data.model)

@@ -49,7 +49,7 @@ def climb(data: Data) -> Climbed:
     structure, last, found = Structure((), data.model, {}, {}), None, None
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
-        if here is None or (last is not None and mean_error(here, rung, scale) > FOLLOWED and not _forgets(here, rung)):
+        if here is None or (last is not None and mean_error(here, scale) > FOLLOWED and not _forgets(here, rung)):
             continue
         structure, last, found = structure.at(rung, here), rung, here
     if last is None or found is None:
@@ -69,10 +69,10 @@ def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung |
         states = [known.get((number, part.t0), {}) for number, part in zip(rung.experiment, rung.parts, strict=True)]
         begins = [(structure.model, states), (structure.model, None), *begins]
     each = [fitted(model, rung.parts, states, scale, steps=20, tolerance=1e-5) for model, states in begins]
-    return min((one for one in each if one is not None), key=lambda one: mean_error(one, rung, scale), default=None)
+    return min((one for one in each if one is not None), key=lambda one: mean_error(one, scale), default=None)
 
 
-def mean_error(found: Estimate, rung: Rung, scale: Scale) -> float:
+def mean_error(found: Estimate, scale: Scale) -> float:
     """Mean square of a fit's errors in the scale, clipped."""
     measured = scale.weights > 0.0
     residuals = np.concatenate(found.residuals)

@@ -74,7 +74,7 @@ class Glance:
 
 
 def glance(parent: Structure, key: Key, along: Track, court: Court) -> Glance | None:
-    """Three steps from each first value, on short windows where errors stand out, and on the last rung; None where all diverge."""
+    """A step from each first value and two more from the best, on short windows and on the last rung; None where all diverge."""
     first = beginnings(key, along)
     sizes: dict[str, list[float]] = {}
     for model in first:
@@ -111,7 +111,7 @@ def _steps(
     found = fitted(
         model, parts, states, court.scale, steps=steps, tolerance=1e-3, substeps=_substeps(model, parts, parent, court)
     )
-    return None if found is None else (mean_error(found, court.last, court.scale), found.model)
+    return None if found is None else (mean_error(found, court.scale), found.model)
 
 
 def _substeps(model: PhysicalModel, parts: Sequence[Experiment], parent: Structure, court: Court) -> list[int] | None:

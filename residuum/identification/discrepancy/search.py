@@ -297,7 +297,7 @@ def _lengthened(found: Search) -> tuple[Court, Judged, Judged] | None:
     rung, flat = longer[0], plain(data)
     best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or mean_error(best, rung, flat) > FOLLOWED:
+    if best is None or base is None or mean_error(best, flat) > FOLLOWED:
         return None
     scale = clipped(flat, base.residuals, rung)
     first = judged(found.base.structure.at(rung, base), base, rung, data, scale)

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import nnls
 
 from residuum.kept_loops import njit
-from residuum.robust_control.synthesis.nonnegative_least_squares import nonnegative_least_squares
 
 FloatArray = npt.NDArray[np.float64]
 _SMALLEST_PIVOT = 1e-12
@@ -49,38 +49,21 @@ def minimax_step(
     >>> d.round(5).tolist(), multipliers.round(3).tolist(), round(t, 5)
     ([0.5], [0.25, 0.25], -0.5)
     """
-    d, multipliers, t = _least_distance(c, A, H, low, high)
-    return d, multipliers, float(t)
-
-
-@njit(error_model="numpy")
-def _least_distance(c, A, H, low, high):
     m, n = A.shape
     inverse = _inverse_of_lower(_lower_factor(H))
     E = np.zeros((n + 2, m + 2 * n))
-    for i in range(n):
-        for j in range(i + 1):
-            for k in range(m):
-                E[i, k] -= inverse[i, j] * A[k, j]
-            E[i, m + j] = inverse[i, j]
-            E[i, m + n + j] = -inverse[i, j]
-    for k in range(m):
-        E[n, k] = 1.0
-        E[n + 1, k] = c[k] + 1.0
-    for j in range(n):
-        E[n + 1, m + j] = low[j]
-        E[n + 1, m + n + j] = -high[j]
+    E[:n] = np.hstack([-inverse @ A.T, inverse, -inverse])
+    E[n, :m] = 1.0
+    E[n + 1] = np.concatenate([c + 1.0, low, -high])
     target = np.zeros(n + 2)
     target[n + 1] = 1.0
-    u = nonnegative_least_squares(E, target)
+    try:
+        u, _ = nnls(E, target)
+    except RuntimeError:  # went round in circles between all but equal sets: no step, and the descent ends here
+        u = np.zeros(m + 2 * n)
     residual = E @ u - target
-    d = np.empty(n)
-    for j in range(n):
-        d[j] = 0.0
-        for i in range(j, n):
-            d[j] -= inverse[i, j] * residual[i] / residual[n + 1]
-        d[j] = min(max(d[j], low[j]), high[j])
-    return d, u[:m] / -residual[n + 1], (c + A @ d).max()
+    d = np.clip(-inverse.T @ residual[:n] / residual[n + 1], low, high)
+    return d, u[:m] / -residual[n + 1], float((c + A @ d).max())
 
 
 @njit(error_model="numpy")

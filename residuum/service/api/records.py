@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
@@ -10,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import LOGGERS, READERS
+from residuum.identification.record_formats import CAN_LOGS, LOGGERS, READERS
 from residuum.identification.record_formats.logger_time import FORMS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
@@ -18,6 +19,7 @@ from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
 from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.bad_bodies import UnsupportedBody
+from residuum.service.machines.known_dbc import known_dbc
 from residuum.service.services import Running
 from residuum.service.settings import Settings
 from residuum.service.work.upload_reader import read_upload
@@ -55,13 +57,23 @@ async def add_record(
     time_column: Annotated[
         str | None, Query(description="Name of a logger's column of times.", max_length=200, pattern=TEXT)
     ] = None,
+    dbc: Annotated[
+        str | None,
+        Query(
+            description=f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)}).",
+            max_length=200,
+            pattern=TEXT,
+        ),
+    ] = None,
 ) -> Response:
     """Upload a record file. It is read at once, in a process of its own with limits, and stored only when it is valid.
 
     A logger's text file is understood by its own text; what that leaves open is refused, and said with these parameters.
     """
     said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column}
-    record = await running.reading(_read, filename, await body_of(request), running.settings, said)
+    content = await body_of(request)
+    bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
+    record = await running.reading(_read, filename, content, running.settings, said, bus)
     number = await run_in_threadpool(running.store.add_record, filename, record)
     stored = await run_in_threadpool(running.store.record, number)
     return Json(stored.to_json(), 201, {"Location": f"/api/v1/records/{number}"})
@@ -103,10 +115,15 @@ def get_record_signal(
     return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
 
 
-def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object]) -> Record:
+def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object], bus: Path | None) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
-    ending = next((known for known in READERS | LOGGERS if filename.lower().endswith(known)), None)
+    endings = [*READERS, *LOGGERS, *CAN_LOGS]
+    ending = next((known for known in endings if filename.lower().endswith(known)), None)
     if ending is None:
-        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(READERS | LOGGERS)}")
+        raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(endings)}")
+    if (ending in CAN_LOGS) != (bus is not None):
+        raise BadInput(
+            f"filename {filename[:60]!r}: CAN logs ({', '.join(CAN_LOGS)}) and the DBC file of their bus (dbc) go together"
+        )
     limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
-    return read_upload(content, ending, filename, **limits, options=said)
+    return read_upload(content, ending, filename, **limits, options=said, dbc=bus)

@@ -8,6 +8,7 @@ from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
+    DbcFile,
     MappingFile,
     RecordFiles,
     Resample,
@@ -29,13 +30,16 @@ def compare_command(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare a model with records. Its parameters are not changed."""
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
+    )
     keep_large_arrays()
     given, loaded = model_for(model, loaded, signals(channel_map))
     comparison = given.compare(loaded, map=signals(channel_map))

@@ -23,7 +23,9 @@ from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.fieldbus.can import streamed
 from residuum.service.fieldbus.can_bus import open_bus
+from residuum.service.fieldbus.device_reading import read_device
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.metric_map import read_metric_map
 from residuum.service.fieldbus.node_map import read_node_map
@@ -60,6 +62,13 @@ class Check:
     name: str
     ok: bool
     says: str
+    remark: str = ""
+
+    @property
+    def line(self) -> str:
+        """As it is printed: what is right with a remark is neither `ok` nor wrong."""
+        word = "WRONG" if not self.ok else "NOTE" if self.remark else "ok"
+        return f"{word:<5} {self.name:<15} {self.says}{f'; {self.remark}' if self.remark else ''}"
 
 
 @app.command()
@@ -84,16 +93,18 @@ def doctor(
         *([_check("broker", lambda: _broker(settings))] if settings.mqtt else []),
         _check("compiled code", _compiled_code),
     ]
-    lines = [f"{'ok   ' if check.ok else 'WRONG'} {check.name:<15} {check.says}" for check in checks]
+    lines = [check.line for check in checks]
     healthy = all(check.ok for check in checks)
     report({"ok": healthy, "checks": [asdict(check) for check in checks]}, "\n".join(lines), as_json=as_json)
     if not healthy:
         raise typer.Exit(ANSWER_IS_NO)
 
 
-def _check(name: str, look: Callable[[], str]) -> Check:
+def _check(name: str, look: Callable[[], str | tuple[str, str]]) -> Check:
+    """What a look says, with or without a remark; wrong is what it raises."""
     try:
-        return Check(name, True, look())
+        found = look()
+        return Check(name, True, found) if isinstance(found, str) else Check(name, True, *found)
     except (Wrong, BadInput, StorageUnavailable, BrokenBlock, BrokenAudit, OSError, can.CanError) as error:
         return Check(name, False, " ".join(str(error).split()))
 
@@ -232,11 +243,16 @@ def _buses(settings: Settings) -> list[Check]:
     return [_check(f"{source.kind} bus", partial(_bus, source)) for source in sources.values()]
 
 
-def _bus(source: SourceSettings) -> str:
+def _bus(source: SourceSettings) -> str | tuple[str, str]:
     if source.kind == "can":
-        messages = len(read_dbc(source.map_file))
+        messages = read_dbc(source.map_file)
+        read = streamed(messages)
         open_bus(source.channel).close()
-        return f"{source.channel} can be opened; {source.map} has {messages} messages"
+        remarks = [f"{layout.name}: {layout.remark}" for layout in read if layout.remark] + list(messages.unusable.values())
+        says = f"{source.channel} can be opened; {source.map} streams {', '.join(layout.name for layout in read)}"
+        others = [f"{layout.name} {layout.why_no_stream}" for layout in messages.values() if layout.why_no_stream]
+        left = f"; of {len(others)} not streamed the first: {others[0]}" if others else ""
+        return says + left, "; ".join(remarks)
     if source.kind == "sparkplug":
         metrics, broker = read_metric_map(source.map_file), broker_address(source.channel)
         _let_in(broker)
@@ -246,14 +262,27 @@ def _bus(source: SourceSettings) -> str:
         url = urllib.parse.urlsplit(source.channel)
         host, port = url.hostname or "", url.port or _OPCUA_PORT
     else:
-        streams = len(read_register_map(source.map_file).streams)
-        host, port = source.host, source.port
+        return _modbus(source)
     address = f"{host}:{port}"
     try:
         socket.create_connection((host, port), timeout=_PATIENCE).close()
     except OSError as error:
         raise Wrong(f"{address}: no connection: {error}") from None
     return f"{address} accepts connections; {source.map} has {streams} streams"
+
+
+def _modbus(source: SourceSettings) -> str | tuple[str, str]:
+    """Read the device once by its map."""
+    registers = read_register_map(source.map_file)
+    address = f"{source.host}:{source.port}"
+    try:
+        readings, refusals = read_device(source.host, source.port, registers, _PATIENCE)
+    except TimeoutError as error:
+        return f"{address} accepts connections", f"but gives no reply that fits: {error}; look at unit_id ({registers.unit_id})"
+    if refusals:
+        raise Wrong(f"{address}: {'; '.join(refusals)}")
+    remarks = [f"{each.stream}.{each.channel}: {each.remark}" for each in readings if each.remark not in ("", "missing")]
+    return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
 def _broker(settings: Settings) -> str:

@@ -13,6 +13,7 @@ from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
+    DbcFile,
     MappingFile,
     RecordFiles,
     Resample,
@@ -37,6 +38,7 @@ def estimate_command(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
@@ -46,7 +48,9 @@ def estimate_command(
     if method not in METHODS:
         raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
     check_output_file(out)
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
+    )
     estimation = read(model).estimate(loaded, map=signals(channel_map), method=method, steps=steps, hold=hold)
     estimation.model.save(out)
     found = estimation.to_dict() | {"model_file": str(out)}

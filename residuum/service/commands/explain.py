@@ -8,6 +8,7 @@ from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
+    DbcFile,
     MappingFile,
     RecordFiles,
     Resample,
@@ -43,13 +44,16 @@ def explain_command(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
+    )
     channels, wanted = signals(channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
     given, loaded = model_for(model, loaded, channels)
     keep_large_arrays()

@@ -16,7 +16,16 @@ from residuum.library.identification_methods import CRITERIA, LAGS, METHODS, UNC
 from residuum.library.plant import identified, split_records
 from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import (
+    ChannelMap,
+    DbcFile,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+)
 from residuum.service.commands.report import AsJson, report, told
 
 app = typer.Typer(add_completion=False)
@@ -59,6 +68,7 @@ def identify(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     as_json: AsJson = False,
@@ -72,7 +82,7 @@ def identify(
     first = inputs[0] if inputs else ""
     request = Request(first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound)
     loaded = load_records(
-        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
     if len(inputs) > 1 or len(output) > 1:
         several = _several(loaded, inputs, output, request, method, out)

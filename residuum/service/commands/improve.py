@@ -14,6 +14,7 @@ from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
+    DbcFile,
     MappingFile,
     RecordFiles,
     Resample,
@@ -47,6 +48,7 @@ def improve_command(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
@@ -58,7 +60,9 @@ def improve_command(
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
-    loaded = load_records(records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map)
+    loaded = load_records(
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
+    )
     wanted = None if auto else names_of(add)
     considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()

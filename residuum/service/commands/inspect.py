@@ -1,13 +1,16 @@
-"""`residuum inspect`: what is understood of a logger's file, each guess with its reason, and the mapping that reads it."""
+"""`residuum inspect`: what is understood of a logger's file, a CAN log or a Modbus device, each guess with its reason."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats import CAN_LOGS
 from residuum.identification.record_formats.logger_file import LoggerFile, understand
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.records import DbcFile, is_can_log
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -15,13 +18,44 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="inspect")
 def inspect_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A logger's text file.")],
+    file: Annotated[str, typer.Argument(metavar="FILE|modbus:HOST:PORT", help="A logger's text file, a CAN log, or a device.")],
     out: Annotated[Path | None, typer.Option(metavar="MAPPING.yaml", help="Write the mapping here.")] = None,
     decimal: Annotated[str | None, typer.Option(help="The decimal sign, where the file leaves it open.")] = None,
     time: Annotated[str | None, typer.Option(help="Form of the time column: seconds, epoch ms, excel, 'day first' …")] = None,
+    dbc: DbcFile = None,
+    register_map: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="Register map of a Modbus device.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how a logger's file is understood: columns, units, times, rate, gaps. Write a mapping file for it."""
+    """Show how a logger's file is understood: columns, units, times, rate, gaps. Write a mapping file for it.
+
+    Of a CAN log with its DBC file, or a Modbus device with its register map, show what is on the wire and what they make of it.
+    """
+    if register_map is not None or file.startswith("modbus:"):
+        report(*_device(file, register_map), as_json=as_json)
+    elif dbc is not None or is_can_log(Path(file)):
+        report(*_log(Path(file), dbc), as_json=as_json)
+    else:
+        _logger_file(Path(file), out, decimal, time, as_json=as_json)
+
+
+def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
+    """The libraries of buses are imported for a device only: they take a second."""
+    if register_map is None:
+        raise BadRecord(f"{address}: name the register map of the device with --map FILE")
+    found: tuple[dict[str, Any], str] = import_module("residuum.service.commands.device_inspection").inspect_device(
+        address, register_map
+    )
+    return found
+
+
+def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
+    if dbc is None or not is_can_log(file):
+        raise BadRecord(f"{file}: a CAN log ({', '.join(CAN_LOGS)}) and the DBC file of its bus (--dbc FILE) go together")
+    found: tuple[dict[str, Any], str] = import_module("residuum.service.commands.log_inspection").inspect_log(file, dbc)
+    return found
+
+
+def _logger_file(file: Path, out: Path | None, decimal: str | None, time: str | None, *, as_json: bool) -> None:
     if out is not None:
         check_output_file(out)
     try:

@@ -1,6 +1,7 @@
 """The options by which every command takes records, and reading them."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +9,7 @@ import typer
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats import CAN_LOGS, ReadOptions, read_record
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
 from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
@@ -28,6 +29,9 @@ ChannelMap = Annotated[
 
 MappingFile = Annotated[
     Path | None, typer.Option("--mapping", help="Read loggers' files by this mapping (`residuum inspect` writes it).")
+]
+DbcFile = Annotated[
+    Path | None, typer.Option("--dbc", metavar="FILE", help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.")
 ]
 
 
@@ -56,20 +60,44 @@ def load_records(
     channel_map: Sequence[str] | None = None,
     model_map: Sequence[str] | None = None,
     mapping: Path | None = None,
+    dbc: Path | None = None,
 ) -> list[Record]:
     """Read the record files of a command; `channel_map` renames column → name (`time`: the column of times), `mapping` reads
-    loggers' files, `model_map` is what a model maps itself (`signals`). A unit is said of a column, or of the name that it gets.
+    loggers' files, `dbc` CAN logs, `model_map` is what a model maps itself (`signals`). A unit is said of a column, or of the
+    name that it gets.
     """
+    if dbc is not None and not any(is_can_log(file) for file in files):
+        raise BadRecord(f"--dbc {dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
     columns = pairs("--map", channel_map or model_map)
     time = columns.pop("time", None)
     told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
     options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
     renames = {column: name for name, column in columns.items()} if channel_map else {}
-    return [_read(file, options, mapping).rename(renames) for file in files]
+    return [_read(file, options, mapping, dbc).rename(renames) for file in files]
 
 
-def _read(file: Path, options: ReadOptions, mapping: Path | None) -> Record:
+def is_can_log(file: Path) -> bool:
+    """Whether a file is one of a bus, by its ending."""
+    return file.suffix.lower() in CAN_LOGS
+
+
+def _can_record(file: Path, options: ReadOptions, dbc: Path | None) -> Record:
+    """The record of a CAN log; the libraries of buses are imported for one only, they take a second."""
+    if dbc is None:
+        raise BadRecord(f"{file}: is a CAN log; name the DBC file of its bus with --dbc FILE")
+    if not file.is_file():
+        raise BadRecord(f"{file}: no such file")
+    made: Record = import_module("residuum.service.fieldbus.can_record").read_can_record(file, dbc, options)
+    return made
+
+
+def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | None) -> Record:
     """One record, by `mapping` or the mapping beside it where there is one; what was done to its samples is told."""
+    if is_can_log(file):
+        record = _can_record(file, options, dbc)
+        for note in record.notes:
+            progress(f"{file}: {note}")
+        return record
     beside = file.with_name(file.name + ENDING)
     chosen = mapping or (beside if beside.is_file() else None)
     record = read_record(file, options) if chosen is None else read_logger_file(file, read_mapping(chosen), options)

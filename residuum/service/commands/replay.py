@@ -14,15 +14,13 @@ from residuum.identification.record import Record
 from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.fieldbus.can_bus import open_bus
+from residuum.service.fieldbus.can_log import CAN_LOGS, TimedFrame, read_can_log
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.register_trace import TracedPage, read_trace
 from residuum.service.fieldbus.replay import (
-    CAN_LOGS,
     TRACE,
-    TimedFrame,
     layout_for,
-    read_can_log,
     record_frames,
     record_pages,
     replay_to_can,
@@ -36,7 +34,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 @app.command()
 def replay(
-    file: Annotated[Path, typer.Argument(help="BLF or ASC log, register trace, or any record file.")],
+    file: Annotated[Path, typer.Argument(help="BLF, ASC, candump or TRC log, register trace, or any record file.")],
     to: Annotated[str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")],
     speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Playing speed; 2 is twice as fast as recorded.")] = 1.0,
     bus_map: Annotated[str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")] = None,
@@ -71,7 +69,10 @@ def replay(
 
 def _frames(file: Path, bus_map: str | None, load: Callable[[], Record]) -> list[TimedFrame]:
     if file.suffix.lower() in CAN_LOGS:
-        return list(read_can_log(file))
+        log = read_can_log(file)
+        for remark in log.remarks:
+            progress(remark)
+        return list(log.frames)
     if file.suffix.lower() == TRACE:
         raise BadInput(f"{file.name}: a register trace cannot be sent to a CAN bus")
     record = load()

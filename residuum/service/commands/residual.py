@@ -26,7 +26,7 @@ from residuum.identification.record import Record
 from residuum.library.answers import multivariable_residual as several
 from residuum.library.answers.residual import design_json, design_text, run_json, run_text
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, DbcFile, MappingFile, Resample, SampleTime, Units, load_records
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.commands.weight_options import (
     EPSILON,
@@ -126,13 +126,14 @@ def run(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     as_json: AsJson = False,
 ) -> None:
     """Run a residual design on a record: is there a fault, since when, of which kind and size?"""
     loaded = load_records(
-        [record], mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+        [record], mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )[0]
     if stored_kind(design) == KIND:
         if (threshold, evaluation, noise_bound) != ("posterior", None, None):

@@ -21,7 +21,16 @@ from residuum.service.commands.diagnoser_options import (
     model_settings,
     new_diagnoser,
 )
-from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import (
+    ChannelMap,
+    DbcFile,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+)
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -36,6 +45,7 @@ def score(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     speed_rpm: SpeedRpm = None,
@@ -49,7 +59,7 @@ def score(
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(
-        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
     findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))

@@ -25,7 +25,16 @@ from residuum.service.commands.diagnoser_options import (
     new_diagnoser,
 )
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, MappingFile, RecordFiles, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import (
+    ChannelMap,
+    DbcFile,
+    MappingFile,
+    RecordFiles,
+    Resample,
+    SampleTime,
+    Units,
+    load_records,
+)
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -44,6 +53,7 @@ def train(
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
+    dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
     speed_rpm: SpeedRpm = None,
@@ -67,7 +77,7 @@ def train(
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
     loaded = load_records(
-        records, mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
+        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
     if exemplars is not None and validate is None and not isinstance(untrained, GateActuator):
         raise BadInput(

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can_channel import bus_arguments
-from residuum.service.fieldbus.frame_batch import BUS_OFF, FrameBatch, FrameBatchBuilder
+from residuum.service.fieldbus.frame_batch import BUS_OFF, EXTENDED, FrameBatch, FrameBatchBuilder
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # counters and exceptions say it
 _MOST_IN_ONE_READ = 2048
@@ -57,9 +57,9 @@ class CanBus:
         return self._ended is None
 
     def send(self, frame_id: int, data: bytes, *, is_fd: bool = False) -> None:
-        """Send one frame."""
+        """Send one frame; an identifier that is long or has `EXTENDED` makes it an extended one."""
         kind = {"is_extended_id": frame_id > 0x7FF, "is_fd": is_fd, "bitrate_switch": is_fd}
-        self._bus.send(can.Message(arbitration_id=frame_id, data=data, **kind), timeout=_SEND_TIMEOUT)
+        self._bus.send(can.Message(arbitration_id=frame_id & ~EXTENDED, data=data, **kind), timeout=_SEND_TIMEOUT)
 
     def send_many(self, frame_id: int, frames: npt.NDArray[np.uint8], *, is_fd: bool = False) -> None:
         """Send frames of one message, shape (n, length), in order."""

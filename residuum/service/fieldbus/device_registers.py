@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from residuum.service.fieldbus.channel_registers import Registers
 from residuum.service.fieldbus.register_map import (
     RegisterMap,
-    Registers,
     StreamRegisters,
     build_page,
     float_registers,

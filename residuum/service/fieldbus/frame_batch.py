@@ -11,11 +11,13 @@ import numpy.typing as npt
 
 BUS_OFF = 0x40
 """Bit of an error frame's identifier: the controller has left the bus."""
+EXTENDED = 1 << 31
+"""Set in the identifier of an extended frame, as in DBC files: a short identifier is of two kinds, which are not the same."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameBatch:
-    """Frames of one read: identifier → arrays of shape (n, length) in their order of arrival, and what was not a data frame."""
+    """Frames of one read: identifier (with `EXTENDED`) → arrays of shape (n, length) as they came, and what was no data frame."""
 
     frames: Mapping[int, list[npt.NDArray[np.uint8]]]
     errors: int = 0
@@ -40,7 +42,8 @@ class FrameBatchBuilder:
         if message.is_error_frame:
             self.errors += not message.arbitration_id & BUS_OFF
         elif not message.is_remote_frame:
-            self._data.setdefault((message.arbitration_id, len(message.data)), []).append(message.data)
+            identifier = message.arbitration_id | EXTENDED * message.is_extended_id
+            self._data.setdefault((identifier, len(message.data)), []).append(message.data)
 
     def batch(self) -> FrameBatch:
         """What was collected."""

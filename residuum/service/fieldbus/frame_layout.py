@@ -1,9 +1,10 @@
-"""FrameLayout: where the signals of a CAN frame lie, from a DBC file; decodes and encodes many frames at once with NumPy.
+"""FrameLayout: the channels of a CAN message, from a DBC file; decodes and encodes many frames at once with NumPy.
 
-A frame that carries samples has a sequence counter and the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms]. The
-counter is the signal `counter`, else the only one that is called like an alive, rolling, message or sequence counter.
-Signals named `x_00`, `x_01`, … are successive samples of one channel `x`; any other signal is a channel of its own with one
-sample a frame.
+A frame that carries samples has the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms], and best a sequence
+counter: the signal `counter`, else the only one that is called like an alive, rolling, message or sequence counter. Every
+other signal is a channel with one sample a frame, whatever its name; a multiplexed one is missing (NaN) in frames of other
+pages. Only where the message attribute `SamplesPerFrame` says so (more than 1) are signals named `x_00`, `x_01`, … successive
+samples of one channel `x`.
 """
 
 from __future__ import annotations
@@ -15,17 +16,27 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from cantools.database import load_file
+from cantools.database import load_string
 from cantools.database.can.database import Database
 from cantools.database.errors import Error as DatabaseError
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.dbc_text import usable_text
+from residuum.service.fieldbus.frame_batch import EXTENDED
+from residuum.service.fieldbus.multiplexing import Multiplexing
+from residuum.service.fieldbus.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
 
-Bytes = npt.NDArray[np.uint8]
 COUNTER = "counter"
+NO_COUNTER = "no counter: losses cannot be seen"
+SAMPLES_PER_FRAME = "SamplesPerFrame"
+_FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
 _COUNTER_LIKE = re.compile(r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE)
+_COUNTER_BITS = range(4, 33)
 _INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
+_ENCODING = "cp1252"
+"""Of DBC files, whatever computer wrote them."""
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
 class BadBusDescription(BadInput):
@@ -33,7 +44,7 @@ class BadBusDescription(BadInput):
 
 
 class FrameLayout:
-    """Bit positions, scales and units of the signals of one CAN message.
+    """Channels, counter, pages and units of one CAN message.
 
     Parameters
     ----------
@@ -44,7 +55,8 @@ class FrameLayout:
     Raises
     ------
     BadBusDescription
-        A signal that spans more than 8 bytes, blocks of unequal length, a counter that is not 4 to 32 bits wide.
+        A signal of more than 64 bits, signals that overlap or do not fit into the message, numbered signals that are not as
+        many as the message says.
     """
 
     def __init__(self, message: Any, where: str) -> None:
@@ -55,123 +67,123 @@ class FrameLayout:
         self.length: int = message.length
         where = f"{where}, message {message.name}"
         signals = list(message.signals)
+        _refuse_misplaced(message, signals, where)
         self._names = [signal.name for signal in signals]
-        self._set_positions(signals, where)
-        self._scale = np.array([float(signal.conversion.scale) for signal in signals])
-        self._offset = np.array([float(signal.conversion.offset) for signal in signals])
-        self._signed = np.array([signal.is_signed for signal in signals])
-        self._floats = [(k, signal.length) for k, signal in enumerate(signals) if signal.conversion.is_float]
+        self._bits, self._multiplexing = SignalBits(signals), Multiplexing(signals)
         self.choices: dict[str, dict[int, str]] = {
             signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()} for signal in signals
         }
-        self._group(signals, where)
-        self.sample_time = _frame_time(message) / self.samples if self.counter_bits else 0.0
-
-    def _set_positions(self, signals: list[Any], where: str) -> None:
-        spans = [_span(signal.start, signal.length, signal.byte_order) for signal in signals]
-        width = max(len(order) for order, _ in spans)
-        if width > 8:
-            raise BadBusDescription(f"{where}: a signal spans {width} bytes; at most 8 are supported")
-        self._bits = np.array([signal.length for signal in signals], np.uint64)
-        self._right = np.array([shift for _, shift in spans], np.uint64)
-        self._index = np.zeros((len(signals), width), np.intp)
-        self._weight = np.zeros((len(signals), width), np.uint64)
-        self._left = np.zeros((len(signals), width), np.uint64)
-        for k, (order, _) in enumerate(spans):
-            for j, byte in enumerate(reversed(order)):
-                self._index[k, j], self._weight[k, j], self._left[k, j] = byte, 1, 8 * j
-        self._mask = np.where(
-            self._bits == 64, np.uint64(0xFFFFFFFFFFFFFFFF), (np.uint64(1) << (self._bits % np.uint64(64))) - np.uint64(1)
-        )
-
-    def _group(self, signals: list[Any], where: str) -> None:
-        groups: dict[str, list[tuple[int, int]]] = {}
-        self.counter_bits = 0
-        counter = _counter_of(self._names)
-        for k, signal in enumerate(signals):
-            if signal.name == counter:
-                self.counter_bits, self._counter = signal.length, k
-                if not 4 <= signal.length <= 32:
-                    raise BadBusDescription(f"{where}: the counter has {signal.length} bits; 4 to 32 are needed")
-                continue
-            indexed = _INDEXED.match(signal.name)
-            name, index = (indexed["channel"], int(indexed["index"])) if indexed else (signal.name, 0)
-            groups.setdefault(name, []).append((index, k))
-        self._channels = {name: np.array([k for _, k in sorted(members)]) for name, members in groups.items()}
-        lengths = {len(members) for members in self._channels.values()}
-        if len(lengths) != 1:
-            raise BadBusDescription(f"{where}: channels have {sorted(lengths)} samples a frame; all must have the same number")
-        self.samples = lengths.pop()
+        self._counter, self.remark = self._find_counter(signals)
+        self.counter_bits: int = 0 if self._counter is None else signals[self._counter].length
+        self._channels, self.samples = self._group(message, where)
         self.units = {name: signals[members[0]].unit or "" for name, members in self._channels.items()}
+        self.sample_time = _frame_time(message) / self.samples
+
+    def _find_counter(self, signals: Sequence[Any]) -> tuple[int | None, str]:
+        """Place of the signal that counts frames, None without one; and what is to be said of it."""
+        name = _counter_of(self._names)
+        if name is None:
+            return None, NO_COUNTER
+        place = self._names.index(name)
+        if place in self._multiplexing.paged:
+            return None, f"{NO_COUNTER} ({name!r} is on a page, which not every frame carries)"
+        if signals[place].length not in _COUNTER_BITS or signals[place].conversion.is_float:
+            return None, f"{NO_COUNTER} ({name!r} has {signals[place].length} bits; 4 to 32 are needed)"
+        return place, ""
+
+    def _group(self, message: Any, where: str) -> tuple[dict[str, npt.NDArray[np.intp]], int]:
+        """The places of each channel's samples, in their order, and how many a frame has."""
+        samples = int(_attribute(message, SAMPLES_PER_FRAME) or 1)
+        groups: dict[str, list[tuple[int, int]]] = {}
+        for k, name in enumerate(self._names):
+            if k == self._counter:
+                continue
+            indexed = _INDEXED.match(name) if samples > 1 else None
+            channel, index = (indexed["channel"], int(indexed["index"])) if indexed else (name, 0)
+            groups.setdefault(channel, []).append((index, k))
+        for channel, members in groups.items():
+            if len(members) != samples:
+                raise BadBusDescription(
+                    f"{where}: {SAMPLES_PER_FRAME} is {samples} and channel {channel!r} has {len(members)} signals; all must "
+                    f"have {samples}, named {channel}_00, {channel}_01, …"
+                )
+        return {name: np.array([k for _, k in sorted(members)], np.intp) for name, members in groups.items()}, samples
+
+    @property
+    def bus_id(self) -> int:
+        """The identifier with the bit that tells extended frames."""
+        return self.frame_id | EXTENDED if self.is_extended else self.frame_id
+
+    @property
+    def why_no_stream(self) -> str:
+        """Why frames of this message are no stream of samples; empty when they are one."""
+        if not self._channels:
+            return "carries no channel"
+        if not self.sample_time:
+            has = "has a counter and" if self.counter_bits else "has"
+            return f"{has} no time between frames; give it the attribute SampleTime [s] or GenMsgCycleTime [ms]"
+        return ""
 
     @property
     def format(self) -> StreamFormat:
-        """The stream that these frames carry; BadBusDescription for a frame without a counter."""
-        if not self.counter_bits:
-            raise BadBusDescription(f"message {self.name}: has no signal {COUNTER!r}; a stream of samples needs one")
+        """The stream that these frames carry; BadBusDescription for frames that carry none."""
+        if self.why_no_stream:
+            raise BadBusDescription(f"message {self.name}: {self.why_no_stream}")
         return StreamFormat(self.name, self.sample_time, self.units)
+
+    def fits(self, length: int) -> bool:
+        """Whether a frame of so many bytes is one of these; CAN FD fills up to the next length that it knows."""
+        return length == self.length or (
+            self.is_fd and length == next((known for known in _FD_LENGTHS if known >= self.length), self.length)
+        )
 
     def decode(self, frames: Bytes) -> tuple[npt.NDArray[np.int64], dict[str, Samples]]:
         """Counter of each frame, shape (n,), and the samples of each channel, shape (n · samples,), in physical units.
 
-        `frames` has shape (n, length).
+        `frames` has shape (n, length). What a frame does not carry is NaN; without a counter it is 0.
         """
-        raw, values = self._values(frames)
-        counter = raw[:, self._counter].astype(np.int64) if self.counter_bits else np.zeros(len(frames), np.int64)
+        raw = self._bits.raw(frames)
+        values = self._bits.values(raw)
+        if self._multiplexing.paged:
+            values[~self._multiplexing.carried(values)] = np.nan
+        counter = np.zeros(len(frames), np.int64) if self._counter is None else raw[:, self._counter].astype(np.int64)
         return counter, {name: values[:, members].reshape(-1) for name, members in self._channels.items()}
 
-    def _values(self, frames: Bytes) -> tuple[npt.NDArray[np.uint64], Samples]:
-        gathered = frames[:, self._index].astype(np.uint64) * self._weight << self._left
-        raw = (np.bitwise_or.reduce(gathered, axis=2) >> self._right) & self._mask
-        sign = np.uint64(1) << (self._bits - np.uint64(1))
-        signed = np.where(self._signed, (raw ^ sign).astype(np.int64) - sign.astype(np.int64), raw.astype(np.int64))
-        values = signed * self._scale + self._offset
-        for k, bits in self._floats:
-            values[:, k] = _as_float(raw[:, k], bits) * self._scale[k] + self._offset[k]
-        return raw, values
-
     def encode(self, counter: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike]) -> Bytes:
-        """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and clipped to what fits."""
+        """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and clipped to what fits.
+
+        Of a multiplexed message a frame carries the page that its multiplexer's value names, and nothing of the others.
+        """
         counter = np.atleast_1d(np.asarray(counter, np.int64))
-        values = np.zeros((len(counter), len(self._names)))
-        for name, members in self._channels.items():
-            values[:, members] = np.asarray(channels[name], float).reshape(len(counter), len(members))
-        raw = self._raw((values - self._offset) / self._scale)
-        if self.counter_bits:
+        values = self._table(channels, len(counter))
+        raw = np.where(self._multiplexing.carried(values), self._bits.raw_of(values), np.uint64(0))
+        if self._counter is not None:
             raw[:, self._counter] = counter.astype(np.uint64)
-        raw = (raw & self._mask) << self._right
-        frames = np.zeros((self.length, len(counter)), np.uint8)
-        for j in range(self._index.shape[1]):
-            byte = ((raw >> self._left[:, j]) & np.uint64(0xFF)) * self._weight[:, j]
-            np.bitwise_or.at(frames, self._index[:, j], byte.T.astype(np.uint8))
-        return np.ascontiguousarray(frames.T)
+        return self._bits.frames(raw, self.length)
 
-    def _raw(self, scaled: Samples) -> npt.NDArray[np.uint64]:
-        bits = self._bits.astype(float)
-        low = np.where(self._signed, -(2.0 ** (bits - 1)), 0.0)
-        high = np.where(self._signed, 2.0 ** (bits - 1) - 1, 2.0**bits - 1)
-        clipped = np.clip(np.rint(np.nan_to_num(scaled)), low, np.minimum(high, 2.0**62))
-        raw = clipped.astype(np.int64).astype(np.uint64)
-        for k, width in self._floats:
-            kind, integer = (np.float32, np.uint32) if width == 32 else (np.float64, np.uint64)
-            raw[:, k] = scaled[:, k].astype(kind).view(integer).astype(np.uint64)
-        return raw
+    def complete(self, channels: Mapping[str, npt.ArrayLike], n: int) -> npt.NDArray[np.bool_]:
+        """Of n frames those of which no value is missing that the frame would carry."""
+        values = self._table(channels, n)
+        lacking: npt.NDArray[np.bool_] = np.isnan(values) & self._multiplexing.carried(values)
+        return np.asarray(~lacking.any(axis=1))
+
+    def _table(self, channels: Mapping[str, npt.ArrayLike], n: int) -> Samples:
+        values = np.zeros((n, len(self._names)))
+        for name, members in self._channels.items():
+            values[:, members] = np.asarray(channels[name], float).reshape(n, len(members))
+        return values
 
 
-def _as_float(raw: npt.NDArray[np.uint64], bits: int) -> Samples:
-    if bits == 32:
-        return raw.astype(np.uint32).view(np.float32).astype(float)
-    return np.ascontiguousarray(raw).view(np.float64)
-
-
-def _span(start: int, length: int, byte_order: str) -> tuple[list[int], int]:
-    """Bytes that a signal touches, most significant first, and how far its lowest bit is from the end of the last one."""
-    if byte_order == "little_endian":
-        first, last = start // 8, (start + length - 1) // 8
-        return list(range(last, first - 1, -1)), start - 8 * first
-    begin = 8 * (start // 8) + 7 - start % 8
-    first, last = begin // 8, (begin + length - 1) // 8
-    return list(range(first, last + 1)), 8 * (last + 1) - (begin + length)
+def _refuse_misplaced(message: Any, signals: Sequence[Any], where: str) -> None:
+    for signal in signals:
+        if not usable_bits(signal):
+            raise BadBusDescription(f"{where}: signal {signal.name!r} has {signal.length} bits; at most {MOST_BITS} are read")
+    try:
+        message.refresh(strict=True)
+    except DatabaseError as error:
+        raise BadBusDescription(
+            f"{where}: {' '.join(str(error).split())} Correct the file: signals of a page share no bits and lie in the message"
+        ) from None
 
 
 def _counter_of(names: Sequence[str]) -> str | None:
@@ -182,25 +194,63 @@ def _counter_of(names: Sequence[str]) -> str | None:
     return alike[0] if len(alike) == 1 else None
 
 
-def _frame_time(message: Any) -> float:
-    """Seconds from one frame to the next."""
+def _attribute(message: Any, name: str) -> float | None:
     attributes = message.dbc.attributes if message.dbc else {}
-    for name, unit in (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3)):
-        if name in attributes and float(attributes[name].value) > 0:
-            return float(attributes[name].value) * unit
-    raise BadBusDescription(
-        f"message {message.name}: has a counter and no time between frames; give it the attribute SampleTime [s] or "
-        "GenMsgCycleTime [ms]"
-    )
+    return float(attributes[name].value) if name in attributes else None
 
 
-def read_dbc(path: str | Path) -> dict[str, FrameLayout]:
-    """The messages of a DBC file by name; BadBusDescription when it is none."""
+def _frame_time(message: Any) -> float:
+    """Seconds from one frame to the next; 0 where the file does not say it."""
+    told = ((_attribute(message, name) or 0.0) * unit for name, unit in _FRAME_TIMES)
+    return next((seconds for seconds in told if seconds > 0), 0.0)
+
+
+class BusMessages(dict[str, FrameLayout]):
+    """The messages of a DBC file by name; `unusable` has, by name, what is wrong with each of the others.
+
+    Messages without signals are in neither: there is nothing to read in them.
+    """
+
+    def __init__(self, where: str = "DBC file") -> None:
+        super().__init__()
+        self.where = where
+        self.unusable: dict[str, str] = {}
+        self._names: dict[int, str] = {}
+
+    def add(self, message: Any) -> None:
+        """Take in one message of cantools."""
+        try:
+            layout = FrameLayout(message, self.where)
+        except BadBusDescription as error:
+            self.unusable[message.name] = str(error)
+            return
+        other = self._names.get(layout.bus_id, message.name if message.name in self else None)
+        if other is None:
+            self[message.name], self._names[layout.bus_id] = layout, message.name
+        else:
+            self.unusable[message.name] = f"{self.where}, message {message.name}: has the name or identifier of {other}; keep one"
+
+
+def read_dbc(path: str | Path) -> BusMessages:
+    """The messages of a DBC file by name; BadBusDescription when it is none.
+
+    A message that cannot be used costs that message: `unusable` says which and why.
+    """
     where = Path(path).name
+    messages = BusMessages(where)
     try:
-        database = load_file(str(path), database_format="dbc", strict=True)
-    except (OSError, UnicodeDecodeError, DatabaseError) as error:
-        raise BadBusDescription(f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}") from None
+        text, left_out = usable_text(Path(path).read_bytes().decode(_ENCODING, errors="replace"))
+        messages.unusable |= {name: f"{where}, message {name}: {why}" for name, why in left_out.items()}
+        if left_out and not text.strip():
+            return messages
+        database = load_string(text, database_format="dbc", strict=False)
+    except (OSError, DatabaseError) as error:
+        raise BadBusDescription(
+            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the line that it names"
+        ) from None
     if not isinstance(database, Database):
         raise BadBusDescription(f"{where}: is no CAN database")
-    return {message.name: FrameLayout(message, where) for message in database.messages}
+    for message in database.messages:
+        if message.signals:
+            messages.add(message)
+    return messages

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.service.fieldbus.can_bus import CanBus
-from residuum.service.fieldbus.frame_layout import Bytes, FrameLayout
+from residuum.service.fieldbus.frame_layout import FrameLayout
+from residuum.service.fieldbus.signal_bits import Bytes
 
 
 class FrameSender:
@@ -36,4 +37,4 @@ class FrameSender:
 
     def send(self, bus: CanBus, channels: Mapping[str, npt.NDArray[np.float64]]) -> None:
         """Send the frames that these samples complete."""
-        bus.send_many(self.layout.frame_id, self.frames(channels), is_fd=self.layout.is_fd)
+        bus.send_many(self.layout.bus_id, self.frames(channels), is_fd=self.layout.is_fd)

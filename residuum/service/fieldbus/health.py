@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 COUNTERS = {
@@ -13,6 +13,7 @@ COUNTERS = {
     "duplicated": "frames that came twice (the second one is dropped)",
     "reordered": "frames that came late and were put in their place",
     "counter_jumps": "jumps of the sequence counter that no loss explains (a restarted device)",
+    "pauses": "times that a message without a counter paused: what was lost meanwhile is not known, no window reaches across",
     "undecodable": "frames of wrong length or form",
     "bus_errors": "error frames, bus-off, a bus that could not be opened or read",
     "modbus_exceptions": "exception replies of a Modbus device",
@@ -45,9 +46,13 @@ class SourceHealth:
         Seconds without a good frame after which the source counts as stale.
     clock : callable
         Monotonic seconds; wall-clock jumps must not matter.
+
+    `remarks` are sentences that hold as long as the source does, such as a message without a counter; with one, quality is
+    `uncounted` instead of `good`.
     """
 
     def __init__(self, stale_after: float = 2.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.remarks: Sequence[str] = ()
         self._counts = dict.fromkeys(COUNTERS, 0)
         self._frames = self._samples = 0
         self._seen: float | None = None
@@ -85,7 +90,7 @@ class SourceHealth:
             span = max(now - recent[0][0], 0.2) if recent else _RATE_OVER
             age = None if self._seen is None else now - self._seen
             return {
-                "quality": "never-seen" if age is None else "stale" if age > self._stale_after else "good",
+                "quality": self._quality(age),
                 "last_seen_seconds": age,
                 "frames": self._frames,
                 "samples": self._samples,
@@ -93,4 +98,10 @@ class SourceHealth:
                 "samples_per_second": sum(entry[2] for entry in recent) / span,
                 "counters": dict(self._counts),
                 "last_trouble": self._trouble,
+                "remarks": list(self.remarks),
             }
+
+    def _quality(self, age: float | None) -> str:
+        if age is None:
+            return "never-seen"
+        return "stale" if age > self._stale_after else "uncounted" if self.remarks else "good"

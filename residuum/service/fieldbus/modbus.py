@@ -1,4 +1,4 @@
-"""ModbusSource: streams of samples from the holding registers of a Modbus TCP device, after a register map."""
+"""ModbusSource: streams of samples from the registers of a Modbus TCP device, after a register map."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from pymodbus.exceptions import ModbusException
 
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import Block, StreamFormat
+from residuum.service.fieldbus.channel_registers import Registers
 from residuum.service.fieldbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
+from residuum.service.fieldbus.register_blocks import PolledStream, read_blocks
 from residuum.service.fieldbus.register_map import (
     MOST_REGISTERS,
     Pages,
     RegisterMap,
-    Registers,
     StreamRegisters,
     float_registers,
     read_page,
@@ -50,7 +51,7 @@ class ModbusSource(Source):
         super().__init__(f"modbus:{host}:{port}", sink)
         self._host, self._port, self._timeout = host, port, timeout
         self._map = registers
-        self._readers = [_stream_reader(name, stream, self) for name, stream in registers.streams.items()]
+        self._readers = [_stream_reader(name, stream, registers.address_base, self) for name, stream in registers.streams.items()]
         self._sizes: dict[str, float] = {}
         self._backoff = Backoff(first=0.05)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -245,30 +246,35 @@ class _PagedReader:
 class _PolledReader:
     """Reads plain registers once a sample time, on the reader's clock; a read that is late leaves a hole."""
 
-    def __init__(self, name: str, stream: StreamRegisters, address: int, source: ModbusSource) -> None:
+    def __init__(self, name: str, stream: StreamRegisters, polled: PolledStream, source: ModbusSource) -> None:
         self.period = stream.sample_time
-        self._name, self._stream, self._address, self._source = name, stream, address, source
+        self._name, self._polled, self._source = name, polled, source
+        self._blocks = polled.blocks()
         self._started: float | None = None
         self._last = -1
 
     async def read(self, client: CheckedModbusClient) -> None:
-        """Deliver one sample when its time has come."""
+        """Deliver one sample when its time has come; what the device refuses is missing in it, and counted."""
         now = time.monotonic()
         if self._started is None:
             self._started = now
         number = round((now - self._started) / self.period)
         if number <= self._last:
             return
-        words = await client.read(self._address, self._stream.page_registers)
+        read, refusals = await read_blocks(client, self._blocks)
+        for refusal in refusals:
+            self._source.health.count("modbus_exceptions", 1, f"{self._name}: {refusal}")
+        if not read:
+            return
         if self._last >= 0 and number > self._last + 1:
             self._source.health.count("lost", number - self._last - 1, f"{self._name}: the device was polled too late")
         self._last = number
-        self._source.deliver(Block(self._name, np.array([number], np.int64), self._stream.decode(words)), 1)
+        self._source.deliver(Block(self._name, np.array([number], np.int64), self._polled.samples(read)), 1)
 
 
-def _stream_reader(name: str, stream: StreamRegisters, source: ModbusSource) -> _PagedReader | _PolledReader:
+def _stream_reader(name: str, stream: StreamRegisters, base: int, source: ModbusSource) -> _PagedReader | _PolledReader:
     if stream.pages:
         return _PagedReader(name, stream, stream.pages, source)
     if stream.poll is None:
         raise ValueError(f"stream {name}: neither pages nor poll")
-    return _PolledReader(name, stream, stream.poll.address, source)
+    return _PolledReader(name, stream, PolledStream(stream, stream.poll, base), source)

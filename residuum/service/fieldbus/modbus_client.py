@@ -13,13 +13,21 @@ import numpy as np
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteMultipleRegistersRequest
+from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadDiscreteInputsRequest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest, WriteMultipleRegistersRequest
 
-from residuum.service.fieldbus.register_map import Registers
+from residuum.service.fieldbus.channel_registers import OF_BITS, Function, Registers
+from residuum.service.fieldbus.modbus_exceptions import explained
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # the counters say it
 
 _LAST_FIRST_TRANSACTION = 30_000
+_READS: dict[Function, type[ModbusPDU]] = {
+    "holding": ReadHoldingRegistersRequest,
+    "input": ReadInputRegistersRequest,
+    "coils": ReadCoilsRequest,
+    "discrete": ReadDiscreteInputsRequest,
+}
 
 
 class BadReply(Exception):
@@ -51,20 +59,21 @@ class CheckedModbusClient:
         """Give the connection up."""
         self._client.close()
 
-    async def read(self, address: int, count: int) -> Registers:
-        """`count` holding registers; BadReply, DeviceRefused."""
-        reply = await self._ask(ReadHoldingRegistersRequest(address=address, count=count, dev_id=self._unit))
-        if len(reply.registers) != count:
-            raise BadReply("short_replies", f"registers {address}…: {len(reply.registers)} came, {count} were asked for")
-        return np.array(reply.registers, np.uint16)
+    async def read(self, address: int, count: int, function: Function = "holding") -> Registers:
+        """`count` registers, or coils as 0 and 1, from an address on the wire; BadReply, DeviceRefused."""
+        reply = await self._ask(_READS[function](address=address, count=count, dev_id=self._unit), function)
+        came, due = (reply.bits, -(-count // 8) * 8) if function in OF_BITS else (reply.registers, count)
+        if len(came) != due:
+            raise BadReply("short_replies", f"{function} {address}…: {len(came)} came, {due} were due")
+        return np.array(came[:count], np.uint16)
 
     async def write(self, address: int, registers: list[int]) -> None:
         """Write holding registers; BadReply, DeviceRefused."""
-        reply = await self._ask(WriteMultipleRegistersRequest(address=address, registers=registers, dev_id=self._unit))
+        reply = await self._ask(WriteMultipleRegistersRequest(address=address, registers=registers, dev_id=self._unit), "holding")
         if (reply.address, reply.count) != (address, len(registers)):
             raise BadReply("corrupt_replies", f"registers {address}…: the reply does not confirm what was written")
 
-    async def _ask(self, request: ModbusPDU) -> ModbusPDU:
+    async def _ask(self, request: ModbusPDU, function: Function) -> ModbusPDU:
         try:
             reply = await self._client.execute(False, request)
         except ConnectionException:
@@ -74,7 +83,7 @@ class CheckedModbusClient:
         if reply.transaction_id != request.transaction_id or self._client.ctx.recv_buffer:
             raise BadReply("late_replies", "a reply that nobody awaited")
         if reply.isError():
-            raise DeviceRefused(f"exception {reply.exception_code}")
+            raise DeviceRefused(explained(reply.exception_code, function, request.address, request.count))
         if reply.function_code != request.function_code:
             raise BadReply("corrupt_replies", f"reply of function {reply.function_code}, not {request.function_code}")
         return reply

@@ -1,4 +1,4 @@
-"""RegisterMap: what a Modbus device keeps in its holding registers, from a YAML file.
+"""RegisterMap: what a Modbus device keeps in its registers, from a YAML file.
 
 A device of Residuum keeps each stream in a ring of *pages*, so that a reader that comes late loses nothing and can tell every
 wrong reply from a right one:
@@ -10,8 +10,10 @@ the low 16 bits of the CRC-32 (zlib) over the other registers of the page, big-e
 described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet). Pages that lie
 side by side (`stride` is the length of a page) are read several at once.
 
-A stream of a device that has no such pages is polled: the plain registers at `address` are read every `sample_time` seconds,
-on the reader's clock.
+A stream of a device that has no such pages is polled: plain registers and coils are read every `sample_time` seconds, on the
+reader's clock. `register` counts from the stream's `address`, and `address` from 0 as on the wire, or from 1 where the map says
+`address_base: 1`, as many manuals do; which of them is meant is never guessed. `channel_registers.py` says what a channel may
+have: types, orders of words and bytes, bit fields, scales, and what stands there when there is no value.
 
 ```yaml
 streams:
@@ -21,6 +23,14 @@ streams:
     channels:
       speed: {register: 1, type: uint16, scale: 0.001, unit: rpm}
       indicator: {register: 0, type: bit, bit: 0, unit: ""}
+  meter:
+    sample_time: 0.2
+    poll: {address: 0, function: input, gap: 4}          # function: holding (default), input, coils, discrete
+    channels:
+      power: {register: 0, type: float32, word_order: little, unit: W}
+      temperature: {register: 4, type: int16, scale: 0.1, missing: -32768, unit: °C}
+      state: {register: 12, type: bit, bit: 4, bits: 3}
+      running: {register: 7, type: bit, function: coils}
 faults: {command: 100, state: 110, ids: [plier-bearing]}
 ```
 """
@@ -35,68 +45,19 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.channel_registers import ChannelRegisters, Function, Registers, StrictModel
 from residuum.service.fieldbus.frame_layout import BadBusDescription
+from residuum.service.fieldbus.map_text import read_map_text
 
-Registers = npt.NDArray[np.uint16]
 PAGE_HEAD = 3
 """Registers before the first sample of a page: number (2) and checksum."""
 MOST_REGISTERS = 125
-_TYPES: dict[str, tuple[str, int]] = {
-    "uint16": (">u2", 1),
-    "int16": (">i2", 1),
-    "uint32": (">u4", 2),
-    "int32": (">i4", 2),
-    "float32": (">f4", 2),
-    "float64": (">f8", 4),
-}
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ChannelRegisters(_Strict):
-    """Where a channel lies within a sample, and how it is to be read."""
-
-    register_: int = Field(alias="register", ge=0, lt=MOST_REGISTERS)
-    type: Literal["bit", "uint16", "int16", "uint32", "int32", "float32", "float64"] = "uint16"
-    bit: int = Field(default=0, ge=0, le=15)
-    scale: float = 1.0
-    offset: float = 0.0
-    unit: str = ""
-
-    @property
-    def width(self) -> int:
-        """Registers of one value."""
-        return 1 if self.type == "bit" else _TYPES[self.type][1]
-
-    def decode(self, registers: Registers) -> Samples:
-        """Values from registers of shape (n, words of a sample)."""
-        words = registers[:, self.register_ : self.register_ + self.width]
-        if self.type == "bit":
-            return ((words[:, 0] >> self.bit) & 1).astype(float)
-        values = np.ascontiguousarray(words.astype(">u2")).view(_TYPES[self.type][0])[:, 0].astype(float)
-        return values * self.scale + self.offset
-
-    def encode(self, values: npt.ArrayLike, registers: Registers) -> None:
-        """Write values into registers of shape (n, words of a sample)."""
-        values = np.asarray(values, float)
-        if self.type == "bit":
-            registers[:, self.register_] |= (values != 0).astype(np.uint16) << np.uint16(self.bit)
-            return
-        kind = np.dtype(_TYPES[self.type][0])
-        scaled = (values - self.offset) / self.scale
-        if kind.kind in "iu":
-            scaled = np.clip(np.rint(np.nan_to_num(scaled)), np.iinfo(kind).min, np.iinfo(kind).max)
-        words = scaled.astype(kind).reshape(-1, 1).view(">u2")
-        registers[:, self.register_ : self.register_ + self.width] = words
-
-
-class Pages(_Strict):
+class Pages(StrictModel):
     """A ring of pages, see the module."""
 
     newest: int = Field(ge=0, le=65534)
@@ -106,13 +67,15 @@ class Pages(_Strict):
     samples: int = Field(ge=1, le=MOST_REGISTERS)
 
 
-class Poll(_Strict):
+class Poll(StrictModel):
     """Plain registers, read at the reader's own pace."""
 
-    address: int = Field(ge=0, le=65535)
+    address: int = Field(ge=0, le=465_536, description="First register, as `address_base` counts them.")
+    function: Function = Field(default="holding", description="Table of the channels that name none of their own.")
+    gap: int = Field(default=0, ge=0, le=124, description="Holes of up to so many registers may be read with their neighbours.")
 
 
-class StreamRegisters(_Strict):
+class StreamRegisters(StrictModel):
     """One stream: its clock, its channels, and where it lies."""
 
     sample_time: float = Field(gt=0)
@@ -124,6 +87,15 @@ class StreamRegisters(_Strict):
     def _fits(self) -> StreamRegisters:
         if (self.pages is None) == (self.poll is None):
             raise ValueError("a stream needs either pages or poll")
+        _refuse_shared(self.channels, self.poll.function if self.poll else "holding")
+        if self.poll:
+            for channel in self.channels.values():
+                channel.refuse_other_than_bits(channel.function or self.poll.function)
+            return self
+        if paged := [
+            name for name, each in self.channels.items() if each.function not in (None, "holding") or each.scale_register
+        ]:
+            raise ValueError(f"channels.{paged[0]}: pages lie in holding registers, without scale registers; poll it instead")
         if self.page_registers > MOST_REGISTERS:
             raise ValueError(f"one read takes {self.page_registers} registers; Modbus allows {MOST_REGISTERS}")
         if self.pages and self.page_registers > self.pages.stride:
@@ -165,7 +137,25 @@ class StreamRegisters(_Strict):
         return table.reshape(-1)
 
 
-class FaultRegisters(_Strict):
+def _refuse_shared(channels: Mapping[str, ChannelRegisters], default: Function) -> None:
+    """Refuse a register that two channels name, but for different bits of it."""
+    owners: dict[tuple[Function, int], list[tuple[str, ChannelRegisters]]] = {}
+    for name, channel in channels.items():
+        for register in range(channel.register_, channel.register_ + channel.width):
+            for other, its in owners.setdefault((channel.function or default, register), []):
+                if not _bits_apart(channel, its):
+                    raise ValueError(
+                        f"channels.{name}: register {register} belongs to {other} already ({its.type} at {its.register_}, "
+                        f"{its.width} registers); correct register or type of one of them"
+                    )
+            owners[channel.function or default, register].append((name, channel))
+
+
+def _bits_apart(one: ChannelRegisters, other: ChannelRegisters) -> bool:
+    return one.type == other.type == "bit" and (one.bit + one.bits <= other.bit or other.bit + other.bits <= one.bit)
+
+
+class FaultRegisters(StrictModel):
     """Switching faults of a simulated device.
 
     `command` is a block of three registers: number of the fault (from 1) and its size as float32 (0 clears it, negative:
@@ -178,12 +168,25 @@ class FaultRegisters(_Strict):
     ids: list[str] = Field(min_length=1, max_length=60)
 
 
-class RegisterMap(_Strict):
+class RegisterMap(StrictModel):
     """The streams and faults of one device."""
 
     unit_id: int = Field(default=1, ge=0, le=247)
+    address_base: Literal[0, 1] = Field(default=0, description="What the map calls the first register of a polled table.")
     streams: dict[str, StreamRegisters] = Field(min_length=1)
     faults: FaultRegisters | None = None
+
+    @model_validator(mode="after")
+    def _polled_from_the_base(self) -> RegisterMap:
+        for name, stream in self.streams.items():
+            if stream.poll and stream.poll.address < self.address_base:
+                raise ValueError(f"streams.{name}: address {stream.poll.address} lies before address_base {self.address_base}")
+            if stream.poll and (last := stream.poll.address - self.address_base + stream.words - 1) > 0xFFFF:
+                raise ValueError(
+                    f"streams.{name}: reaches register {last} on the wire; the last is 65535. Take off the digit by which the "
+                    "manual tells the table: 400001 is address 0 (address_base: 0), function holding"
+                )
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +235,24 @@ def registers_float(high: int, low: int) -> float:
 def read_register_map(path: str | Path) -> RegisterMap:
     """The register map in a YAML file; BadBusDescription names file, place and rule."""
     where = Path(path).name
-    try:
-        content: Any = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadBusDescription(f"{where}: cannot be read as YAML: {' '.join(str(error).split())}") from None
+    content = read_map_text(path)
     try:
         return RegisterMap.model_validate(content)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"])) or "top level"
-        raise BadBusDescription(f"{where}, {place}: {first['msg'].removeprefix('Value error, ')}") from None
+        raise BadBusDescription(f"{where}, {first_error(error)}") from None
+
+
+def first_error(error: ValidationError) -> str:
+    """Place and rule of the first thing that is wrong, in one line."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"])) or "top level"
+    return f"{place}: {first['msg'].removeprefix('Value error, ')}{_known(first)}"
+
+
+def _known(error: Any) -> str:
+    """What could have been meant by a name that nothing has."""
+    if error["type"] != "extra_forbidden":
+        return ""
+    of = ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
+    names = [field.alias or name for name, field in of.model_fields.items()] if of else []
+    return f"; known are {', '.join(names)}" if names else ""

@@ -4,8 +4,9 @@
     speed;40001;uint16;rpm;0.1
     temperature;40002;int16;°C;0.1
 
-Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the kind 40001 … count
-holding registers from 1, as many manuals do; others count from 0.
+Columns may be called as in the row of headings below; `,`, `;` and tab part them. Numbers of the kind 40001 … are holding
+registers, those of the kind 30001 … input registers, counted from 1 as many manuals do; others count from 0. A column `function`
+says the table of each row.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import re
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
 from residuum.service.fieldbus.frame_layout import BadBusDescription
-from residuum.service.fieldbus.register_map import MOST_REGISTERS, RegisterMap
+from residuum.service.fieldbus.register_map import RegisterMap, first_error
 
 HEADINGS: dict[str, tuple[str, ...]] = {
     "name": ("name", "signal", "tag", "channel", "variable"),
@@ -28,6 +30,12 @@ HEADINGS: dict[str, tuple[str, ...]] = {
     "scale": ("scale", "factor", "gain", "multiplier", "resolution"),
     "offset": ("offset", "zero"),
     "bit": ("bit",),
+    "bits": ("bits", "number of bits"),
+    "registers": ("registers", "length", "size", "count", "words", "number of registers"),
+    "word_order": ("word order", "words order"),
+    "byte_order": ("byte order",),
+    "missing": ("missing", "not available", "invalid", "no value", "n a"),
+    "function": ("function", "table"),
 }
 """Column → what it may be called."""
 TYPES: dict[str, tuple[str, ...]] = {
@@ -35,12 +43,18 @@ TYPES: dict[str, tuple[str, ...]] = {
     "int16": ("int16", "s16", "i16", "int", "short", "signed", "signed16"),
     "uint32": ("uint32", "u32", "dword", "udint", "unsigned32"),
     "int32": ("int32", "s32", "i32", "dint", "long", "signed32"),
+    "uint64": ("uint64", "u64", "qword", "ulint", "unsigned64"),
+    "int64": ("int64", "s64", "i64", "lint", "signed64"),
     "float32": ("float32", "f32", "float", "real", "single"),
     "float64": ("float64", "f64", "double", "lreal"),
     "bit": ("bit", "bool", "boolean"),
 }
 """Type → what it may be called."""
-_MODICON = ((400_001, 465_536), (40_001, 49_999))
+_MODICON = {
+    "holding": ((400_001, 465_536), (40_001, 49_999)),
+    "input": ((300_001, 365_536), (30_001, 39_999)),
+}
+"""Table → how manuals number it: with a digit for the table before, and from 1."""
 _LONGEST = 1000
 
 
@@ -61,29 +75,24 @@ def register_map_of(text: str, sample_time: float, where: str = "table", unit_id
     Raises
     ------
     BadBusDescription
-        A column, number or type that cannot be understood, with its row; registers that one read cannot take.
+        A column, number or type that cannot be understood, with its row; registers that two rows name.
     """
     rows = _rows(text, where)
     registers = [_whole(row, "register", f"{where}, row {number}") for number, row in rows]
-    shift = next((first for first, last in _MODICON if all(first <= r <= last for r in registers)), 0)
+    function, shift = _numbering(registers)
     lowest = min(registers)
     channels: dict[str, Any] = {}
     for (number, row), register in zip(rows, registers, strict=True):
         name = row["name"]
         if not name or name in channels:
             raise BadBusDescription(f"{where}, row {number}: the name {name!r} is empty or stands in two rows")
-        if register - lowest >= MOST_REGISTERS:
-            raise BadBusDescription(
-                f"{where}, row {number}: register {register} is {register - lowest} behind the first, {lowest}; one read takes "
-                f"{MOST_REGISTERS}: make a table of its own of the far ones"
-            )
         channels[name] = {"register": register - lowest, **_channel(row, f"{where}, row {number}")}
-    stream = {"sample_time": sample_time, "poll": {"address": lowest - shift}, "channels": channels}
+    stream = {"sample_time": sample_time, "poll": {"address": lowest - shift, **function}, "channels": channels}
     made = {"unit_id": unit_id, "streams": {"signals": stream}}
     try:
         RegisterMap.model_validate(made)
-    except ValueError as error:
-        raise BadBusDescription(f"{where}: {' '.join(str(error).split())[:300]}") from None
+    except ValidationError as error:
+        raise BadBusDescription(f"{where}: {first_error(error)}") from None
     return made
 
 
@@ -125,10 +134,34 @@ def _channel(row: dict[str, str], where: str) -> dict[str, Any]:
     channel: dict[str, Any] = {"type": known, "unit": row["unit"]}
     if known == "bit":
         channel["bit"] = _whole(row, "bit", where) if row["bit"] else 0
+    for column in ("bits", "registers"):
+        if row[column]:
+            channel[column] = _whole(row, column, where)
+    for column in ("word_order", "byte_order", "function"):
+        if row[column]:
+            channel[column] = row[column].lower()
+    if row["missing"]:
+        channel["missing"] = [_sentinel(each, where) for each in row["missing"].split()]
     for column in ("scale", "offset"):
         if row[column]:
             channel[column] = _figure(row[column], column, where)
     return channel
+
+
+def _numbering(registers: list[int]) -> tuple[dict[str, str], int]:
+    """The table that a manual's numbers name, where they name one, and what it calls its first register."""
+    for function, spans in _MODICON.items():
+        for first, last in spans:
+            if all(first <= register <= last for register in registers):
+                return ({} if function == "holding" else {"function": function}), first
+    return {}, 0
+
+
+def _sentinel(text: str, where: str) -> float:
+    try:
+        return int(text, 0)
+    except ValueError:
+        return _figure(text, "missing", where)
 
 
 def _whole(row: dict[str, str], column: str, where: str) -> int:

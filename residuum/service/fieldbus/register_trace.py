@@ -20,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from residuum.service.fieldbus.channel_registers import Registers
 from residuum.service.fieldbus.frame_layout import BadBusDescription
-from residuum.service.fieldbus.register_map import RegisterMap, Registers, read_register_map
+from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.settings import map_file
 
 _TITLE = "# residuum register trace 1"

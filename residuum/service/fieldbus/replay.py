@@ -7,23 +7,20 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
 
-import can
 import numpy as np
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
 from residuum.service.fieldbus.can_bus import CanBus
+from residuum.service.fieldbus.can_log import TimedFrame
 from residuum.service.fieldbus.device_registers import DeviceRegisters
-from residuum.service.fieldbus.frame_layout import BadBusDescription, FrameLayout, read_dbc
+from residuum.service.fieldbus.frame_layout import FrameLayout, read_dbc
 from residuum.service.fieldbus.register_map import RegisterMap, StreamRegisters
 from residuum.service.fieldbus.register_server import RegisterServer
 from residuum.service.fieldbus.register_trace import TracedPage
 
-CAN_LOGS = {".blf": can.BLFReader, ".asc": can.ASCReader}
-"""Ending of a CAN log → its reader."""
 TRACE = ".trace"
 """Ending of a register trace."""
 
@@ -33,42 +30,19 @@ _SLICE = 0.2
 _SAME_RATE = 0.01
 
 
-class TimedFrame(NamedTuple):
-    """One CAN frame and when it was seen [s]."""
-
-    time: float
-    frame_id: int
-    data: bytes
-    is_fd: bool
-
-
-def read_can_log(path: str | Path) -> Iterator[TimedFrame]:
-    """The data frames of a BLF or ASC file; BadBusDescription when it is none."""
-    path = Path(path)
-    try:
-        with CAN_LOGS[path.suffix.lower()](str(path)) as log:
-            for message in log:
-                if not (message.is_error_frame or message.is_remote_frame):
-                    yield TimedFrame(message.timestamp, message.arbitration_id, bytes(message.data), message.is_fd)
-    except (OSError, ValueError, KeyError, IndexError, can.CanError) as error:
-        raise BadBusDescription(f"{path.name}: cannot be read as a CAN log: {error}") from None
-
-
 def record_frames(record: Record, layout: FrameLayout) -> Iterator[TimedFrame]:
-    """A record as the frames that would have carried it; a frame with a missing sample is left out, its counter is not.
+    """A record as the frames that would have carried it; a frame that lacks a sample is left out, its counter is not.
 
     Raises BadInput when a channel is absent, in an incompatible unit, or sampled at another rate.
     """
     _check_rate(record, layout.sample_time, layout.name)
     n = record.n // layout.samples
     channels = {name: record.in_unit(name, unit)[: n * layout.samples] for name, unit in layout.units.items()}
-    whole = np.ones(n, bool)
-    for values in channels.values():
-        whole &= ~np.isnan(values.reshape(n, layout.samples)).any(axis=1)
+    whole = layout.complete(channels, n)
     frames = layout.encode(np.arange(n) % (1 << layout.counter_bits), channels)
     for k in np.flatnonzero(whole).tolist():
         last = record.t0 + ((k + 1) * layout.samples - 1) * record.sample_time
-        yield TimedFrame(last, layout.frame_id, frames[k].tobytes(), layout.is_fd)
+        yield TimedFrame(last, layout.bus_id, frames[k].tobytes(), layout.is_fd)
 
 
 def record_pages(record: Record, name: str, stream: StreamRegisters) -> Iterator[TracedPage]:
@@ -101,7 +75,7 @@ def layout_for(record: Record, dbc_files: Iterable[Path]) -> FrameLayout:
     """
     for file in dbc_files:
         for layout in read_dbc(file).values():
-            if layout.counter_bits and _carries(record, layout.units, layout.sample_time):
+            if not layout.why_no_stream and _carries(record, layout.units, layout.sample_time):
                 return layout
     raise BadInput(f"record {record.source!r}: no known CAN message carries {', '.join(record.names)}; name a DBC file")
 

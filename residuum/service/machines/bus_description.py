@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from residuum.service.fieldbus.block import StreamFormat
-from residuum.service.fieldbus.frame_layout import BadBusDescription, read_dbc
+from residuum.service.fieldbus.can import streamed
+from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.register_table import register_map_of, register_map_text
 
@@ -44,15 +45,15 @@ def bus_description(kind: str, name: str, text: str, sample_time: float = 0.1, u
         file = Path(folder) / f"{stem}{ENDINGS[kind]}"
         file.write_text(text, encoding="utf-8")
         streams, remarks = _of_dbc(file) if kind == "dbc" else _of_registers(file)
-    if not streams:
-        raise BadBusDescription(f"{name}: no message has a sequence counter, so none can carry samples: {'; '.join(remarks)}")
     return BusDescription(file.name, text, streams, remarks)
 
 
 def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
-    layouts = read_dbc(file).values()
-    left_out = [f"message {layout.name} has no counter and is not read" for layout in layouts if not layout.counter_bits]
-    return [layout.format for layout in layouts if layout.counter_bits], left_out
+    messages = read_dbc(file)
+    read = streamed(messages)
+    remarks = [f"message {layout.name}: {layout.remark}" for layout in read if layout.remark]
+    left_out = [f"message {name} is not read: it {each.why_no_stream}" for name, each in messages.items() if each.why_no_stream]
+    return [layout.format for layout in read], [*remarks, *left_out, *messages.unusable.values()]
 
 
 def _of_registers(file: Path) -> tuple[list[StreamFormat], list[str]]:

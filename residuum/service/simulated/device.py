@@ -131,11 +131,11 @@ class Device:
         """Read all that waits: behind what was sent here, which some buses bring back, an order would wait for long."""
         while self._bus is not None and not (batch := self._bus.read(0.0)).empty:
             if self._command is not None:
-                for frames in batch.frames.get(self._command.frame_id, ()):
+                for frames in batch.frames.get(self._command.bus_id, ()):
                     self._take_order(self._command, frames)
 
     def _take_order(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
-        if frames.shape[1] != layout.length:
+        if not layout.fits(frames.shape[1]):
             return
         _, values = layout.decode(frames)
         for number, size in zip(values["fault"], values["size"], strict=True):

@@ -28,16 +28,24 @@ _DESCRIPTION = "record.json"
 
 
 def read_upload(
-    content: bytes, ending: str, name: str, *, memory: int, seconds: int, options: Mapping[str, object] | None = None
+    content: bytes,
+    ending: str,
+    name: str,
+    *,
+    memory: int,
+    seconds: int,
+    options: Mapping[str, object] | None = None,
+    dbc: Path | None = None,
 ) -> Record:
     """The record of an uploaded file. `name` is what messages call it; the file's name on disk is ours; `options` are those of
-    `ReadOptions`, as plain values.
+    `ReadOptions`, as plain values; by `dbc` a CAN log is read.
 
     `memory` [bytes] and `seconds` (of processor time) limit the process that reads it.
     Raises what reading raises, with one line (BadRecord, BadUnit, …; for an NPZ also BadBody and TooLarge), and BadRecord when
     reading it exceeds a limit or ends the process.
     """
-    return _read(content, ending, name, {"options": options or {}, "unpacked": memory}, memory, seconds)
+    how = {"options": options or {}, "unpacked": memory, "dbc": None if dbc is None else str(dbc)}
+    return _read(content, ending, name, how, memory, seconds)
 
 
 def read_body(content: bytes, kind: str, *, memory: int, seconds: int, unpacked: int) -> Record:
@@ -53,18 +61,17 @@ def _read(content: bytes, ending: str, name: str, how: Mapping[str, object], mem
         refusal = run_limited(__name__, arguments, file.parent, memory=memory, seconds=seconds)
         if refusal is not None:
             kind, says = refusal
-            named = says.replace(str(file), name)
+            named = says.replace(str(file), name).replace(file.name, name)
             raise _REFUSALS.get(kind, BadRecord)(named if kind and named.startswith(name) else f"{name}: {named}")
-        return _load(file.parent, name)
+        return _load(file, name)
 
 
-def _load(folder: Path, name: str) -> Record:
-    described = orjson.loads((folder / _DESCRIPTION).read_bytes())
+def _load(file: Path, name: str) -> Record:
+    described = orjson.loads((file.parent / _DESCRIPTION).read_bytes())
     names = list(described["units"])
-    channels = {each: np.load(folder / f"{number}.npy", allow_pickle=False) for number, each in enumerate(names)}
-    return Record(
-        channels, described["units"], described["sample_time"], described["t0"], notes=tuple(described["notes"]), source=name
-    )
+    channels = {each: np.load(file.parent / f"{number}.npy", allow_pickle=False) for number, each in enumerate(names)}
+    notes = tuple(note.replace(file.name, name) for note in described["notes"])
+    return Record(channels, described["units"], described["sample_time"], described["t0"], notes=notes, source=name)
 
 
 def _keep(record: Record, folder: Path) -> None:
@@ -81,6 +88,10 @@ def _record(file: Path, how: Mapping[str, Any]) -> Record:
 
     if "kind" in how:
         return FORMATS[how["kind"]](file.read_bytes(), how["unpacked"])
+    if how["dbc"] is not None:
+        from residuum.service.fieldbus.can_record import read_can_record  # noqa: PLC0415
+
+        return read_can_record(file, how["dbc"], ReadOptions(**how["options"]))
     if file.suffix == ".npz":
         with file.open("rb") as archive:
             check_npz(archive, how["unpacked"], str(file))

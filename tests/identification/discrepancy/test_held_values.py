@@ -16,6 +16,7 @@ from residuum.identification.record import Record
 DRIVE = Path(__file__).with_name("drive.yaml").read_text()
 R, K, J, B = 1.7, 0.124, 0.00121, 0.00056
 SAMPLE_TIME, STEPS = 0.005, 40
+EFFECTS = ("quadratic-drag", "viscous-friction", "coulomb-friction", "constant-load", "inductance", "input-delay", "output-lag")
 
 
 @njit
@@ -45,7 +46,7 @@ def held_at(value):
 
 
 def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
-    found = explain(held_at(0.135), [record()])
+    found = explain(held_at(0.135), [record()], effects=EFFECTS)
     (held,) = found.held
     assert (found.verdict, found.accepted) == ("adequate", ())
     assert (held.name, held.held, held.unit, held.indistinguishable_from) == ("K", 0.135, "V*s/rad", ())
@@ -54,15 +55,15 @@ def test_a_wrong_torque_constant_is_told_and_nothing_is_missing():
 
 def test_beside_a_wrong_value_the_effect_is_still_found_and_improve_mends_both():
     model = held_at(0.135)
-    found = explain(model, [record(drag=4e-6)])
+    found = explain(model, [record(drag=4e-6)], effects=EFFECTS)
     assert ([held.name for held in found.held], found.accepted) == (["K"], (("quadratic-drag", "rotor"),))
-    improved = improve(model, [record(drag=4e-6)], free=["K"])
+    improved = improve(model, [record(drag=4e-6)], free=["K"], effects=EFFECTS)
     assert [step.added for step in improved.history] == [None, "K freed", "quadratic-drag"]
     assert abs(improved.model.values["K"] / K - 1.0) < 0.002
 
 
 def test_fixed_means_fixed():
-    improved = improve(held_at(0.135), [record(drag=4e-6)])
+    improved = improve(held_at(0.135), [record(drag=4e-6)], effects=EFFECTS)
     assert improved.model.values["K"] == 0.135
     assert improved.model.parameters["K"].fixed
     assert improved.verdict != "adequate"
@@ -71,5 +72,5 @@ def test_fixed_means_fixed():
 
 
 def test_a_right_value_stays_where_it_is_held():
-    found = explain(held_at(K), [record(drag=4e-6)])
+    found = explain(held_at(K), [record(drag=4e-6)], effects=EFFECTS)
     assert (found.held, found.accepted) == ((), (("quadratic-drag", "rotor"),))

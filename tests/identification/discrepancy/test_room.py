@@ -10,7 +10,7 @@ from residuum.identification.discrepancy import policy
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
 
 ROOM = Path(discrepancy.__file__).parent
-POLICY = sorted(Path(policy.__file__).parent.glob("*.py"))
+POLICY = [Path(policy.__file__)]
 SEARCH = sorted(ROOM.glob("*.py"))
 MOST_LINES = 300
 

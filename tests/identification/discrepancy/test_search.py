@@ -1,7 +1,6 @@
 """The search for missing effects where the model has gone astray; the machines are integrated here, in fine Euler steps."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -199,21 +198,3 @@ def test_play_with_a_soft_contact_is_found_over_windows():
     found = explain(read_model(BELT), [record], effects=["backlash", "elastic-transmission", "coulomb-friction"])
     assert found.accepted == (("backlash", "belt"),)
     assert abs(found.candidates[0].parameters["gap"].value - 0.022) < 1e-3
-
-
-def test_a_bound_of_another_effect_whose_name_begins_alike_rules_nothing_out():
-    """A spring at `arm2` on its bound says nothing of the spring at `arm`; a second spring at `arm` does."""
-
-    def structure(*at_bound):
-        found = SimpleNamespace(
-            pointwise=np.full(1000, 0.1), parameters=("p",), at_bound=at_bound, by_parameters=[], log_likelihood=100.0
-        )
-        found.penalty = lambda base: 3.5
-        return found
-
-    base = SimpleNamespace(pointwise=np.zeros(1000), parameters=(), at_bound=(), by_parameters=[], log_likelihood=0.0)
-    base.penalty = lambda before: 0.0
-    key = ("spring", "arm")
-    assert preferred({key: structure("spring@arm2.k")}, base) == key
-    assert preferred({key: structure("spring@arm.k")}, base) is None
-    assert preferred({key: structure("spring@arm#2.k")}, base) is None

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 from numba import njit
-from residuum.identification.discrepancy.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.shooting import pairs_by_shooting
-from residuum.identification.discrepancy.structures import times_its_innovations
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.physics import candidates, read_model
+from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.policy.noise import SLOW
 
 MIXER = """name: mixer
 inputs: {torque: N*m}
@@ -47,15 +42,6 @@ def record():
     u = np.concatenate([np.full(n, rng.uniform(-1.8, 1.8)) for n in rng.integers(30, 250, 60)])[:6000]
     speed = turned(u, 0.01, 200)
     return Record({"torque": u, "speed": speed + 0.02 * rng.standard_normal(u.size)}, {"torque": "N*m", "speed": "rad/s"}, 0.01)
-
-
-def test_shooting_finds_the_friction_and_the_cog_where_simulations_go_astray(record):
-    experiments, base = experiments_and_base(read_model(MIXER), [record], None)
-    assert times_its_innovations(base) > SLOW
-    best, *_ = pairs_by_shooting(Screen(base, experiments), candidates(base.model))
-    assert {use.id for use in best.effects} == {"coulomb-friction", "tooth-ripple"}
-    assert best.values["tooth-ripple@shaft.n"] == pytest.approx(TEETH, rel=0.01)
-    assert best.values["coulomb-friction@shaft.tau_c"] == pytest.approx(FRICTION, rel=0.03)
 
 
 def test_explain_names_both_with_their_sizes(record):

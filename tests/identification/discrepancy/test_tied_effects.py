@@ -7,7 +7,6 @@ import pytest
 
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.discrepancy.share_search import search_by_share
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import candidates, estimate, match, read_model, write_model
 from residuum.identification.record import Record
@@ -141,10 +140,9 @@ def test_a_curve_is_learned_where_no_effect_has_a_name():
 
 
 def test_the_search_learns_only_when_asked():
-    model = read_model(AXIS)
-    experiments = match(model, [strange_axis_record(n=3000)])[1]
-    plain, learned = (search_by_share(model, experiments, ["output-offset"], learned=yes) for yes in (False, True))
-    assert plain.accepted == []
+    model, record = read_model(AXIS), strange_axis_record(n=3000)
+    plain, learned = (explain(model, [record], effects=["output-offset"], learned=yes) for yes in (False, True))
+    assert plain.accepted == ()
     assert learned.accepted[0] == ("learned", "axis(v)")
 
 

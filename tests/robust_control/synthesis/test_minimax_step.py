@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize, nnls
+from scipy.optimize import minimize
 
 from residuum.robust_control.synthesis.minimax_step import minimax_step
-from residuum.robust_control.synthesis.nonnegative_least_squares import nonnegative_least_squares
 
 
 def general_solver(c, A, H, low, high):
@@ -40,13 +39,3 @@ def test_a_curvature_that_rounding_made_singular_gives_a_step():
     H = 1e8 * np.outer(direction, direction)
     d, multipliers, t = minimax_step(np.zeros(2), np.eye(2, 3), H, -np.ones(3), np.ones(3))
     assert np.isfinite(d).all() and np.isfinite(multipliers).all() and t < 0.0
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_nonnegative_least_squares_is_that_of_scipy(seed):
-    rng = np.random.default_rng(seed)
-    m, n = int(rng.integers(2, 9)), int(rng.integers(1, 40))
-    E, f = rng.normal(size=(m, n)) * np.exp(rng.normal(size=n) * (seed % 3)), rng.normal(size=m)
-    E[:, n // 2] = E[:, 0]  # two that cannot be told apart
-    u = nonnegative_least_squares(E, f)
-    assert np.all(u >= 0) and np.linalg.norm(E @ u - f) == pytest.approx(nnls(E, f)[1], abs=1e-9)

@@ -75,37 +75,25 @@ def test_a_webhook_that_was_away_and_one_that_fails_get_every_alarm_in_order(run
     assert states == ["unacknowledged", "returned-unacknowledged"]
 
 
-def test_an_alarm_of_a_service_that_was_killed_is_told_by_the_next_one(free_port, tmp_path):
+def test_an_alarm_of_a_service_that_was_killed_is_told_by_the_next_one(run_service, free_port, tmp_path):
     hook_port, port = free_port(), free_port()
-    environment = {**os.environ, "RESIDUUM_WEBHOOKS": f'["http://127.0.0.1:{hook_port}/"]', "RESIDUUM_LOG_LEVEL": "error"}
+    webhooks = [f"http://127.0.0.1:{hook_port}/"]
+    environment = {**os.environ, "RESIDUUM_WEBHOOKS": json.dumps(webhooks), "RESIDUUM_LOG_LEVEL": "error"}
     command = [sys.executable, "-c", "from residuum.service.cli import main; main()", "serve", "--port", str(port)]
-
-    def start():
-        process = subprocess.Popen([*command, "--data", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True)
-        assert "Residuum is at" in process.stdout.readline()
-        return process
-
-    def kill(process):
-        process.kill()
-        process.wait()
-        process.stdout.close()
-
     np.save(body := io.BytesIO(), np.arange(100.0))
-    process = start()
-    try:
-        path = "/api/v1/assets/press/windows?diagnoser=bearing&channel=a%20%5Bm%2Fs%C2%B2%5D&sample_time=1e-3"
-        answer = httpx.post(f"http://127.0.0.1:{port}{path}", content=body.getvalue(), headers=OCTETS, timeout=120)
-        assert answer.status_code == 201 and answer.json()["finding"]["verdict"] == "not-assessable"
-    finally:
-        kill(process)
+    with subprocess.Popen([*command, "--data", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True) as killed:
+        try:
+            assert "Residuum is at" in killed.stdout.readline()
+            path = "/api/v1/assets/press/windows?diagnoser=bearing&channel=a%20%5Bm%2Fs%C2%B2%5D&sample_time=1e-3"
+            answer = httpx.post(f"http://127.0.0.1:{port}{path}", content=body.getvalue(), headers=OCTETS, timeout=120)
+            assert answer.status_code == 201 and answer.json()["finding"]["verdict"] == "not-assessable"
+        finally:
+            killed.kill()
     hook = Hook(hook_port)
-    process = start()
-    try:
-        told = hook.told.get(timeout=60)
-        assert (told["event"], told["kind"], told["asset"], told["state"]) == ("alarm", "signal", "press", "unacknowledged")
-    finally:
-        kill(process)
-        hook.stop()
+    run_service(data=tmp_path, webhooks=webhooks)
+    told = hook.told.get(timeout=60)
+    hook.stop()
+    assert (told["event"], told["kind"], told["asset"], told["state"]) == ("alarm", "signal", "press", "unacknowledged")
 
 
 def test_of_two_processes_one_tells_and_the_other_takes_over(store_urls, tmp_path):

@@ -16,7 +16,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 
 FEW = settings(
-    max_examples=8,
+    max_examples=5,
     deadline=None,
     derandomize=True,
     database=None,

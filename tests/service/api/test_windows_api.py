@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,3 +190,19 @@ def test_an_npz_bomb_is_refused_before_it_is_unpacked(refused):
             member.write(bytes(2**20))
     status, detail = refused("POST", BEARING, content=file.getvalue(), headers={"content-type": "application/zip"})
     assert status == 413 and "unpacked" in detail
+
+
+def test_a_can_log_is_a_record_by_a_dbc_file_that_the_service_knows(client, refused):
+    log = (Path(__file__).parents[2] / "recorded" / "gate_actuator.blf").read_bytes()
+    stored = client.post("/api/v1/records", params={"filename": "drive.blf", "dbc": "gate_actuator.dbc"}, content=log)
+    assert stored.status_code == 201, stored.text
+    assert set(stored.json()["units"]) >= {"speed", "current", "voltage", "phase"} and stored.json()["n"] > 1000
+    for query, says in (
+        ("filename=drive.blf", "dbc) go together"),
+        ("filename=drive.csv&dbc=gate_actuator.dbc", "dbc) go together"),
+        ("filename=drive.blf&dbc=/etc/passwd", "no machine has a DBC file of this name; known are gate_actuator.dbc"),
+    ):
+        status, detail = refused("POST", f"/api/v1/records?{query}", content=log)
+        assert status == 422 and says in detail
+    status, detail = refused("POST", "/api/v1/records?filename=x.blf&dbc=gate_actuator.dbc", content=b"LOGG nonsense")
+    assert status == 422 and detail.startswith("x.blf: cannot be read as a CAN log")

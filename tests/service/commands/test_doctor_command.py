@@ -12,6 +12,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.cli import run
+from residuum.service.settings import SETTINGS_FILE
 from residuum.service.storage import DiskStore
 from residuum.service.storage.database import Database, known_revisions
 
@@ -130,3 +131,37 @@ def test_a_row_that_was_changed_by_hand_is_named(data, examine, change, says):
         connection.execute(change)
     status, wrong = examine(data)
     assert status == 1 and list(wrong) == ["rows"] and re.search(says, wrong["rows"])
+
+
+PACK = """VERSION ""
+BS_:
+BU_: BMS
+BO_ 64 wake_up: 0 BMS
+BO_ 513 cells: 8 BMS
+ SG_ cell_voltage_01 : 8|12@1+ (0.001,0) [0|5] "V" BMS
+BO_ 514 current: 8 BMS
+ SG_ counter : 0|8@1+ (1,0) [0|255] "" BMS
+ SG_ current : 8|16@1- (0.1,0) [0|0] "A" BMS
+BA_DEF_ BO_ "SampleTime" FLOAT 0 100;
+BA_ "SampleTime" BO_ 514 0.1;
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "says"),
+    [
+        (PACK, 0, "ok .*streams current; of 1 not streamed the first: cells has no time between frames"),
+        (PACK.replace("counter :", "number :"), 0, "NOTE .*streams current.*current: no counter: losses cannot be seen"),
+        (PACK.replace('BA_ "SampleTime" BO_ 514 0.1;', ""), 1, "WRONG .*bms.dbc: has nothing to stream: message cells"),
+        (PACK.replace("8|16@1-", "8|57@1-"), 1, "WRONG .*has nothing to stream: .*current does not fit in message current"),
+    ],
+)
+def test_a_dbc_file_is_said_to_stream_what_it_does(data, tmp_path, capsys, monkeypatch, text, status, says):
+    (tmp_path / "bms.dbc").write_text(text)
+    source = {"kind": "can", "channel": "virtual:doctor", "map": str(tmp_path / "bms.dbc")}
+    machine = {"asset": "pack", "diagnoser": "robust-residual", "window": {"cut": "sliding"}, "sources": [source]}
+    (tmp_path / "settings.json").write_text(json.dumps({"machines": [machine]}))
+    monkeypatch.setenv(SETTINGS_FILE, str(tmp_path / "settings.json"))
+    assert run(["doctor", "--data", str(data)]) in (0, 1)
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "can bus" in line]
+    assert re.match(says, line) and (status == 1) == line.startswith("WRONG")

@@ -6,6 +6,7 @@ import pytest
 
 from residuum.identification.discrepancy.candidate import Quantity
 from residuum.identification.discrepancy.explain import HeldValue
+from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
 from residuum.library.answers.quantities import sizes_text
 
@@ -22,6 +23,7 @@ def explanation(verdict, times, held=()):
         timing=(),
         next_experiment=(),
         held=held,
+        work=Work(),
     )
 
 

@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 
 from residuum.service.cli import run
@@ -18,9 +17,7 @@ def test_an_open_stream_of_events_does_not_hold_the_service_up(tmp_path):
         with urllib.request.urlopen(f"{address}api/v1/events", timeout=60) as stream:
             assert stream.readline() == b": connected\n"
             service.send_signal(signal.SIGTERM)
-            begun = time.monotonic()
-            stream.read()
-            assert time.monotonic() - begun < 4
+            stream.read()  # its end is that of an answer; a stream that is cut off when the service's patience ends has none
         assert "Traceback" not in service.communicate(timeout=60)[1]
 
 

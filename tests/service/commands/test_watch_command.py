@@ -101,6 +101,8 @@ def test_a_map_made_from_a_table_is_read_as_any_other(capsys):
         ('name,address,type,unit,factor\na,0x10,U16,V,"0,1"\nb,17,BOOL,,\n', 16, 2),
         ("# from the manual\nsignal;address;data_type;unit\na;40011;double;m\n", 10, 4),
         ("name;register\na;3\n", 3, 1),
+        ("name;register\na;0\nb;200\n", 0, 201),
+        ("name;register;type;length;word order;missing\na;30005;real;2;little;-9999 0x7FC00000\n", 4, 2),
     ],
 )
 def test_tables_of_several_habits_are_understood(table, address, words):
@@ -116,7 +118,8 @@ def test_tables_of_several_habits_are_understood(table, address, words):
         ("name;register\na;ten\n", "row 2: register 'ten' is not a whole number"),
         ("name;register;type\na;1;complex\n", "row 2: type 'complex' is not known; known are uint16"),
         ("name;register\na;1\na;2\n", "row 3: the name 'a' is empty or stands in two rows"),
-        ("name;register\na;0\nb;200\n", "row 3: register 200 is 200 behind the first, 0; one read takes 125"),
+        ("name;register\na;5\nb;5\n", "channels.b: register 0 belongs to a already"),
+        ("name;register;type;length\na;5;float;1\n", "float32 takes 2 registers, registers says 1"),
         ("name;register;scale\na;0;much\n", "row 2: scale 'much' is not a number"),
         ("name;register\na;0;1;2\n", "row 2: has 4 cells"),
     ],

@@ -63,7 +63,7 @@ def test_what_is_no_data_frame_is_told_apart(buses):
     theirs.send(can.Message(arbitration_id=2, is_remote_frame=True, dlc=8))
     for nonsense in (b"\xc1 no message pack", msgpack.packb([1, 2]), msgpack.packb({"no": 5}), b""):
         theirs._multicast.send(nonsense, None)
-    theirs.send(can.Message(arbitration_id=3, data=b"12345678"))
+    theirs.send(can.Message(arbitration_id=3, is_extended_id=False, data=b"12345678"))
     errors = undecodable = 0
     data, end = [], time.monotonic() + 60.0
     while not data and time.monotonic() < end:
@@ -108,7 +108,7 @@ class Failing:
 
 @pytest.mark.parametrize("failure", [OSError("gone"), can.CanOperationError("the adapter was pulled out")])
 def test_what_came_before_a_bus_failed_is_read_and_then_the_failure_is_told(failure):
-    bus = CanBus(Failing(can.Message(arbitration_id=3, data=b"12"), can.Message(arbitration_id=3, data=b"34"), failure))
+    bus = CanBus(Failing(*(can.Message(arbitration_id=3, is_extended_id=False, data=each) for each in (b"12", b"34")), failure))
     assert np.concatenate(bus.read(0.0).frames[3]).tobytes() == b"1234"
     with pytest.raises(type(failure), match=str(failure)):
         bus.read(0.0)

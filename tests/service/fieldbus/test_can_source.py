@@ -9,6 +9,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.can_bus import open_bus
 from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS, SourceSettings
 
 DBC = read_dbc(MAPS / "gate_actuator.dbc")
@@ -149,3 +150,32 @@ def test_a_bus_that_cannot_be_opened_is_tried_again_and_again():
 def test_an_address_that_is_none_is_refused(channel):
     with pytest.raises(BadInput, match="CAN channel"):
         open_bus(channel)
+
+
+def test_frames_without_a_counter_are_read_in_their_order_and_a_pause_breaks_them_off(tmp_path):
+    (tmp_path / "plain.dbc").write_text(
+        'VERSION ""\nBS_:\nBU_: A\nBO_ 300 plain: 2 A\n SG_ force : 0|16@1- (0.5,0) [0|0] "N" A\n'
+        'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 100000;\nBA_ "GenMsgCycleTime" BO_ 300 10;\n'
+    )
+    channel, blocks, now = f"virtual:{uuid.uuid4()}", [], [0.0]
+    settings = SourceSettings(kind="can", channel=channel, map=str(tmp_path / "plain.dbc"))
+    source = SOURCES["can"](settings, lambda block: blocks.append(block) or True)
+    source._clock = lambda: now[0]
+    source.start()
+    bus = open_bus(channel)
+    end = time.monotonic() + 120
+    while source._bus is None and time.monotonic() < end:
+        time.sleep(0.01)
+    for first in (0, 20):
+        bus.send_many(300, np.array([[value, 0] for value in range(first, first + 20)], np.uint8))
+        while source.health.snapshot()["samples"] < first + 20 and time.monotonic() < end:
+            time.sleep(0.01)
+        now[0] += 60.0
+    source.stop()
+    source.join()
+    bus.close()
+    number = np.concatenate([block.number for block in blocks])
+    force = np.concatenate([block.channels["force"] for block in blocks])
+    assert force.tolist() == [0.5 * value for value in range(40)]
+    assert number.tolist() == [*range(20), *range(BREAK + 20, BREAK + 40)]
+    assert source.health["pauses"] == 1 and source.health["lost"] == 0

@@ -1,7 +1,10 @@
+import re
+
 import cantools
 import numpy as np
 import pytest
 
+from residuum.service.fieldbus.can import CanSource
 from residuum.service.fieldbus.frame_layout import BadBusDescription, read_dbc
 from residuum.service.fieldbus.settings import MAPS
 
@@ -88,20 +91,158 @@ def test_a_fault_command_carries_a_float():
     assert (values["fault"][0], values["size"][0]) == (2.0, -1.25)
 
 
+def described(tmp_path, text):
+    file = tmp_path / "bus.dbc"
+    file.write_text(text)
+    return read_dbc(file)
+
+
+def source_of(layouts):
+    return CanSource("virtual:none", layouts, lambda _block: True)
+
+
+def test_a_file_that_is_no_dbc_file_is_refused(tmp_path):
+    with pytest.raises(BadBusDescription, match="cannot be read as a DBC file"):
+        described(tmp_path, MIXED.replace("BO_ 300 mixed: 8 A", "BO_ 300 mixed 8 A"))
+
+
+def test_a_file_with_nothing_to_stream_is_refused_with_the_reasons(tmp_path):
+    layouts = described(tmp_path, MIXED.replace('BA_ "SampleTime" BO_ 300 0.001;', ""))
+    with pytest.raises(BadBusDescription, match=r"bus\.dbc: has nothing to stream: message mixed .*no time between frames"):
+        source_of(layouts)
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "says"),
     [
-        (("SG_ counter : 0|12", "SG_ counter : 0|3"), "counter has 3 bits"),
-        (('BA_ "SampleTime" BO_ 300 0.001;', ""), "no time between frames"),
-        (("BO_ 300 mixed: 8 A", "BO_ 300 mixed 8 A"), "cannot be read as a DBC file"),
-        (
-            ("SG_ flag", 'SG_ little_00 : 41|1@1+ (1,0) [0|1] "" A\n SG_ little_01 : 42|1@1+ (1,0) [0|1] "" A\n SG_ flag'),
-            "same number",
-        ),
+        (('SG_ flag : 40|1@1+ (1,0) [0|1] "" A', 'SG_ flag : 20|1@1+ (1,0) [0|1] "" A'), "overlapping.*Correct the file"),
+        (("SG_ flag : 40|1@1+", "SG_ flag : 64|1@1+"), "flag does not fit in message mixed.*Correct the file"),
+        (("SG_ flag :", "SG_ flag m0 :"), "'flag' is on a page, and no signal names the page: mark that one with M"),
+        (('BA_ "SampleTime" BO_ 300 0.001;', 'BA_ "SamplesPerFrame" BO_ 300 2;'), "SamplesPerFrame is 2.*'little' has 1 signals"),
     ],
 )
-def test_a_description_that_cannot_be_used_is_refused(tmp_path, change, message):
-    file = tmp_path / "bad.dbc"
-    file.write_text(MIXED.replace(*change))
-    with pytest.raises(BadBusDescription, match=message):
-        read_dbc(file)
+def test_a_message_that_cannot_be_used_is_named_and_costs_nothing_but_itself(tmp_path, change, says):
+    text = MIXED.replace(*change).replace("BA_DEF_ BO_", 'BA_DEF_ BO_ "SamplesPerFrame" INT 1 512;\nBA_DEF_ BO_', 1)
+    other = 'BO_ 301 other: 8 A\n SG_ counter : 0|8@1+ (1,0) [0|255] "" A\n SG_ force : 16|16@1- (0.1,0) [0|0] "N" A\n'
+    layouts = described(tmp_path, text.replace("BA_DEF_", other + "BA_DEF_", 1) + 'BA_ "SampleTime" BO_ 301 0.01;\n')
+    assert set(layouts) == {"other"} and list(layouts.unusable) == ["mixed"]
+    (line,) = layouts.unusable.values()
+    assert re.match(f"bus.dbc, message mixed: .*{says}", line) and "\n" not in line
+    assert [stream.name for stream in source_of(layouts).streams] == ["other"]
+
+
+def test_messages_without_signals_are_passed_over(tmp_path):
+    wake_up = "BO_ 64 WAKE_UP: 0 A\nBO_ 65 HEARTBEAT: 8 A\n"
+    loose = 'BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 Vector__XXX\n SG_ Spare : 0|16@1- (0.1,0) [0|0] "" Vector__XXX\n'
+    layouts = described(tmp_path, MIXED.replace("BO_ 300 mixed", wake_up + loose + "BO_ 300 mixed"))
+    assert set(layouts) == {"mixed"}
+    assert [stream.name for stream in source_of(layouts).streams] == ["mixed"]
+
+
+PACK = """VERSION ""
+BS_:
+BU_: A
+BO_ 513 cells: 8 A
+ SG_ counter : 0|8@1+ (1,0) [0|255] "" A
+ SG_ cell_01 : 8|12@1+ (0.001,0) [0|5] "V" A
+ SG_ cell_02 : 20|12@1+ (0.001,0) [0|5] "V" A
+ SG_ cell_03 : 32|12@1+ (0.001,0) [0|5] "V" A
+ SG_ cell_04 : 44|12@1+ (0.001,0) [0|5] "V" A
+BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;
+BA_DEF_ BO_ "SamplesPerFrame" INT 1 512;
+BA_ "SampleTime" BO_ 513 0.1;
+"""
+
+
+def test_numbered_signals_are_channels_of_their_own(tmp_path):
+    layout = described(tmp_path, PACK)["cells"]
+    cells = {"cell_01": 3.6, "cell_02": 3.7, "cell_03": 3.2, "cell_04": 3.8}
+    _, channels = layout.decode(layout.encode([0, 1], {name: [volt, volt] for name, volt in cells.items()}))
+    assert {name: values.tolist() for name, values in channels.items()} == {
+        name: pytest.approx([volt, volt]) for name, volt in cells.items()
+    }
+    assert layout.sample_time == 0.1
+
+
+def test_numbered_signals_are_samples_of_one_channel_where_the_file_says_so(tmp_path):
+    layout = described(tmp_path, PACK + 'BA_ "SamplesPerFrame" BO_ 513 4;\n')["cells"]
+    assert layout.units == {"cell": "V"} and layout.samples == 4 and layout.sample_time == pytest.approx(0.025)
+
+
+DRIVE = """VERSION ""
+BS_:
+BU_: A
+BO_ 416 drive: 8 A
+ SG_ page M : 0|8@1+ (1,0) [0|3] "" A
+ SG_ counter : 8|8@1+ (1,0) [0|255] "" A
+ SG_ speed : 16|16@1- (0.25,0) [0|0] "rpm" A
+ SG_ current m0 : 32|16@1- (0.01,0) [0|0] "A" A
+ SG_ voltage m1 : 32|16@1+ (0.01,0) [0|0] "V" A
+ SG_ temperature m1 : 48|16@1- (0.1,0) [0|0] "degC" A
+ SG_ torque m0 : 48|16@1- (0.01,0) [0|0] "N*m" A
+BA_DEF_ BO_ "SampleTime" FLOAT 0 1000;
+BA_ "SampleTime" BO_ 416 0.01;
+"""
+
+
+def test_multiplexed_signals_have_values_on_their_page_only(tmp_path):
+    layout = described(tmp_path, DRIVE)["drive"]
+    cantools_message = cantools.database.load_string(DRIVE).get_message_by_name("drive")
+    sent = [
+        {"page": 0, "counter": 0, "speed": 100.0, "current": -10.3, "torque": -0.52},
+        {"page": 1, "counter": 1, "speed": 101.0, "voltage": 48.0, "temperature": 35.0},
+        {"page": 0, "counter": 2, "speed": 102.0, "current": -10.09, "torque": -0.5},
+    ]
+    frames = np.array([list(cantools_message.encode(values)) for values in sent], np.uint8)
+    unknown_page = np.array([[3, 3, 0, 0, 255, 255, 255, 255]], np.uint8)
+    counter, channels = layout.decode(np.concatenate([frames, unknown_page]))
+    assert counter.tolist() == [0, 1, 2, 3]
+    expected = {name: [values.get(name, np.nan) for values in sent] + [np.nan] for name in channels}
+    expected["page"][3], expected["speed"][3] = 3, 0
+    for name, values in channels.items():
+        assert values == pytest.approx(expected[name], nan_ok=True), name
+    back = {name: values[:3] for name, values in channels.items()}
+    assert np.array_equal(layout.encode(counter[:3], back), frames)
+    everything = {name: np.nan_to_num(values, nan=7.0) for name, values in back.items()}
+    assert np.array_equal(layout.encode(counter[:3], everything), frames)  # what is on another page is not sent
+
+
+def test_unsigned_numbers_of_64_bits_are_never_negative(tmp_path):
+    little = 'BO_ 256 energy: 8 A\n SG_ total : 0|64@1+ (1,0) [0|0] "J" A\n'
+    big = 'BO_ 257 big: 8 A\n SG_ total : 7|64@0+ (0.5,0) [0|0] "J" A\n'
+    layouts = described(tmp_path, f'VERSION ""\nBS_:\nBU_: A\n{little}{big}')
+    ones = np.full((1, 8), 255, np.uint8)
+    assert layouts["energy"].decode(ones)[1]["total"] == [2.0**64] and layouts["big"].decode(ones)[1]["total"] == [2.0**63]
+    assert layouts["energy"].encode([0], {"total": [2.0**63]}).tolist() == [[0] * 7 + [128]]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("counter :", "number :"), "no counter: losses cannot be seen"),
+        (("SG_ counter : 0|12", "SG_ counter : 0|3"), "'counter' has 3 bits; 4 to 32 are needed"),
+    ],
+)
+def test_a_message_without_a_usable_counter_is_streamed_and_said_to_be_uncounted(tmp_path, change, says):
+    source = source_of(described(tmp_path, MIXED.replace(*change)))
+    assert [stream.name for stream in source.streams] == ["mixed"]
+    source.health.received(1, 1)
+    snapshot = source.health.snapshot()
+    assert snapshot["quality"] == "uncounted" and says in snapshot["remarks"][0]
+
+
+def test_short_identifiers_of_standard_and_extended_frames_are_told_apart(tmp_path):
+    extended = described(tmp_path, MIXED.replace("BO_ 300", f"BO_ {300 | 1 << 31}"))
+    plain = described(tmp_path, MIXED)["mixed"]
+    assert (extended["mixed"].frame_id, plain.frame_id) == (300, 300) and extended["mixed"].bus_id != plain.bus_id
+
+
+def test_impossible_identifiers_and_values_of_no_signal_do_not_spoil_a_file(tmp_path):
+    late = 'BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n\nBO_ 300 mixed'
+    tables = 'VAL_ 99999 x 0 "off; or so" 1 "on" ;\nVAL_ 300 gone 0 "off" ;\nVAL_ 300 flag 0 "no" 1 "yes" ;\n'
+    layouts = described(tmp_path, MIXED.replace("BO_ 300 mixed", late) + tables)
+    assert set(layouts) == {"mixed"} and layouts["mixed"].choices["flag"] == {0: "no", 1: "yes"}
+    assert "identifier 99999 is longer than 11 bits and is not marked as extended: add 2147483648" in layouts.unusable["late"]
+    (tmp_path / "late.dbc").write_text('BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n')
+    with pytest.raises(BadBusDescription, match=r"late\.dbc: has nothing to stream: .*identifier 99999"):
+        source_of(read_dbc(tmp_path / "late.dbc"))

@@ -100,7 +100,7 @@ def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
     bench = make_bench(rng.choice(KINDS) if rng.random() < 0.25 else None for _ in itertools.count())
     bench.source.start()
     end = time.monotonic() + 120
-    while bench.server.done < 60 and time.monotonic() < end:
+    while bench.server.done < 40 and time.monotonic() < end:
         bench.server.publish(3)
         time.sleep(0.02)
     bench.server.faults = iter(())
@@ -109,7 +109,7 @@ def test_many_random_wrong_replies_let_no_wrong_value_through(make_bench):
     bench.assert_all_values_are_true()
     number, lost = bench.read(), bench.counted().get("lost", 0)
     assert len(number) + lost == bench.server.complete and np.all(np.diff(number) >= 1)
-    assert bench.server.done >= 60
+    assert bench.server.done >= 40
 
 
 def test_a_device_that_begins_anew_and_a_ring_that_went_round_are_counted(make_bench):

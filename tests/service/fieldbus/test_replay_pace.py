@@ -3,7 +3,8 @@
 import pytest
 
 from residuum.service.fieldbus import replay
-from residuum.service.fieldbus.replay import TimedFrame, replay_to_can
+from residuum.service.fieldbus.can_log import TimedFrame
+from residuum.service.fieldbus.replay import replay_to_can
 
 
 class Clock:

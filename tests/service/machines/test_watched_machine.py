@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
-SPEED = 5.0
+SPEED = 10.0
 
 
 @pytest.fixture
@@ -75,8 +75,9 @@ def test_a_stranger_s_fan_is_recorded_trained_and_watched(run_service, fan_rig):
         assert found["windows"] >= 12 and found["alarms"] == 0
         wait_for(lambda: client.get("/assets/fan").json()["state"] == "healthy")
         order(rig, "offset 200")
-        faulty = wait_for(lambda: (a := client.get("/assets/fan").json())["state"] == "faulty" and a["last_finding"])
-        assert faulty["class"].startswith("sensor")
+        wait_for(lambda: (now := client.get("/assets/fan").json())["state"] == "faulty" and now["last_finding"])
+        # the window in the midst of which it came may look like a disturbance
+        wait_for(lambda: (client.get("/assets/fan").json()["last_finding"]["class"] or "").startswith("sensor"))
         assert client.get("/alarms").json()["items"][0]["kind"] == "machine"
 
 

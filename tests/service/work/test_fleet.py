@@ -196,13 +196,14 @@ def rescore(out, place):
 def test_an_s3_bucket_gives_what_the_folder_gives_and_is_gone_on_with(s3, files, serial, tmp_path):
     address, stop = s3
     put(address, "plant")
-    for file in files:
+    some = files[:20]
+    for file in some:
         put(address, f"plant/Halle 1/ä/{os.path.basename(file)}", Path(file).read_bytes())
     results = tmp_path / "r"
     done = rescore(results, "s3://plant/Halle 1")
-    assert done.returncode == 0 and json.loads(done.stdout)["files"] == 60, done.stderr
+    assert done.returncode == 0 and json.loads(done.stdout)["files"] == len(some), done.stderr
     whole = results.read_bytes()
-    for mine, theirs in zip(map(json.loads, whole.splitlines()), map(json.loads, serial.splitlines()), strict=True):
+    for mine, theirs in zip(map(json.loads, whole.splitlines()), map(json.loads, serial.splitlines()[:20]), strict=True):
         assert mine["file"] == f"plant/Halle 1/ä/{os.path.basename(theirs['file'])}"
         assert mine.get("finding") == theirs.get("finding") and ("refused" in mine) == ("refused" in theirs)
     results.write_bytes(whole[: len(whole) // 3])

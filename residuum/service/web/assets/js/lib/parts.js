@@ -17,6 +17,7 @@ const STATES = {
   shelved: ["idle", "Shelved"],
   normal: ["healthy", "Normal"],
   good: ["healthy", "Good"],
+  uncounted: ["unsure", "No counter: losses cannot be seen"],
   stale: ["faulty", "Stale"],
   "never-seen": ["idle", "Never seen"],
 };

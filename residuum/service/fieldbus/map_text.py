@@ -1,0 +1,38 @@
+"""The YAML text of a map: plain data, no name twice in one place."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from residuum.service.fieldbus.frame_layout import BadBusDescription
+
+
+class _EachNameOnce(yaml.SafeLoader):
+    """YAML itself would let the later of two equal names win, without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Hashable] = set()
+        for key, _ in node.value:
+            name = self.construct_object(key, deep=True)
+            if name in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{name!r} is named twice in one place; rename or remove one", key.start_mark
+                )
+            seen.add(name)
+        return super().construct_mapping(node, deep)
+
+
+def read_map_text(path: str | Path) -> Any:
+    """The content of a YAML file; BadBusDescription names file, line and rule."""
+    where = Path(path).name
+    try:
+        return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_EachNameOnce)
+    except yaml.constructor.ConstructorError as error:
+        line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise BadBusDescription(f"{where}{line}: {error.problem}") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, TypeError) as error:
+        raise BadBusDescription(f"{where}: cannot be read as YAML: {' '.join(str(error).split())}") from None

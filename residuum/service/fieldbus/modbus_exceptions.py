@@ -1,0 +1,32 @@
+"""What a Modbus device means by an exception, and what to do about it."""
+
+from __future__ import annotations
+
+_MEANINGS = {
+    1: "the device does not know this function; take another table (function: holding, input, coils or discrete)",
+    2: "the device has no such register, or not all of these",
+    3: "the device takes no such request; read fewer registers at once",
+    4: "the device failed at it",
+    6: "the device is busy; poll it less often",
+    10: "the gateway has no way to this unit; look at unit_id",
+    11: "no answer from behind the gateway; look at unit_id",
+}
+_TABLES = {"holding": "holding registers", "input": "input registers", "coils": "coils", "discrete": "discrete inputs"}
+_MANUAL = {"holding": ((400_001, 465_536), (40_001, 49_999)), "input": ((300_001, 365_536), (30_001, 39_999))}
+"""How manuals number a table: with a digit for the table before, and from 1."""
+
+
+def explained(code: int, function: str, address: int, count: int) -> str:
+    """An exception in one line: the registers by their address on the wire (from 0), what it means, what to do.
+
+    >>> explained(2, "holding", 40001, 2)[:71]
+    'exception 2 for holding registers 40001 to 40002 (on the wire, from 0):'
+    """
+    span = f"{address}" if count == 1 else f"{address} to {address + count - 1}"
+    says = f"exception {code} for {_TABLES[function]} {span} (on the wire, from 0): {_MEANINGS.get(code, 'see its manual')}"
+    if code != 2:
+        return says
+    manual = next((first for first, last in _MANUAL.get(function, ()) if first <= address <= last), None)
+    if manual is not None:
+        return f"{says}; a manual's {address} is address {address - manual} of this table: take {manual} off the address"
+    return f"{says}; one off? where the manual counts from 1, say address_base: 1; holes: name registers that are there, gap: 0"
