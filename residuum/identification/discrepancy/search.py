@@ -236,10 +236,10 @@ def _related(
             tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
     led = each_beside(lambda task: task(), tasks)
     better: dict[tuple[Key, ...], Judged] = {}
-    for one in led:
-        known = None if one is None else better.get(one.keys, here.get(one.keys))
-        if one is not None and (known is None or one.seen < known.seen):
-            better[one.keys] = one
+    for end in led:
+        known = None if end is None else better.get(end.keys, here.get(end.keys))
+        if end is not None and (known is None or end.seen < known.seen):
+            better[end.keys] = end
     return better
 
 

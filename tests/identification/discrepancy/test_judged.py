@@ -21,7 +21,7 @@ def data():
 
 
 def refitted(whole, data, rung, scale):
-    """Power of each block, by models that were estimated with the blocks of its fold masked; first states stay, as in deletion."""
+    """Power of each block, by models estimated with the blocks of its fold masked; first states stay, as in deletion."""
     power = np.zeros((data.blocks, int(data.measured.sum())))
     for fold in np.unique(data.fold):
         aside = data.fold[rung.block] == fold
