@@ -11,10 +11,10 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, is_can_log, load_records
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.can_log import CAN_LOGS, TimedFrame, read_can_log
+from residuum.service.fieldbus.can_log import TimedFrame, read_can_log
 from residuum.service.fieldbus.frame_layout import read_dbc
 from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.register_trace import TracedPage, read_trace
@@ -68,7 +68,7 @@ def replay(
 
 
 def _frames(file: Path, bus_map: str | None, load: Callable[[], Record]) -> list[TimedFrame]:
-    if file.suffix.lower() in CAN_LOGS:
+    if is_can_log(file):
         log = read_can_log(file)
         for remark in log.remarks:
             progress(remark)
@@ -86,7 +86,7 @@ def _pages(file: Path, bus_map: str | None, load: Callable[[], Record]) -> tuple
     if file.suffix.lower() == TRACE:
         registers, pages = read_trace(file)
         return registers, list(pages)
-    if file.suffix.lower() in CAN_LOGS:
+    if is_can_log(file):
         raise BadInput(f"{file.name}: a CAN log cannot be offered as a Modbus device")
     record = load()
     for map_path in [map_file(bus_map)] if bus_map else sorted(MAPS.glob("*.yaml")):

@@ -11,16 +11,11 @@ from typing import IO, Any, NamedTuple
 import can
 
 from residuum.identification.errors import in_one_line
+from residuum.identification.record_formats import CAN_LOGS
 from residuum.service.fieldbus.frame_batch import EXTENDED
 from residuum.service.fieldbus.frame_layout import BadBusDescription
 
-CAN_LOGS: dict[str, Any] = {
-    ".blf": can.BLFReader,
-    ".asc": can.ASCReader,
-    ".log": can.CanutilsLogReader,
-    ".trc": can.TRCReader,
-}
-"""Ending of a CAN log → its reader."""
+_READERS: dict[str, Any] = dict(zip(CAN_LOGS, (can.BLFReader, can.ASCReader, can.CanutilsLogReader, can.TRCReader), strict=True))
 _BINARY = ".blf"
 
 
@@ -53,7 +48,7 @@ def read_can_log(path: str | Path) -> CanLog:
     damage, short = "", 0
     logging.getLogger("can").setLevel(logging.CRITICAL)  # the remarks say it
     try:
-        with _opened(path) as file, CAN_LOGS[path.suffix.lower()](file) as log:
+        with _opened(path) as file, _READERS[path.suffix.lower()](file) as log:
             for message in log:
                 if message.is_error_frame or message.is_remote_frame:
                     continue
