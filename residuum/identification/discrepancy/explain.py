@@ -137,11 +137,9 @@ def explain(
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
     """
-    began = time.perf_counter()
     wanted = None if effects is None else tuple(effects)
-    with at_most() as work:
-        found = _explained(model, records, mapping, wanted, learned, seconds, tell)
-    return replace(found, work=work, seconds=time.perf_counter() - began)
+    with at_most():
+        return _explained(model, records, mapping, wanted, learned, seconds, tell)
 
 
 def _explained(
