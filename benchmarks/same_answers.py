@@ -2,7 +2,7 @@
 
 `python -m benchmarks same_answers`: ten records of simulated machines; each command runs as a process of its own, first with an
 empty cache of compiled equations, then with the cache that left behind, then with three busy processes beside it. The three JSON
-answers have to be equal but for `seconds`, and `model_file`, which is asked for under another name.
+answers have to be equal but for `seconds` and `model_file`.
 """
 
 import os
@@ -24,14 +24,7 @@ RECORDS = (
     ("explain", "gate-drive", ("--effect", "x-random-walk-load:medium", "--duration", "30", "--set", "profile=rich")),
     ("explain", "gate-drive", ("--duration", "30", "--noise-color", "0.9", "--set", "profile=rich")),
     ("explain", "oven", ("--effect", "second-heat-store:medium", "--set", "configuration=lumped")),
-    (
-        "explain",
-        "two-tanks",
-        (
-            "--effect",
-            "leak:medium",
-        ),
-    ),
+    ("explain", "two-tanks", ("--effect", "leak:medium")),
     ("improve", "gate-drive", ("--effect", "coulomb-friction:medium", "--effect", "inductance:medium", "--duration", "20")),
     ("improve", "oven", ("--effect", "radiation:medium", "--set", "configuration=lumped")),
 )
@@ -72,7 +65,7 @@ def main() -> None:
             command = [sys.executable, "-m", "residuum"]
             simulate = [*command, "simulate", machine, "--out", record, "--seed", str(700 + number), *options]
             subprocess.run(simulate, check=True, capture_output=True)
-            written = ["--out", str(Path(folder) / "model.yaml")] if name == "improve" else []
+            written = ["--auto", "--out", str(Path(folder) / "model.yaml")] if name == "improve" else []
             found = answers([*command, name, machine, record, *written], Path(folder) / "cache")
         first = found["filled"]
         work, same = first["work"], all(one == first for one in found.values())
