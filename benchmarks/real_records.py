@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import PhysicalModel, estimate, load_model, match, read_model
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
 
 DATA = Path(__file__).parents[1] / "../shared/data"
 RATE = 610.35

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.compare import Comparison as Compared
+from residuum.identification.residual_analysis.compare import Comparison as Compared
 from residuum.library.answers.comparison import comparison_json, comparison_text, region_json
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.result import Result, Row, data_frame

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import (
     Estimate,
@@ -20,6 +19,7 @@ from residuum.identification.physics import (
     with_coloured_noise,
 )
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.input_timing import at_likelier_timing
 
 Method = Callable[[PhysicalModel, Sequence[Experiment], int], Estimate]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.compare import compare
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import (
     Simulator,
@@ -19,6 +18,7 @@ from residuum.identification.physics import (
     read_model,
 )
 from residuum.identification.record import Record as MeasuredRecord
+from residuum.identification.residual_analysis.compare import compare
 from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
 from residuum.library.progress import Progress, told
@@ -89,7 +89,7 @@ class Model(DescribedModel):
             Channels in any unit that can be converted to the model's.
         map : mapping of model name to column
         options
-            Of `identification.discrepancy.compare`: `level` of the test, `seed`.
+            Of `identification.residual_analysis.compare`: `level` of the test, `seed`.
 
         Raises
         ------

@@ -2,9 +2,9 @@
 
 import pytest
 
-from residuum.identification.discrepancy.side_by_side import beside, each_beside, side_by_side
 from residuum.identification.physics import estimate, load_model, match
 from residuum.identification.record import Record
+from residuum.identification.side_by_side import beside, each_beside, side_by_side
 from residuum.identification.work import FIT_COST, OutOfWork, at_most, begun, count_fit, count_samples, go_on, left_out
 from residuum.simulation import MACHINES
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.coarse_reading import reading_variances
-from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.policy.likelihood import (
     CLIMBED,
     CLOSE,
@@ -19,9 +17,11 @@ from residuum.identification.discrepancy.policy.likelihood import (
     SAME_WAY,
     SMALL_STEP,
 )
-from residuum.identification.discrepancy.policy.noise import SCORING
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.residual_analysis.coarse_reading import reading_variances
+from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.policy.noise import SCORING
 from residuum.identification.work import count_fit, go_on
 
 FloatArray = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ from residuum.identification.discrepancy.experiments_to_blame import at_turned_t
 from residuum.identification.discrepancy.explain import Explanation, explain
 from residuum.identification.discrepancy.held_out import Split
 from residuum.identification.discrepancy.held_values import freed
-from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.search import Tell
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.axes import signal_axes
-from residuum.identification.discrepancy.noise_floor import fast_floor, times_the_noise, times_the_quiet_noise
 from residuum.identification.discrepancy.policy.answers import (
     MOST_OF_THE_EXCESS,
     MUCH_ABOVE_NOISE,
@@ -17,12 +15,14 @@ from residuum.identification.discrepancy.policy.answers import (
     STANDS_COMPLETE_OR_NOT,
 )
 from residuum.identification.discrepancy.policy.likelihood import LEAST_ERROR
-from residuum.identification.discrepancy.policy.noise import AN_EVENT, BEYOND_NOISE, SLOW
 from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.structure_tests import structured_errors
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Simulator, estimate
+from residuum.identification.residual_analysis.axes import signal_axes
+from residuum.identification.residual_analysis.noise_floor import fast_floor, times_the_noise, times_the_quiet_noise
+from residuum.identification.residual_analysis.policy.noise import AN_EVENT, BEYOND_NOISE, SLOW
+from residuum.identification.residual_analysis.structure_tests import structured_errors
 
 FloatArray = npt.NDArray[np.float64]
 

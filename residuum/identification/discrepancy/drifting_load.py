@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from residuum.identification.discrepancy.policy.records import DRIFTING_LOAD_WINDOWS
 from residuum.identification.discrepancy.structure_fits import refit
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment
 from residuum.identification.physics.effects.load.drifting_load import DriftingLoad
+from residuum.identification.residual_analysis.policy.records import DRIFTING_LOAD_WINDOWS
 
 
 def likeliest_drifting_load(base: Structure, experiments: Sequence[Experiment]) -> Structure | None:

@@ -8,17 +8,18 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.feedback import feeds_back
-from residuum.identification.discrepancy.input_timing import experiments_and_base, turned_timing
+from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.policy.acceptance import ALIKE
-from residuum.identification.discrepancy.policy.noise import NOISE_ALONE, NOTHING_LEFT, SLOW
-from residuum.identification.discrepancy.policy.records import FINER_FALL, FINER_WINDOWS, TIMING_GAIN, TIMING_TURNS
 from residuum.identification.discrepancy.search import Tell, search
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, find_effect
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.feedback import feeds_back
+from residuum.identification.residual_analysis.input_timing import turned_timing
+from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE, NOTHING_LEFT, SLOW
+from residuum.identification.residual_analysis.policy.records import FINER_FALL, FINER_WINDOWS, TIMING_GAIN, TIMING_TURNS
 
 FloatArray = npt.NDArray[np.float64]
 Turned = tuple[list[Experiment], Structure]

@@ -11,13 +11,12 @@ import numpy as np
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.block_cutting import blocks_of
 from residuum.identification.discrepancy.candidate import Candidate
-from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.completeness import at_the_noise, is_incomplete
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.held_out_blocks import Blocks
 from residuum.identification.discrepancy.held_values import HeldValue, freed, held_values, wrongly_held
-from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import Proposal, next_experiments
 from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
@@ -32,6 +31,7 @@ from residuum.identification.discrepancy.structures import times_each_its_innova
 from residuum.identification.discrepancy.visibility import Undetectable, undetectable
 from residuum.identification.physics import Experiment, PhysicalModel, candidates, find_effect, match
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.work import OutOfWork, Work, at_most, begun, left_out
 
 

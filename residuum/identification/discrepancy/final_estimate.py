@@ -9,7 +9,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.held_out_error import HeldOutError
 from residuum.identification.discrepancy.improvement import Step
-from residuum.identification.discrepancy.input_timing import experiments_and_base
+from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE, PLAIN_SHIFT
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.discrepancy.policy.likelihood import HOPELESS_NOISE, RIDGE
 from residuum.identification.discrepancy.policy.trials import FALLEN, PROMISING_GAIN, WORTH_A_PASS
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations, Stacked
 from residuum.identification.physics.estimation.least_squares import solve_scaled
+from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.likelihood import AGAIN_STEPS, STATES_ALONE
-from residuum.identification.discrepancy.policy.records import FEWEST_TO_SPLIT, STANDSTILL, TRAINING_SHARE
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, Simulator, estimate
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.policy.records import FEWEST_TO_SPLIT, STANDSTILL, TRAINING_SHARE
 
 FloatArray = npt.NDArray[np.float64]
 

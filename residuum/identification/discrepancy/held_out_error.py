@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse
-from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.prediction_windows import in_windows
 
 FloatArray = npt.NDArray[np.float64]
 

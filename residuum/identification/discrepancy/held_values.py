@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ALIKE, HELD_REACH, HELD_STANDARD_DEVIATIONS
-from residuum.identification.discrepancy.policy.noise import NOISE_ALONE
 from residuum.identification.discrepancy.search_state import Search, evidence_asked
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structure_comparison import schwarz, simulates_no_worse
 from residuum.identification.discrepancy.structure_fits import refit
 from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, times_its_innovations
 from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
+from residuum.identification.side_by_side import side_by_side
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from residuum.identification.discrepancy.policy.acceptance import (
     PLAINLY_LESS,
     READING_FALL,
 )
-from residuum.identification.discrepancy.policy.noise import SLOW
 from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structure_comparison import mean_ratio, simulates_no_worse
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.physics import Experiment, Key
+from residuum.identification.residual_analysis.policy.noise import SLOW
+from residuum.identification.side_by_side import side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.begin_improving import Request, asked_for, explained, with_inputs_of
-from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.discrepancy.final_estimate import (
     doubts_of,
@@ -33,6 +32,7 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.work import at_most
 
 FloatArray = npt.NDArray[np.float64]

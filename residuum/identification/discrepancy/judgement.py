@@ -23,11 +23,11 @@ from residuum.identification.discrepancy.policy.answers import (
     UNKNOWN,
 )
 from residuum.identification.discrepancy.policy.likelihood import SAME
-from residuum.identification.discrepancy.policy.noise import NOTHING_LEFT
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.policy.noise import NOTHING_LEFT
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,9 +12,7 @@ from residuum.identification.discrepancy.first_order import base_may_fall, first
 from residuum.identification.discrepancy.in_blocks import Sampled, at_every_sample, in_blocks
 from residuum.identification.discrepancy.linearisation import Linear, at_rest, linearised, simulation_error
 from residuum.identification.discrepancy.policy.likelihood import FAR_BEHIND
-from residuum.identification.discrepancy.policy.noise import NOISE_ALONE
 from residuum.identification.discrepancy.policy.trials import FRACTIONS_OF_A_START, MOST_STARTS
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.start_values import clipped_step, inside_bounds
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.track import regressed, track
@@ -22,6 +20,8 @@ from residuum.identification.discrepancy.whitened_least_squares import NormalEqu
 from residuum.identification.physics import Experiment, Key, PhysicalModel, conditions_at
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
+from residuum.identification.side_by_side import side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -16,18 +16,18 @@ from residuum.identification.discrepancy.growth import grow
 from residuum.identification.discrepancy.holding_up import holds_up
 from residuum.identification.discrepancy.looks import Task, strayed
 from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ACCEPT_MORE, DRIFT_SHARE
-from residuum.identification.discrepancy.policy.noise import MUCH_LEFT, SLOW
 from residuum.identification.discrepancy.policy.trials import FAR, FEWEST_REFITS, HALF_THE_ERROR, MOST_EFFECTS, NEAR, NEARLY_ALL
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search_state import Asked, Search, evidence_asked, never
 from residuum.identification.discrepancy.shooting import effects_by_shooting, pairs_by_shooting
-from residuum.identification.discrepancy.side_by_side import beside, side_by_side
 from residuum.identification.discrepancy.structure_comparison import mean_ratio, schwarz
 from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure, refit
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.trials import polished
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, Key, PhysicalModel
+from residuum.identification.residual_analysis.policy.noise import MUCH_LEFT, SLOW
+from residuum.identification.side_by_side import beside, side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 Tell = Callable[[float, str], None]

@@ -35,11 +35,11 @@ from residuum.identification.discrepancy.policy.blocks import (
     TOLD_APART,
     TRIFLE,
 )
-from residuum.identification.discrepancy.policy.noise import BEYOND_NOISE
 from residuum.identification.discrepancy.proposals import starts
-from residuum.identification.discrepancy.side_by_side import each_beside
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.model import find_effect, tied_to
+from residuum.identification.residual_analysis.policy.noise import BEYOND_NOISE
+from residuum.identification.side_by_side import each_beside
 from residuum.identification.work import OutOfWork, go_on, left_out
 
 FloatArray = npt.NDArray[np.float64]

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from residuum.identification.discrepancy.block_cutting import blocks_of
 from residuum.identification.discrepancy.held_out_blocks import Blocks, Errors, cross_judged, looked_at
 from residuum.identification.discrepancy.policy.blocks import LEAST_SHARE, MOST_STEPS, PAIR_LEADS, REAL
-from residuum.identification.discrepancy.policy.noise import BEYOND_NOISE
 from residuum.identification.discrepancy.proposals import curves
 from residuum.identification.discrepancy.share import Shared, ShareStep, judged_against, preferred, share_step
 from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
+from residuum.identification.residual_analysis.policy.noise import BEYOND_NOISE
 from residuum.identification.work import OutOfWork, left_out
 
 

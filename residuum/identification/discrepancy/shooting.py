@@ -27,11 +27,11 @@ from residuum.identification.discrepancy.policy.trials import (
     SHOT_TRIAL_STEPS,
 )
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.track import track
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Settings, Simulator, estimate, windows
 from residuum.identification.physics.model import find_effect
+from residuum.identification.side_by_side import side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 

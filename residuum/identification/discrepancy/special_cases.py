@@ -11,13 +11,13 @@ from residuum.identification.discrepancy.policy.acceptance import ACCEPT
 from residuum.identification.discrepancy.policy.likelihood import LOWER_TOP
 from residuum.identification.discrepancy.policy.trials import GENERALISED_SHARE
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.structure_comparison import likelier, rival_of, schwarz, simulates_no_worse
 from residuum.identification.discrepancy.structure_fits import refit
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, candidates, conditions_at
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect
+from residuum.identification.side_by_side import side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.acceptance import WORTH_A_LOOK
 from residuum.identification.discrepancy.policy.likelihood import CLOSE
-from residuum.identification.discrepancy.policy.noise import NOTHING_LEFT
 from residuum.identification.discrepancy.structures import Rival, Structure, root_mean_squares, times_its_innovations
 from residuum.identification.physics import Experiment, Key
 from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.policy.noise import NOTHING_LEFT
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.ascent import Ascent, Point
-from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.policy.likelihood import (
     CLIMB_STEPS,
     CLOSE,
@@ -22,12 +21,13 @@ from residuum.identification.discrepancy.policy.likelihood import (
     TOKEN_BOUND,
     VISIBLE_SUBSTEPS,
 )
-from residuum.identification.discrepancy.policy.noise import NOISE_ALONE
 from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, root_mean_squares, times_its_innovations
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
 
 FloatArray = npt.NDArray[np.float64]
 

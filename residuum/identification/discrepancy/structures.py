@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.discrepancy.ascent import Point
-from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.policy.likelihood import MUCH_WORSE
 from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.residual_analysis.innovations import Noises
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,16 +10,16 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.acceptance import ALIKE
 from residuum.identification.discrepancy.policy.likelihood import CLOSE, FAR_BEHIND, POLISH_GAIN, POLISHES
-from residuum.identification.discrepancy.policy.noise import NOISE_ALONE, SLOW
 from residuum.identification.discrepancy.policy.trials import MOST_GLIMPSES, PROMISING_GAIN, SECOND_LOOKS, STARTS_WITH_STATES
 from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.side_by_side import side_by_side
 from residuum.identification.discrepancy.special_cases import grown, is_sound, simplified, that_say_more
 from residuum.identification.discrepancy.structure_comparison import is_done, likelier, rival_of, schwarz, within_a_sample
 from residuum.identification.discrepancy.structure_fits import glimpse, refit
 from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, root_mean_squares, times_its_innovations
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE, SLOW
+from residuum.identification.side_by_side import side_by_side
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.innovation_sums import add_normal_equations, after_step
-from residuum.identification.discrepancy.innovations import Noises
 from residuum.identification.discrepancy.policy.likelihood import RIDGE
-from residuum.identification.discrepancy.policy.noise import SCORING
 from residuum.identification.physics.estimation.least_squares import damped, solve_scaled
+from residuum.identification.residual_analysis.innovation_sums import add_normal_equations, after_step
+from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.policy.noise import SCORING
 
 FloatArray = npt.NDArray[np.float64]
 

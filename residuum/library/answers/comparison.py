@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from residuum.identification.discrepancy.compare import Comparison
-from residuum.identification.discrepancy.locate import Region
+from residuum.identification.residual_analysis.compare import Comparison
+from residuum.identification.residual_analysis.locate import Region
 
 
 def comparison_json(model: str, records: list[str], comparison: Comparison) -> dict[str, Any]:

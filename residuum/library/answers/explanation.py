@@ -10,10 +10,10 @@ from residuum.identification.discrepancy.candidate import Candidate
 from residuum.identification.discrepancy.explain import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.held_values import HeldValue
-from residuum.identification.discrepancy.policy.noise import SLOW
 from residuum.identification.discrepancy.remaining import Remaining
 from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.work import Work
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.input_timing import at_likelier_timing
 from residuum.identification.physics import (
     Estimate,
     Experiment,
@@ -20,6 +19,7 @@ from residuum.identification.physics import (
     write_model,
 )
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.input_timing import at_likelier_timing
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
 from residuum.service.work.record_parts import RecordParts

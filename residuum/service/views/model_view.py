@@ -12,9 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.diagnosis.residuals.movement_phases import phase_cells
-from residuum.identification.discrepancy.axes import signal_axes
-from residuum.identification.discrepancy.compare import Comparison, compare
-from residuum.identification.discrepancy.locate import Axis
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import (
     Experiment,
@@ -26,6 +23,9 @@ from residuum.identification.physics import (
     read_model,
 )
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.axes import signal_axes
+from residuum.identification.residual_analysis.compare import Comparison, compare
+from residuum.identification.residual_analysis.locate import Axis
 from residuum.library.answers.comparison import comparison_json
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress

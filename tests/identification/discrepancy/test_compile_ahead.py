@@ -6,7 +6,7 @@ import sys
 EXPLAINING = """
 import gc
 from numba.core.dispatcher import Dispatcher
-from residuum.identification.discrepancy.compare import compare
+from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.discrepancy.compile_ahead import compile_ahead
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.physics import load_model

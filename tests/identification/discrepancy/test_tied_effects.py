@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.compare import compare
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.share_search import search_by_share
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import candidates, estimate, match, read_model, write_model
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
 
 TANK = """
 name: tank

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.prediction_windows import in_windows
 from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.prediction_windows import in_windows
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5

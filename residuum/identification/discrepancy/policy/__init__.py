@@ -2,8 +2,6 @@
 
 | file | question |
 |---|---|
-| `records` | Which samples are used, and how are records cut? |
-| `noise` | Is what a model leaves noise, and what noise? |
 | `likelihood` | How far is a structure climbed, and which structures are too far behind? |
 | `trials` | Which effects are tried, and from where? |
 | `acceptance` | Does an effect join? |

@@ -52,8 +52,6 @@ responses differ by how they are computed alone."""
 
 ROUGH = Settings(iterations=15, tolerance=1e-5)
 """How the model as it is is estimated before its noise is looked at. Chosen."""
-REVALUED = Settings(iterations=15, tolerance=1e-4)
-"""How it is asked whether the values err. Chosen."""
 STATES_ALONE = Settings(iterations=20, tolerance=1e-4)
 """How first states are estimated on data kept aside. Chosen."""
 LEAST_ERROR = Settings(iterations=20, tolerance=1e-4)

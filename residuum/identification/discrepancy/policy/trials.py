@@ -76,8 +76,3 @@ CURVE_KNOTS = 9
 """Of the curve by which they are chosen. Chosen."""
 BLOCK_STARTS = 4
 """Starts of an effect that are looked at on blocks. Chosen."""
-
-MOST_THREADS = 4
-"""Threads for pieces of work side by side. Chosen."""
-AT_ONCE = 8
-"""Pieces of work that begin before it is asked again how much work is left, on every machine. Chosen."""

@@ -1,0 +1,1 @@
+"""What a model leaves: its size, its noise, its structure, and where it lies."""

@@ -1,0 +1,131 @@
+"""Compare a model with records: how large is its error, is it structured, and where does it lie?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.blas_threads import one_thread
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.axes import signal_axes
+from residuum.identification.residual_analysis.error_sizes import (
+    BalanceError,
+    OutputError,
+    balance_errors,
+    output_errors,
+    prediction_errors,
+)
+from residuum.identification.residual_analysis.input_timing import at_likelier_timing
+from residuum.identification.residual_analysis.locate import Axis, Region
+from residuum.identification.residual_analysis.policy.noise import STRUCTURE_LEVEL
+from residuum.identification.residual_analysis.regions import regions
+from residuum.identification.residual_analysis.structure_tests import (
+    beyond_noise,
+    refitted_difference,
+    simulated_states,
+    structured_errors,
+    structured_in_windows,
+)
+from residuum.identification.residual_analysis.structured_error import StructuredError
+from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A model held against records.
+
+    `simulation` is the model with its parameters as they are and estimated initial states; `smoothed` has each balance's
+    missing term with its band, one a record; `axes` are the signals along which errors were located, one list a record;
+    `structured` is the structured-error test of each measured output.
+    """
+
+    model: PhysicalModel
+    records: tuple[str, ...]
+    experiments: list[Experiment]
+    simulation: Estimate
+    outputs: Mapping[str, OutputError]
+    balances: Mapping[str, BalanceError]
+    structured: Mapping[str, StructuredError]
+    smoothed: list[Smoothed]
+    axes: list[list[Axis]]
+    where: tuple[Region, ...]
+
+    @property
+    def present(self) -> bool:
+        """Whether any output's error is structured."""
+        return any(test.present for test in self.structured.values())
+
+    @property
+    def p_value(self) -> float:
+        """Of "every output's error is noise of some colour" (Bonferroni over the outputs)."""
+        return min(1.0, len(self.structured) * min((test.p_value for test in self.structured.values()), default=1.0))
+
+    @property
+    def share(self) -> float:
+        """Part of the residual's power that is structured, outputs weighted by their error in units of noise."""
+        power = {name: (self.outputs[name].rmse / max(self.outputs[name].noise_floor, 1e-300)) ** 2 for name in self.structured}
+        total = sum(power.values())
+        return sum(power[name] * test.share for name, test in self.structured.items()) / total if total > 0 else 0.0
+
+
+@one_thread()
+def compare(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None = None,
+    *,
+    level: float = STRUCTURE_LEVEL,
+    seed: int = 0,
+) -> Comparison:
+    """Hold a model, its parameters as they are, against records.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+    records : sequence of Record
+        Each is an experiment with its own initial states.
+    mapping : mapping of model name to column
+    level : float
+        False-alarm probability of the structured-error verdict.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    model, experiments = match(model, records, mapping)
+    experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+    kalman = Filter(model, tune(model, experiments, simulation.initial))
+    runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
+    smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
+    axes = [signal_axes(model, run[0], simulated_states(model, *run), r) for run, r in zip(runs, records, strict=True)]
+    refitted = refitted_difference(model, experiments, simulation)
+    tested = at_likeliest_values(model, experiments, simulation)
+    structured = structured_errors(experiments, tested, axes, model, refitted, level=level, seed=seed)
+    in_parts = structured_in_windows(model, experiments, structured, level, seed)
+    structured |= in_parts or beyond_noise(model, experiments, simulation.residuals, axes, structured)
+    ahead = prediction_errors(kalman, experiments, smoothed)
+    outputs = output_errors(model, experiments, simulation, ahead, structured)
+    seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
+    floors = {name: output.noise_floor for name, output in outputs.items()}
+    return Comparison(
+        model=model,
+        records=tuple(record.source for record in records),
+        experiments=experiments,
+        simulation=simulation,
+        outputs=outputs,
+        balances=balance_errors(model, experiments, smoothed),
+        structured=structured,
+        smoothed=smoothed,
+        axes=seen,
+        where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
+    )

@@ -1,0 +1,110 @@
+"""Is what a model leaves noise, and what noise?"""
+
+import math
+
+import numpy as np
+
+from residuum.identification.physics import Settings
+
+NOISE_ORDER = 12
+"""[coefficients] Of the autoregressive noise. Chosen."""
+NOISE_REWEIGHTINGS = 3
+"""Turns of iteratively reweighted least squares in which it is estimated. Chosen."""
+DRIFT_MEMORY = 1e6
+"""[samples] Over which drifting noise forgets: longer than any record, short enough to be stable."""
+MEMORY_OF_ALL, MEMORY_OF_THE_LONGEST = 30.0, 5.0
+"""Noise remembers over one in so many of all samples, and of the longest record's, at most: what is slower cannot be told from an
+error of the model. Chosen."""
+SHORTEST_MEMORY = 2.0
+"""[samples] Over which noise may remember, however short the records. Chosen."""
+LARGEST_REFLECTION = 1.0 - 1e-12
+"""Reflection coefficient of noise that is still stable."""
+
+FREEDOM = 5.0
+"""Degrees of freedom of the t-distributed innovations: loses 7 % of a normal noise's information. This and the next five are
+compiled into `innovation_sums`, whose compiled files must be deleted where they change: Numba does not see it."""
+SCALINGS = 12
+"""Turns in which the scale of innovations is sought at most."""
+MEDIAN_SQUARE = 0.53
+"""Median of e²/s² for t-distributed e of scale s."""
+ZERO_INNOVATION = 1e-12
+"""Part of their mean square up to which innovations are zero."""
+LEAST_SPREAD = 1.0 / 30.0
+"""Least part that their squared scale is of their mean square where most are zero, and of what coarse steps hide. Chosen."""
+INNOVATION_STRETCH = 1024
+"""[samples] Whitened at a time, so that they stay in the cache."""
+NORMAL_VARIANCE = FREEDOM / (FREEDOM - 2.0)
+"""Variance of t-distributed innovations over their squared scale."""
+LOG_DENSITY_AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
+"""Log density of t-distributed innovations of scale one at zero."""
+SCORING = (FREEDOM + 3.0) / (FREEDOM + 1.0)
+"""Curvature of the weighted squares over the expected one of the likelihood, whose weights fall as an innovation grows."""
+
+NOISE_ALONE = 1.2
+"""Times its innovations (1.12 where both are white and normal) up to which an error is noise that swallowed nothing. Chosen."""
+NOTHING_LEFT = 1.5
+"""Times its innovations up to which an error is all noise. Chosen."""
+MUCH_LEFT = 2.0
+"""Times its innovations from which on what is left is looked at over short stretches too. Chosen."""
+SLOW = 10.0
+"""Times its innovations from which on an error is slow. Chosen."""
+
+LOWEST_FREQUENCY = 0.02
+"""[of the sampling rate] Below it an error is taken to be the model's. Chosen."""
+UNDER_STRUCTURE = (LOWEST_FREQUENCY, 0.05, 0.1)
+"""And where a structured error swings, and reaches further up: of 93 outputs of 62 models that lack an effect 95 % have a floor
+within a quarter of the noise, 85 % with the first frequency alone."""
+BEYOND_NOISE = 6.0
+"""Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
+BEYOND_NOISE_CHANCE = 1 / 600
+"""Bound on how often noise stands there: none in those trials."""
+AN_EVENT = 3.0 * BEYOND_NOISE
+"""Times the noise of its quieter parts beyond which an error is an event (noise of up to ρ = .995 reaches half of it)."""
+SPECTRUM_SAMPLES, FEWEST_FOR_A_FLOOR = 1024, 64
+"""[samples] Of a spectrum at most, and in a row at least. Chosen."""
+QUIET_WINDOW = 256
+"""[samples] Of a window in which an error's quieter parts are sought, every other half of which begins one. Chosen."""
+FEWEST_QUIET_WINDOWS = 8
+"""How many there must be. Chosen."""
+QUIETEST, LOUDEST_QUIET = 0.1, 0.75
+"""Quantiles of the windows' fast power that tell the quietest, and the loudest of the quieter ones. Chosen."""
+NOISE_THROUGHOUT = 0.1
+"""Least ratio of the two where noise is there all the time. Chosen."""
+COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
+"""Correlation ρ of neighbours of the noises that a spectrum is compared with."""
+
+STRUCTURE_LEVEL = 0.01
+"""Probability of calling noise of some colour structured. Chosen."""
+STRUCTURE_DRAWS = 10
+"""Of the null distribution at a time. Chosen."""
+MOST_STRUCTURE_DRAWS = 40
+"""Of them in all. Chosen."""
+RARE_DRAW, ORDINARY_DRAW = 1e-3, 0.2
+"""Part of the level below which a p-value is small enough, and p-value above which it is large enough: more draws would not
+change the answer."""
+NOISE_PASSES = 2
+"""Turns of least squares and noise beside it. Chosen."""
+TEST_SAMPLES = 2000
+"""[samples] Of the structured-error test, means over blocks where there are more. Chosen."""
+SIGNAL_MEMORIES = (0.0, 0.8, 0.97)
+"""Poles of first-order lags of a signal that may predict an error: an error inside a machine reaches its outputs through the
+machine's own dynamics. Chosen."""
+VALUES_ERR = 0.7
+"""Ratio of the RMS errors after and before re-estimation below which the parameters' values err: half of the power."""
+
+PLACES = 20
+"""Bins of an axis in which a local error is sought, each with as many samples. Chosen."""
+LOCAL_LEVEL = 1e-4
+"""False-alarm probability of an output, all axes and places counted (Bonferroni): one finding among a thousand complete models
+stands for what noise that is not Gaussian adds."""
+LOCAL_TIMES_NOISE = 3.0
+"""Times the noise of the quiet half of the record at which an error in a bin is worth a word. Chosen."""
+FEWEST_FOR_A_PLACE = 200
+"""[samples] Of a record below which no place is judged. Chosen."""
+COUNTED_IN_A_PLACE = 0.25
+"""Part of a bin's samples that count: heavy tails, and noise that a short autoregression does not whiten, scatter more.
+Chosen."""
+LOCAL_OUTLIER = 6.0
+"""Standard deviations of the quiet half beyond which a sample counts no more. Chosen."""
+REVALUED = Settings(iterations=15, tolerance=1e-4)
+"""How it is asked whether the values err. Chosen."""

@@ -1,0 +1,165 @@
+"""Whether what a model leaves of its outputs is structured: by its own signals, by its size, or at one place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate
+from residuum.identification.residual_analysis.axes import signal_axes
+from residuum.identification.residual_analysis.coarse_reading import reading_variances
+from residuum.identification.residual_analysis.coloured_noise import forgetting, longest_memory
+from residuum.identification.residual_analysis.features import features
+from residuum.identification.residual_analysis.feedback import feeds_back
+from residuum.identification.residual_analysis.local_structure import local_structure
+from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.noise_floor import fast_floor, times_the_noise
+from residuum.identification.residual_analysis.policy.noise import (
+    BEYOND_NOISE,
+    BEYOND_NOISE_CHANCE,
+    REVALUED,
+    STRUCTURE_LEVEL,
+    TEST_SAMPLES,
+    VALUES_ERR,
+)
+from residuum.identification.residual_analysis.prediction_windows import in_windows
+from residuum.identification.residual_analysis.structured_error import StructuredError, test_structured_error
+from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def refitted_difference(model: PhysicalModel, experiments: list[Experiment], simulation: Estimate) -> list[FloatArray]:
+    """What other values of the free parameters change in the outputs, (n, outputs) an experiment; 0 where that mends little.
+
+    Noise is not mended by a few parameters; where they take away half of an error's power the model's values err, and this
+    difference shows it even where (a resonance beside its place) no function of the simulated signals does.
+    """
+    nothing = [np.zeros_like(residual) for residual in simulation.residuals]
+    try:
+        other = estimate(model, experiments, initial=simulation.initial, settings=REVALUED)
+    except NotIdentifiable:
+        return nothing
+    with np.errstate(invalid="ignore"):
+        mended = np.nan_to_num(other.rmse / simulation.rmse, nan=1.0) < VALUES_ERR
+    pairs = zip(simulation.residuals, other.residuals, strict=True)
+    return [np.where(mended & np.isfinite(before), before - after, 0.0) for before, after in pairs]
+
+
+def structured_errors(
+    experiments: Sequence[Experiment],
+    residuals: Sequence[FloatArray],
+    axes: Sequence[Sequence[Axis]],
+    model: PhysicalModel,
+    refitted: Sequence[FloatArray] | None = None,
+    *,
+    level: float = STRUCTURE_LEVEL,
+    seed: int = 0,
+    least_share: float = 0.0,
+) -> dict[str, StructuredError]:
+    """The structured-error test of every measured output, on block means of about `TEST_SAMPLES` samples in all.
+
+    Noise forgets within the data, for noise that is integrated would explain every slow error. Where a controller answers the
+    noise (`feedback`), signals predict the error of the next sample, for in their own they know the noise; where blocks have
+    several samples that of the next block but one, for in the block before they know how much of the noise came last, and is
+    remembered. `refitted` (n, outputs) an experiment is what other parameter values would change, one more signal that may
+    predict the error; the other arguments are those of `test_structured_error`.
+    """
+    how: dict[str, Any] = {"level": level, "seed": seed, "drifting": False, "least_share": least_share}
+    total = sum(e.n for e in experiments)
+    block = max(1, total // TEST_SAMPLES)
+    every = [features(record_axes) for record_axes in axes]
+    alive = np.any([np.any(design, axis=0) for design in every], axis=0)
+    later = (1 if block == 1 else 2) * int(feeds_back(model, experiments, residuals))
+    designs = [block_means(design[:, alive], block) for design in every]
+    found = {}
+    for k, name in enumerate(model.outputs):
+        errors = [block_means(residual[:, k], block) for residual in residuals]
+        changes = [block_means(change[:, k : k + 1], block) for change in refitted or ()]
+        own = [np.hstack(pair) for pair in zip(designs, changes, strict=True)] if changes else designs
+        known = [np.vstack([np.full((later, X.shape[1]), np.nan), X[: len(X) - later]]) for X in own]
+        try:
+            found[name] = test_structured_error(errors, known, **how)
+        except BadInput:  # not measured, or too short a record for the test: no claim is made
+            continue
+    return found
+
+
+def structured_in_windows(
+    model: PhysicalModel, experiments: list[Experiment], whole: Mapping[str, StructuredError], level: float, seed: int
+) -> dict[str, StructuredError]:
+    """The test on windows with first states of their own, of a plant that integrates; nothing for other plants.
+
+    Over a whole record such a plant drifts with every small error, and the drift passes for noise that is integrated.
+    """
+    parts = in_windows(model, experiments)
+    if len(parts) == len(experiments):
+        return {}
+    try:
+        simulation = estimate(model, parts, free=())
+    except NotIdentifiable:
+        return {}
+    runs = zip(parts, simulation.initial, simulation.substeps, strict=True)
+    axes = [signal_axes(model, run[0], simulated_states(model, *run)) for run in runs]
+    refitted = refitted_difference(model, parts, simulation)
+    tested = at_likeliest_values(model, parts, simulation)
+    found = structured_errors(parts, tested, axes, model, refitted, level=level, seed=seed)
+    found |= beyond_noise(model, parts, simulation.residuals, axes, found)
+    return {name: replace(test, predicted=whole[name].predicted) for name, test in found.items() if name in whole}
+
+
+def beyond_noise(
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    residuals: Sequence[FloatArray],
+    axes: Sequence[Sequence[Axis]],
+    tested: Mapping[str, StructuredError],
+) -> dict[str, StructuredError]:
+    """The tests of those outputs whose error is too large for noise: everywhere, or at one place."""
+    hidden, found = reading_variances(experiments), {}
+    for k, name in enumerate(model.outputs):
+        if name not in tested:
+            continue
+        test, errors = tested[name], [residual[:, k] for residual in residuals]
+        structured = _plainly_structured(errors, test)
+        if structured is None and not test.present:
+            structured = _locally_structured(errors, test, axes, float(np.sqrt(12.0 * hidden[k])))
+        if structured is not None:
+            found[name] = structured
+    return found
+
+
+def _plainly_structured(errors: Sequence[FloatArray], test: StructuredError) -> StructuredError | None:
+    """The test of an output whose error stands so far above the noise of its fast part that no noise gets there; None of others.
+
+    Noise that is integrated would explain any slow error, and leave the test blind to the largest of them.
+    """
+    times = times_the_noise(errors)
+    if not times > BEYOND_NOISE:
+        return None
+    noise = replace(test.noise, a=forgetting(test.noise.a, longest_memory(sum(map(len, errors)), max(map(len, errors)))))
+    p_value, share = min(test.p_value, BEYOND_NOISE_CHANCE), max(test.share, 1.0 - 1.0 / times**2)
+    floor = min(test.noise_rms, fast_floor(errors))
+    return replace(test, present=True, p_value=p_value, share=share, noise_rms=floor, noise=noise)
+
+
+def _locally_structured(
+    errors: Sequence[FloatArray], test: StructuredError, axes: Sequence[Sequence[Axis]], step: float
+) -> StructuredError | None:
+    """The test of an output whose error stands out at one place as noise does at none; None of others."""
+    place = local_structure(errors, axes, step)
+    if place is None or not place.present:
+        return None
+    share = max(test.share, 1.0 - 1.0 / place.times_noise**2)
+    return replace(test, present=True, p_value=min(test.p_value, place.p_value), share=share)
+
+
+def simulated_states(model: PhysicalModel, experiment: Experiment, x0: FloatArray, substeps: int) -> FloatArray:
+    """The states of a simulation from x0, shape (n, states)."""
+    simulator = Simulator(model)
+    return simulator.run_vectors(experiment, x0, simulator.p(), substeps=substeps).X
