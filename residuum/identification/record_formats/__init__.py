@@ -27,6 +27,8 @@ READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
 }
 LOGGERS = dict.fromkeys((".txt", ".tsv", ".dat", ".lvm"), read_csv)
 """What loggers call their text files; nothing is written under these endings."""
+OLDER = {".mdf": read_mdf}
+"""Formats of earlier days, read only."""
 CAN_LOGS = (".blf", ".asc", ".log", ".trc")
 """Logs of CAN buses: a DBC file says what is in them, and the service, which knows buses, reads them."""
 WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
@@ -52,11 +54,11 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     """
     path = Path(path)
     ending = path.suffix.lower()
-    reader = (READERS | LOGGERS).get(ending)
+    reader = (READERS | LOGGERS | OLDER).get(ending)
     if ending in CAN_LOGS:
         raise BadRecord(f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)")
     if reader is None:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS)}")
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS | OLDER)}")
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
@@ -82,4 +84,4 @@ def write_record(record: Record, path: str | Path) -> None:
     WRITERS[ending](record, path)
 
 
-__all__ = ["CAN_LOGS", "LOGGERS", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]
+__all__ = ["CAN_LOGS", "LOGGERS", "OLDER", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]

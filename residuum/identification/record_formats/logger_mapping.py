@@ -11,7 +11,7 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, resampled, resampling
+from residuum.identification.record_formats.even_time import even_columns, made_even, resampling
 from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.logger_time import FORMS, nanoseconds
 from residuum.identification.record_formats.options import ReadOptions
@@ -181,9 +181,9 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
     except BadRecord:
         if not options.resample:
             raise
-        step, signals, told = resampled(time, values, source)
-        for name, (error, holes) in zip(mapping.names.values(), told, strict=True):
-            notes.append(f"{name} {resampling(step, error, holes)}")
+        step, signals, told = made_even(time, values, source)
+        for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
+            notes.append(f"{name} {resampling(step, how, holes)}")
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
     channels = dict(zip(mapping.names.values(), signals, strict=True))
