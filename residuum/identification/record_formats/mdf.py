@@ -9,7 +9,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.time_bases import TimedChannel, among, on_one_base
+from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
 
 
 def read_mdf(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
@@ -27,7 +27,7 @@ def read_mdf(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         TimedChannel(_free_name(signal, position, signals), signal.unit or "", *_finite(signal))
         for position, signal in enumerate(signals)
     ]
-    notes = (f"not read: {', '.join(left_out)}",) if left_out else ()
+    notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
     return on_one_base(channels, str(path), options, notes)
 
 

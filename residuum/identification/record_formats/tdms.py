@@ -11,7 +11,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.record_formats.time_bases import TimedChannel, among, on_one_base
+from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
 
 _TIME_NAME = re.compile(r"(?i)time|timestamps?|zeit|zeitstempel|t|x[-_ ]?values?|elapsed[ _]time|time[ _](axis|stamp|base)")
 
@@ -41,7 +41,7 @@ def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
                 left_out.append(f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})")
     if not found:
         raise BadRecord(f"{path}: holds no numeric channel{among(left_out)}")
-    notes = (f"not read: {', '.join(left_out)}",) if left_out else ()
+    notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
     return on_one_base(found, str(path), options, notes)
 
 

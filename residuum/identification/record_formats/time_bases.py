@@ -12,6 +12,10 @@ from residuum.identification.record_formats.options import ReadOptions
 
 _MOST = 1e8
 _LISTED = 8
+NOT_READ = "not read: "
+"""How a note begins that lists what a reader leaves out."""
+MEASURED_AT = "measured at"
+"""How a note tells of a channel that has samples at some instants only."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def on_one_base(channels: Sequence[TimedChannel], source: str, options: ReadOpti
             signals[channel.name] = np.full(n, np.nan)
             signals[channel.name][place] = channel.values
             if len(place) < n:
-                told.append(f"{channel.name}: measured at {len(place)} of {n} instants, missing at the others ({channel.says})")
+                told.append(f"{channel.name}: {MEASURED_AT} {len(place)} of {n} instants, missing at the others ({channel.says})")
     units = {channel.name: options.unit_of(channel.name, channel.unit) for channel in channels}
     return Record(signals, units, options.settle_sample_time(step, source), t0=begin, notes=tuple(told), source=source)
 

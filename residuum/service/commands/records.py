@@ -13,6 +13,7 @@ from residuum.identification.record_formats import CAN_LOGS, ReadOptions, read_r
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
 from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
 from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
@@ -102,6 +103,6 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
     chosen = mapping or (beside if beside.is_file() else None)
     record = read_record(file, options) if chosen is None else read_logger_file(file, read_mapping(chosen), options)
     done = record.notes if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes) else ()
-    for note in done or [note for note in record.notes if RESAMPLED in note]:
+    for note in done or [note for note in record.notes if RESAMPLED in note or note.startswith(NOT_READ) or MEASURED_AT in note]:
         progress(f"{file}: {note}")
     return record
