@@ -8,6 +8,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
+from residuum.identification.record_formats.no_value import without_overloads
 from residuum.identification.record_formats.npz import read_npz, write_npz
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet
@@ -62,7 +63,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
-        return reader(path, options)
+        return without_overloads(reader(path, options))
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise

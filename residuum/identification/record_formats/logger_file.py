@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -23,10 +24,10 @@ from residuum.identification.record_formats.logger_text import (
     is_value,
     number,
 )
-from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, UNITS, number_form, stamp_form
+from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, UNITS, number_form, stamp_form
 
 _TIME_NAME = re.compile(
-    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros)(\b.*|_.*|)"
+    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
 )
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa")
 """Names of a first column that is the time where it has a unit of time."""
@@ -36,6 +37,8 @@ _SIGNAL_NAME = re.compile(
     r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|parameter|kanal|messstelle)"
     r"[ _]?(name|id)?|name"
 )
+_EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
+"""What a form may be that is one of two; dates are the others."""
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
 
 
@@ -49,9 +52,17 @@ class LoggerFile:
 
 
 def understand(
-    content: bytes, source: str, *, decimal: str | None = None, time_form: str | None = None, time_column: str | None = None
+    content: bytes,
+    source: str,
+    *,
+    decimal: str | None = None,
+    time_form: str | None = None,
+    time_column: str | None = None,
+    missing: Sequence[str] = (),
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
+
+    `missing` are cells that mean no value, over those that loggers write.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -75,6 +86,9 @@ def understand(
     mapping = LoggerMapping(
         encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
     )
+    if missing:
+        mapping = replace(mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing)))
+        guesses["missing"] = (", ".join(missing), "said with --missing")
     return _with_samples(text, mapping, guesses, source)
 
 
@@ -169,14 +183,15 @@ def _time(
     if found is None:
         raise BadRecord(f"{source}: nothing says in which unit time column {where} is; say --time seconds, milliseconds or excel")
     if found[0] not in FORMS:
-        raise BadRecord(f"{source}, time column {where}: {found[1]}; say --time 'day first' or --time 'month first'")
+        ways = " or ".join(f"--time {way!r}" for way in _EITHER.get(found[0], ("day first", "month first")))
+        raise BadRecord(f"{source}, time column {where}: {found[1]}; say {ways}")
     guesses["time"] = (f"{where}: {found[0]}", found[1])
     return tuple(k + 1 for k in chosen), found[0]
 
 
 def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
     """The one column of times, by its stamps or by its name, or the two of date and time of day."""
-    if [form == "clock" for form, _ in stamped.values()] == [False, True]:
+    if [form in CLOCKS for form, _ in stamped.values()] == [False, True]:
         return tuple(stamped)
     named = [
         k
@@ -252,7 +267,7 @@ def _channels(
         if sentinels := sorted({cell for cell in cells if is_value(cell) and _or_zero(cell, decimal) in _SENTINELS}):
             guesses[f"column {name!r}"] = (
                 "kept as numbers",
-                f"{sentinels[0]} may mean no value; if so, add it to `missing`",
+                f"{sentinels[0]} may mean no value; if so, say --missing {sentinels[0]}",
             )
     if not channels:
         raise BadRecord(f"{source}: no column of numbers beside the time")
@@ -270,6 +285,8 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
     stamps, values, rows = table(text, mapping, source)
     steps = np.diff(stamps)
     back = steps < 0
+    if (days := int(stamps.max()) // (86_400 * 10**9)) and mapping.time_form == "clock" and len(mapping.time) == 1:
+        guesses["midnight"] = (f"{days} passed", "the clock goes on after midnight at its usual step")
     order = np.argsort(stamps, kind="stable")
     if back.any():
         far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))

@@ -22,6 +22,9 @@ def inspect_command(
     out: Annotated[Path | None, typer.Option(metavar="MAPPING.yaml", help="Write the mapping here.")] = None,
     decimal: Annotated[str | None, typer.Option(help="The decimal sign, where the file leaves it open.")] = None,
     time: Annotated[str | None, typer.Option(help="Form of the time column: seconds, epoch ms, excel, 'day first' …")] = None,
+    missing: Annotated[
+        list[str] | None, typer.Option(metavar="CELL", help="A cell that means no value, such as OL; may be given again.")
+    ] = None,
     dbc: DbcFile = None,
     register_map: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="Register map of a Modbus device.")] = None,
     as_json: AsJson = False,
@@ -35,7 +38,7 @@ def inspect_command(
     elif dbc is not None or is_can_log(Path(file)):
         report(*_log(Path(file), dbc), as_json=as_json)
     else:
-        _logger_file(Path(file), out, decimal, time, as_json=as_json)
+        _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
@@ -55,14 +58,16 @@ def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     return found
 
 
-def _logger_file(file: Path, out: Path | None, decimal: str | None, time: str | None, *, as_json: bool) -> None:
+def _logger_file(
+    file: Path, out: Path | None, decimal: str | None, time: str | None, missing: list[str], *, as_json: bool
+) -> None:
     if out is not None:
         check_output_file(out)
     try:
         content = file.read_bytes()
     except OSError as error:
         raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
-    found = understand(content, str(file), decimal=decimal, time_form=time)
+    found = understand(content, str(file), decimal=decimal, time_form=time, missing=missing)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
     report(_plain(file, found), _human(file, found), as_json=as_json)
