@@ -149,5 +149,15 @@ def canonical(text: str) -> str:
     return _WORD.sub(lambda found: _WORDS.get(found[0], found[0]), plain)
 
 
+def is_spelled(text: str) -> bool:
+    """Whether a text is listed as a spelling of a unit, in any form of it, or is a symbol of two letters or more.
+
+    >>> is_spelled("bar(g)"), is_spelled("ml"), is_spelled("left"), is_spelled("A")
+    (True, True, False, False)
+    """
+    plain = _BLANK.sub("_", text.translate(_SAME).strip())
+    return len(plain) > 1 and (plain in _WHOLE or plain in _WORDS or plain in KNOWN_SYMBOLS)
+
+
 def _powers(text: str) -> str:
     return _POWER.sub(lambda found: f"{found[1]}**{found[2]}", _DOT.sub("*", text)).replace("^", "**")

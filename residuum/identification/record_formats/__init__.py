@@ -6,6 +6,7 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
+from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
 from residuum.identification.record_formats.no_value import without_overloads
@@ -26,7 +27,7 @@ READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
     ".mf4": read_mdf,
     ".uff": read_uff,
 }
-LOGGERS = dict.fromkeys((".txt", ".tsv", ".dat", ".lvm"), read_csv)
+LOGGERS = {**dict.fromkeys((".txt", ".tsv", ".dat"), read_csv), ".lvm": read_lvm}
 """What loggers call their text files; nothing is written under these endings."""
 OLDER = {".mdf": read_mdf}
 """Formats of earlier days, read only."""

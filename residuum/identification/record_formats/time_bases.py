@@ -10,7 +10,8 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import JITTER, FloatArray, even_columns, on_grid, on_instants, resampling
 from residuum.identification.record_formats.options import ReadOptions
 
-_MOST = 1e8
+_MOST, _THINNEST = 2e7, 8
+"""Samples of all channels: a file of few in far-apart places would fill the memory with missing ones."""
 _LISTED = 8
 NOT_READ = "not read: "
 """How a note begins that lists what a reader leaves out."""
@@ -96,8 +97,10 @@ def _span(channels: Sequence[TimedChannel], finest: TimedChannel, step: float, s
     before = int(np.floor((anchor - min(channel.time[0] for channel in channels)) / step + JITTER))
     begin = anchor - before * step
     n = int(np.floor((max(channel.time[-1] for channel in channels) - begin) / step + JITTER)) + 1
-    if n > _MOST:
-        raise BadRecord(f"{source}: {n * step:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps")
+    if n * len(channels) > max(_MOST, _THINNEST * sum(len(channel.time) for channel in channels)):
+        raise BadRecord(
+            f"{source}: {n * step:.6g} s at {step:.6g} s are too many samples, mostly missing; cut the file at its gaps"
+        )
     return begin, n
 
 
