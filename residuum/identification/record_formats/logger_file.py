@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.even_time import on_grid
 from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
 from residuum.identification.record_formats.logger_text import (
@@ -29,7 +30,7 @@ from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SI
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
 )
-_AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa")
+_AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
 """Names of a first column that is the time where it has a unit of time."""
 _MOSTLY = 0.9
 """Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
@@ -131,9 +132,20 @@ def _heads(
         f"the last line of {width} names above the samples; {at - 1} lines before it passed over",
     )
     heads = [unit_of_head(cell) for cell in line]
-    names = _distinct([name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)], f"{source}, row {at}")
+    plain = [name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)]
+    names = _distinct(_told_apart(plain, [row for k, row in above if k < at]), f"{source}, row {at}")
     units = [own or unit for own, (_, unit) in zip(units, heads, strict=True)]
     return names, ["" if unit == "-" else unit for unit in units]
+
+
+def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
+    """Names of which some stand twice, with those of the nearest line above that tells these apart (`CH 1`, `CH 2`)."""
+    twice = [k for k, name in enumerate(names) if names.count(name) > 1]
+    for row in reversed(above):
+        own = [row[k] for k in twice]
+        if twice and all(own) and len(set(own)) == len(own) and not any(map(is_value, own)):
+            return [f"{row[k]} {name}" if k in twice else name for k, name in enumerate(names)]
+    return names
 
 
 def _distinct(names: list[str], where: str) -> list[str]:
@@ -169,7 +181,13 @@ def _time(
     """(time columns, form); `told` is the form and the column that the caller says."""
     said, column = told
     stamped = {column: form for column in range(len(names)) if (form := _stamps(_column(body, column)))}
-    chosen = _time_columns(names, units, stamped, source) if column is None else (_index(column, names, source),)
+    if column is not None:
+        chosen: tuple[int, ...] = (_index(column, names, source),)
+    elif _axis_of_time(body, names, units, stamped, decimal, said):
+        chosen = (0,)
+        guesses["time column"] = (repr(names[0]), "an axis that rises evenly; its form is said with --time")
+    else:
+        chosen = _time_columns(names, units, stamped, source)
     where = "+".join(repr(names[k]) for k in chosen)
     found = (
         stamped[chosen[0]]
@@ -189,23 +207,44 @@ def _time(
     return tuple(k + 1 for k in chosen), found[0]
 
 
+def _axis_of_time(
+    body: list[list[str]], names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], decimal: str, said: str | None
+) -> bool:
+    """Whether the first column is the time because it is called as an axis (`X`), rises evenly, and its form is `said`.
+
+    Without a unit it may count samples: nothing else makes it a time.
+    """
+    if stamped or units[0] or said not in SINCE_START or any(_is_named_time(k, name, units) for k, name in enumerate(names)):
+        return False
+    return bool(_AXIS.fullmatch(names[0])) and _rises_evenly(body, 0, decimal)
+
+
+def _rises_evenly(body: list[list[str]], column: int, decimal: str) -> bool:
+    try:
+        values = np.array([number(cell, decimal) for cell in _column(body, column)])
+    except ValueError:
+        return False
+    return len(values) > 2 and bool((np.diff(values) > 0).all()) and on_grid(values) is not None
+
+
+def _is_named_time(k: int, name: str, units: list[str]) -> bool:
+    if not (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS)):
+        return False
+    return k == 0 or units[k].lower() in UNITS
+
+
 def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
     """The one column of times, by its stamps or by its name, or the two of date and time of day."""
     if [form in CLOCKS for form, _ in stamped.values()] == [False, True]:
         return tuple(stamped)
-    named = [
-        k
-        for k, name in enumerate(names)
-        if k not in stamped
-        and (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS))
-        and (k == 0 or units[k].lower() in UNITS)
-    ]
+    named = [k for k, name in enumerate(names) if k not in stamped and _is_named_time(k, name, units)]
     if len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
         raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
     if not stamped and not named:
         raise BadRecord(
-            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, or write 'time [s]'"
+            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, write 'time [s]', "
+            "or `residuum inspect FILE --time seconds` where the first is an axis in seconds"
         )
     return tuple(stamped) or tuple(named)
 

@@ -136,7 +136,8 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
         try:
             stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
         except (ValueError, OverflowError):
-            raise BadRecord(f"{source}, row {row}: {stamp[:40]!r} is no time of the form {mapping.time_form!r}") from None
+            what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+            raise BadRecord(f"{source}, row {row}: {what}; cut or mend the row") from None
         where = f"{source}, row {row}, column"
         values.append([_value(cells[k - 1], mapping, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)

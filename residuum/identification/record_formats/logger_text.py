@@ -24,6 +24,9 @@ _SURE = {
 }
 """Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
 _SCANNED = 2000
+_BLANKS = "\u00a0\u202f\u2009 '’"
+"""What stands between thousands beside point and comma: blanks that do not break, Swiss apostrophes."""
+_BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 
 def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[str, str, str]:
@@ -61,7 +64,7 @@ def cells_of(text: str, delimiter: str) -> list[list[str]]:
     """The cells of every line (quotes removed, blanks stripped); runs of blanks separate where the delimiter is a blank."""
     lines = text.splitlines()
     if delimiter == " ":
-        return [line.split() for line in lines]
+        return [[cell for cell in re.split(r"[ \t]+", line) if cell] for line in lines]
     rows = []
     for line in lines:
         row = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
@@ -71,7 +74,12 @@ def cells_of(text: str, delimiter: str) -> list[list[str]]:
 
 def is_value(cell: str) -> bool:
     """Whether a cell could be a number or a time stamp."""
-    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
+    return bool(_NUMBER.fullmatch(ungrouped(cell)) or _STAMP.fullmatch(cell))
+
+
+def ungrouped(cell: str) -> str:
+    """A number without the blanks between its thousands; any other cell as it is."""
+    return re.sub(f"[{_BLANKS}]", "", cell) if _BY_BLANKS.fullmatch(cell) else cell
 
 
 def is_stamp(cell: str) -> bool:
@@ -102,7 +110,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
     seen: dict[str, tuple[int, str]] = {}
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
-        for cell in cells:
+        for cell in map(ungrouped, cells):
             if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
                 continue
             signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
@@ -123,6 +131,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
 
 def number(cell: str, decimal: str) -> float:
     """The number of a cell; ValueError when it is none."""
+    cell = ungrouped(cell)
     if not _NUMBER.fullmatch(cell):
         raise ValueError(cell)
     if _GROUPED[decimal].fullmatch(cell):

@@ -107,3 +107,28 @@ def test_a_number_that_may_mean_no_value_is_told(mark):
 def test_numbers_in_their_place_are_not_remarked():
     record = Record({"n": np.arange(990.0, 1000.0), "m": np.linspace(-999.0, 999.0, 10)}, {"n": "", "m": ""}, 1.0)
     assert without_overloads(record) is record
+
+
+@pytest.mark.parametrize("blank", ["\u00a0", "\u202f", "'"])
+def test_blanks_between_thousands_cut_no_cells(blank):
+    rows = "\n".join(f"11.03.2024 08:00:{k:02d};20,{k:02d};1{blank}{500 + k},5" for k in range(40))
+    _, record = read(f"Zeit;T [°C];P [W]\n{rows}\n".encode())
+    np.testing.assert_allclose(record["P"], 1500.5 + np.arange(40))
+    assert dict(record.units) == {"T": "°C", "P": "W"} and record.sample_time == 1.0
+
+
+def test_names_that_stand_twice_are_told_apart_by_the_line_above():
+    rows = "\n".join(f"{k * 2e-9:.9f},{k % 3},{k % 5}" for k in range(40))
+    content = f'"Channel","CH 1","CH 2"\n"Scale = ",0.1,2\n"Time (s)","Voltage (V)","Voltage (V)"\n{rows}\n'.encode()
+    assert dict(read(content)[1].units) == {"CH 1 Voltage": "V", "CH 2 Voltage": "V"}
+    with pytest.raises(BadRecord, match="stands twice"):
+        read(content.replace(b"CH 2", b"CH 1"))
+
+
+def test_an_axis_without_a_unit_is_the_time_only_where_its_form_is_said():
+    content = ("X,CH1 (V)\n" + "\n".join(f"{k * 1e-5:.5f},{k % 3}" for k in range(40)) + "\n").encode()
+    with pytest.raises(BadRecord, match=r"no time column found among X, CH1; .*inspect FILE --time seconds"):
+        read(content)
+    assert read(content, time_form="seconds")[1].sample_time == pytest.approx(1e-5)
+    source = ("Source,CH1\nSecond,Volt\n" + "\n".join(f"{k * 1e-5:.5f},{k % 3}" for k in range(40)) + "\n").encode()
+    assert dict(read(source)[1].units) == {"CH1": "V"}
