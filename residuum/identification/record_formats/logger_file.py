@@ -32,6 +32,8 @@ _TIME_NAME = re.compile(
 )
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
 """Names of a first column that is the time where it has a unit of time."""
+_SHOWN = 3
+"""Rows as read that are told."""
 _MOSTLY = 0.9
 """Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
 _SIGNAL_NAME = re.compile(
@@ -320,6 +322,11 @@ def _or_zero(cell: str, decimal: str) -> float:
         return 0.0
 
 
+def _row(stamps: npt.NDArray[np.int64], values: npt.NDArray[np.float64], k: int) -> list[float | None]:
+    """Time [s] and values of a row as read, None for what is missing."""
+    return [float(stamps[k]) / 1e9, *(None if np.isnan(value) else float(value) for value in values[:, k])]
+
+
 def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str) -> LoggerFile:
     stamps, values, rows = table(text, mapping, source)
     steps = np.diff(stamps)
@@ -356,6 +363,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
+        "first_rows": [_row(stamps, values, k) for k in range(min(_SHOWN, len(rows)))],
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }
     return LoggerFile(mapping, guesses, samples)

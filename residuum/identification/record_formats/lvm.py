@@ -31,9 +31,14 @@ def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
-    if not content.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) or content.count(_END.encode()) < 2:
+    if not has_head(content):
         return read_csv(path, options)
     return parse_lvm(content, str(path), options)
+
+
+def has_head(content: bytes) -> bool:
+    """Whether a file has both of LabVIEW's heads: they say how it is read."""
+    return content.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and content.count(_END.encode()) >= 2
 
 
 def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
