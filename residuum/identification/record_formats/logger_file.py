@@ -24,6 +24,7 @@ from residuum.identification.record_formats.logger_text import (
     is_stamp,
     is_value,
     number,
+    with_unit,
 )
 from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, UNITS, number_form, stamp_form
 
@@ -76,7 +77,7 @@ def understand(
     guesses = {"encoding": (encoding, why)}
     delimiter, why = find_delimiter(text, source)
     guesses["delimiter"] = (delimiter, why)
-    rows = cells_of(text, delimiter)
+    rows, suffixes = _without_units(cells_of(text, delimiter))
     first, width = _first_row(rows, source)
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
     body = rows[first - 1 :]
@@ -86,13 +87,35 @@ def understand(
     _refuse_long_form(body, names, source)
     time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
     channels = _channels(body, names, time, sign, guesses, source)
+    suffixes = {column: unit for column, unit in suffixes.items() if column in channels}
+    for column, unit in suffixes.items():
+        units[column - 1] = units[column - 1] or unit_word(unit)
+        guesses[f"unit of {names[column - 1]!r}"] = (unit, "it stands behind every number of the column")
     mapping = LoggerMapping(
         encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
     )
+    mapping = replace(mapping, suffixes=suffixes)
     if missing:
         mapping = replace(mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing)))
         guesses["missing"] = (", ".join(missing), "said with --missing")
     return _with_samples(text, mapping, guesses, source)
+
+
+def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, str]]:
+    """The rows without the unit that stands behind every number of a column, and that unit by column."""
+    suffixes: dict[int, str] = {}
+    for column in range(max(map(len, rows), default=0)):
+        cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING]
+        found = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
+        if found and found.total() >= _MOSTLY * len(cells) and found.total() > 1:
+            suffixes[column + 1] = found.most_common(1)[0][0]
+    if not suffixes:
+        return rows, suffixes
+    return [[_bare(cell, suffixes.get(k, "")) for k, cell in enumerate(row, start=1)] for row in rows], suffixes
+
+
+def _bare(cell: str, unit: str) -> str:
+    return cell.removesuffix(unit).rstrip() if unit and with_unit(cell) is not None else cell
 
 
 def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:

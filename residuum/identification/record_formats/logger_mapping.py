@@ -1,7 +1,7 @@
 """The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,8 @@ class LoggerMapping:
     duplicates, reordered : str
         What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the next stamp) and of rows out of
         order (`refuse`, `sort`).
+    suffixes : mapping of column to text
+        The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class LoggerMapping:
     missing: tuple[str, ...] = MISSING
     duplicates: str = "refuse"
     reordered: str = "refuse"
+    suffixes: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rules = {
@@ -77,6 +80,7 @@ class LoggerMapping:
             "reordered": self.reordered in _REORDERED,
             "time": 1 <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
             "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
+            "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
             "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
         }
         for name, holds in rules.items():
@@ -108,7 +112,7 @@ def read_mapping(path: Path) -> LoggerMapping:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, ValueError) as error:
         raise BadRecord(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
-    known = [field.name for field in fields(LoggerMapping)]
+    known = [part.name for part in fields(LoggerMapping)]
     if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
         what = repr(unknown[0]) if isinstance(found, dict) else "no table"
         raise BadRecord(f"{path}: {what} is not part of a mapping; known are {', '.join(known)}")
@@ -139,7 +143,7 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
             what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
             raise BadRecord(f"{source}, row {row}: {what}; cut or mend the row") from None
         where = f"{source}, row {row}, column"
-        values.append([_value(cells[k - 1], mapping, f"{where} {name!r}") for k, name in mapping.names.items()])
+        values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
@@ -156,11 +160,11 @@ def say_missing(cell: str) -> str:
     return f"`residuum inspect FILE --missing {cell[:40]!r} --out FILE{ENDING}` says so"
 
 
-def _value(cell: str, mapping: LoggerMapping, where: str) -> float:
+def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     if cell.lower() in mapping.missing:
         return float("nan")
     try:
-        return number(cell, mapping.decimal)
+        return number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
     except ValueError:
         raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
 

@@ -23,6 +23,7 @@ _SURE = {
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
 """Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
+_WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
 _SCANNED = 2000
 _BLANKS = "\u00a0\u202f\u2009 '’"
 """What stands between thousands beside point and comma: blanks that do not break, Swiss apostrophes."""
@@ -82,6 +83,12 @@ def ungrouped(cell: str) -> str:
     return re.sub(f"[{_BLANKS}]", "", cell) if _BY_BLANKS.fullmatch(cell) else cell
 
 
+def with_unit(cell: str) -> tuple[str, str] | None:
+    """(number, unit) of a cell that holds both, such as `20,00 °C`."""
+    match = _WITH_UNIT.fullmatch(cell)
+    return (match[1], match[2]) if match and _NUMBER.fullmatch(ungrouped(match[1])) else None
+
+
 def is_stamp(cell: str) -> bool:
     """Whether a cell could be a time stamp."""
     return bool(_STAMP.fullmatch(cell))
@@ -96,7 +103,7 @@ def find_delimiter(text: str, source: str) -> tuple[str, str]:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
         filled = [cell for row in rows for cell in row if cell.lower() not in MISSING]
-        share = sum(map(is_value, filled)) / max(1, len(filled))
+        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(1, len(filled))
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + 1e-9:
             best = (score, delimiter, f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of them values")

@@ -132,3 +132,14 @@ def test_an_axis_without_a_unit_is_the_time_only_where_its_form_is_said():
     assert read(content, time_form="seconds")[1].sample_time == pytest.approx(1e-5)
     source = ("Source,CH1\nSecond,Volt\n" + "\n".join(f"{k * 1e-5:.5f},{k % 3}" for k in range(40)) + "\n").encode()
     assert dict(read(source)[1].units) == {"CH1": "V"}
+
+
+def test_a_unit_behind_every_number_is_the_unit_of_the_column():
+    rows = [f"11.03.2024 08:00:{k:02d};20,{k:02d} °C;{1500 + k},0 W" for k in range(40)]
+    content = "\n".join(["Zeit;T;P", *rows]).encode()
+    found, record = read(content)
+    assert dict(record.units) == {"T": "°C", "P": "W"} and found.guesses["unit of 'P'"][0] == "W"
+    np.testing.assert_allclose(record["P"], 1500.0 + np.arange(40))
+    assert found.mapping.suffixes == {2: "°C", 3: "W"}
+    with pytest.raises(BadRecord, match=r"row 22, column 'P': '1520,0 kW' is not a number"):
+        read(content.replace(b"1520,0 W", b"1520,0 kW"))
