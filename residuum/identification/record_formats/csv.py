@@ -14,6 +14,7 @@ from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_head import unit_of_head
 from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger, say_missing
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
 MOST_COLUMNS = 1000
 _LONGEST_HEADER = 100_000
@@ -40,6 +41,8 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    if is_scope_csv(content):
+        return parse_scope_csv(content, str(path), options)
     return parse_csv(content, str(path), options) if _is_ours(content) else _from_logger(content, str(path), options)
 
 

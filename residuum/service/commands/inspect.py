@@ -10,6 +10,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS
 from residuum.identification.record_formats.logger_file import LoggerFile, understand
 from residuum.identification.record_formats.lvm import has_head
+from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import DbcFile, is_can_log
 from residuum.service.commands.report import AsJson, report
@@ -62,7 +63,9 @@ def _says_itself(file: Path) -> bool:
     ending = file.suffix.lower()
     if ending == ".lvm":
         return file.is_file() and has_head(file.read_bytes())
-    return ending in (READERS | OLDER) and ending != ".csv"
+    if ending == ".csv":
+        return file.is_file() and is_scope_csv(file.read_bytes())
+    return ending in READERS | OLDER
 
 
 def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
