@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, BadUnit
 from residuum.identification.units import convert, parse_unit
 
 Signal = npt.NDArray[np.floating]
@@ -27,7 +27,7 @@ class Record:
     channels : mapping of name to array, shape (n,)
         Float64 or float32; other number types become float64. The arrays are kept read-only.
     units : mapping of name to unit
-        One unit a channel (`""` = dimensionless); unknown units are refused.
+        One unit a channel (`""` = none is said: no conversion takes it for one).
     sample_time : float
         Seconds between samples, > 0.
     t0 : float
@@ -131,7 +131,14 @@ class Record:
             raise BadRecord(f"record {self.source!r}: no channel {name!r}; there are {', '.join(self.names)}") from None
 
     def in_unit(self, name: str, unit: str) -> npt.NDArray[np.float64]:
-        """Channel `name` converted to `unit`, shape (n,)."""
+        """Channel `name` converted to `unit`, shape (n,).
+
+        BadUnit where the channel has none and one is wanted: not to say a unit is not to say that there is none.
+        """
+        if name in self.channels and not self.units[name] and parse_unit(unit).factors:
+            where = f"record {self.source!r}, " if self.source else ""
+            how = f"--unit {name}={unit} if it is in that, in Python units={{{name!r}: {unit!r}}}"
+            raise BadUnit(f"{where}channel {name!r}: unit none cannot be converted to {unit!r}; say it, {how}")
         return convert(self[name], self.units[name], unit, what=f"channel {name!r}")
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:

@@ -1,7 +1,7 @@
 """pint's registry of units: what `common_units` does not list, and words that nobody knows.
 
-Three changes suit recorded signals, made in `identification/units.py`: `g` is standard gravity (nobody records grams), `%` is a
-hundredth, `count` is a plain number.
+`unit_spellings` puts a text into the registry's spelling first. The registry itself reads nearly any word as a prefix and a unit
+(`pH`: picohenry, `pct`: pico-centitonne), so only symbols that are listed and names that are written out are taken from it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ import pint
 
 from residuum.identification.common_units import NamedUnit
 from residuum.identification.errors import BadUnit
+from residuum.identification.unit_spellings import KNOWN_SYMBOLS, LOOKALIKES
 
 _REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
-_OWN = re.compile(r"[A-Za-z_][A-Za-z_]*")
-"""A unit that nobody knows: letters alone."""
+_WORD = re.compile(r"(?<![A-Za-z0-9_µΔ])[A-Za-z_µΔ][A-Za-z_µΔ0-9]*")
+_NAME = 4
+"""Letters of a name that is written out, at least."""
 _MOST_OWN = 1000
 _own: set[str] = set()
 _lock = threading.Lock()
@@ -28,8 +30,7 @@ def factors(text: str) -> tuple[tuple[NamedUnit, float], ...]:
 
     Raises whatever pint raises for what is no unit.
     """
-    for word in _OWN.findall(text):
-        _define_unknown(word)
+    text = _WORD.sub(lambda found: _trusted(found[0]), text)
     return tuple((_named(name), float(power)) for name, power in (1 * _REGISTRY.Unit(text)).unit_items())
 
 
@@ -43,7 +44,13 @@ def _named(name: str) -> NamedUnit:
     one: Any = _REGISTRY.Quantity(1.0, _REGISTRY.Unit(f"delta_{name}") if _shifted(name) else unit).to_base_units()
     zero: Any = _REGISTRY.Quantity(0.0, unit).to_base_units().magnitude
     base = tuple((base, float(power)) for base, power in one.unit_items())
-    return NamedUnit(f"{unit:~C}".replace("Ω", "ohm"), float(one.magnitude), base, float(zero))
+    return NamedUnit(_symbol(unit), float(one.magnitude), base, float(zero))
+
+
+def _symbol(unit: Any) -> str:
+    """The short symbol of a unit, or its name where the symbol would not be read back as this unit (`kn` of the knot)."""
+    short = f"{unit:~C}".replace("Ω", "ohm")
+    return short if short in KNOWN_SYMBOLS or short in _own or not short.isascii() else f"{unit:C}"
 
 
 def _shifted(name: str) -> bool:
@@ -51,10 +58,29 @@ def _shifted(name: str) -> bool:
     return bool(_REGISTRY.Quantity(0.0, name).to_base_units().magnitude)
 
 
-def _define_unknown(word: str) -> None:
+def _trusted(word: str) -> str:
+    """The word where the registry means by it what a person does, else a unit of its own that the registry does not know."""
+    if word in _own or word in KNOWN_SYMBOLS or _is_name(word):
+        return word
+    own = word if word not in _REGISTRY else f"own_{word}"
+    _define(own)
+    return own
+
+
+def _is_name(word: str) -> bool:
+    """Whether a word is the written-out name of one unit, with a written-out prefix at most."""
+    if len(word) < _NAME or word in LOOKALIKES or word not in _REGISTRY:
+        return False
+    return any(
+        len(name) >= _NAME and f"{prefix}{name}" in (word, word.removesuffix("s"))
+        for prefix, name, _ in _REGISTRY.parse_unit_name(word)
+    )
+
+
+def _define(word: str) -> None:
     """Enter a word into the registry as a unit of its own dimension, where it is none yet."""
     with _lock:
-        if word in _REGISTRY:
+        if word in _own:
             return
         if len(_own) >= _MOST_OWN:
             raise BadUnit(f"unit {word!r}: nobody knows it, and {_MOST_OWN} units of their own are in use already")

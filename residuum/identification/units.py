@@ -19,39 +19,9 @@ import numpy.typing as npt
 
 from residuum.identification.common_units import COMMON_UNITS, NamedUnit
 from residuum.identification.errors import BadUnit
+from residuum.identification.unit_spellings import canonical
 
-_SPELLINGS = {
-    "": "dimensionless",
-    "1": "dimensionless",
-    "-": "dimensionless",
-    "%": "percent",
-    "g": "standard_gravity",
-    "°C": "degC",
-    "degC": "degC",
-    "C": "degC",
-    "°F": "degF",
-    "°": "degree",
-    "Ω": "ohm",
-    "rpm": "revolution/minute",
-    "1/min": "revolution/minute",
-    "U/min": "revolution/minute",
-    "min-1": "revolution/minute",
-    "min⁻¹": "revolution/minute",
-    "s-1": "1/s",
-    "s⁻¹": "1/s",
-    "raw": "dimensionless",
-    "bool": "dimensionless",
-    "count": "dimensionless",
-}
 _LONGEST = 80
-_MISREAD = re.compile(r"\b(pu|digits?)\b")
-"""Units of their own that the registry would read as a prefix and a unit (`pu`: pico-dalton)."""
-_JOINED = (
-    (re.compile(r"/([mkM]?N)m\b"), r"/\1/m"),
-    (re.compile(r"\b([mkM]?N)m\b"), r"\1*m"),
-    (re.compile(r"\b([cm]?m)([23])\b"), r"\1**\2"),
-)
-"""Spellings of loggers and data sheets: `Nm`, `1/Nm`, `m3/h`."""
 _COUNTS = {"radian", "bit", "count", "decibel"}
 """Base units without a dimension."""
 _FACTOR = re.compile(r"([*/]?)(1|[A-Za-zµ%_]+)(?:\*\*(-?\d+(?:\.\d+)?))?")
@@ -118,10 +88,7 @@ def parse_unit(text: str) -> Unit:
     spelled = text.strip()
     if len(spelled) > _LONGEST:
         raise BadUnit(f"unit {spelled[:20]!r}…: longer than {_LONGEST} characters")
-    spelled = _SPELLINGS.get(spelled, spelled).replace("·", "*").replace("Ω", "ohm").replace("°C", "delta_degC")
-    spelled = _MISREAD.sub(r"own_\1", spelled).replace("²", "**2").replace("³", "**3").replace("^", "**")
-    for joined, product in _JOINED:
-        spelled = joined.sub(product, spelled)
+    spelled = canonical(spelled) if spelled else "dimensionless"
     factors = _common(spelled)
     try:
         unit = Unit(_merged(factors if factors is not None else import_module(_REGISTRY).factors(spelled)))
@@ -172,8 +139,21 @@ def is_own(word: str) -> bool:
 
 
 def compatible(first: str, second: str) -> bool:
-    """Whether values in unit `first` can be converted to unit `second`."""
-    return bool(parse_unit(first).dimension == parse_unit(second).dimension)
+    """Whether values in unit `first` can be converted to unit `second`.
+
+    A frequency becomes a speed of rotation only where somebody says what one cycle is (`rev/s`, `rad/s`).
+
+    >>> compatible("rpm", "rad/s"), compatible("Hz", "rpm")
+    (True, False)
+    """
+    given, wanted = parse_unit(first), parse_unit(second)
+    return bool(given.dimension == wanted.dimension) and not _cycles_against_turns(given, wanted)
+
+
+def _cycles_against_turns(first: Unit, second: Unit) -> bool:
+    """Whether one is a frequency and the other a speed of rotation: nothing says how much of a turn a cycle is."""
+    rotation = {"radian": 1.0, "second": -1.0}
+    return sorted((first.base, second.base), key=len) == [{"second": -1.0}, rotation]
 
 
 def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "value") -> npt.NDArray[np.float64]:
@@ -189,9 +169,14 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
     array = np.asarray(values, dtype=float)
     if source == target:
         return array
+    given, wanted = parse_unit(source), parse_unit(target)
+    if _cycles_against_turns(given, wanted):
+        raise BadUnit(
+            f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation; say what one cycle is, "
+            "as --unit COLUMN=rev/s for a turn (in Python units={…})"
+        )
     if not compatible(source, target):
         raise BadUnit(f"{what}: unit {_shown(source)} cannot be converted to {_shown(target)}")
-    given, wanted = parse_unit(source), parse_unit(target)
     if given.offset == wanted.offset:
         return np.asarray(array * (given.scale / wanted.scale))
     return np.asarray((array * given.scale + (given.offset - wanted.offset)) / wanted.scale)

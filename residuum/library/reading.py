@@ -15,10 +15,14 @@ from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.record_formats import ReadOptions, read_record
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.library.record import Record, shown
+from residuum.library.table_columns import as_frame, heads, numbers, units_of
+from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
 
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+_TIMES = ("time", "t", "timestamp", "zeit", "date", "datetime")
 
 
 def read(
@@ -80,7 +84,7 @@ def from_arrays(
     channels : mapping of name to array, shape (n,)
         NaN = missing.
     units : mapping of name to unit
-        A channel that is not named here is dimensionless.
+        A channel that is not named here has none: a model that asks for one refuses it.
     sample_time, t0 : float
         Seconds between samples; time of the first one [s].
     source : str
@@ -102,7 +106,8 @@ def from_arrays(
     1.0
     """
     given = dict(units or {})
-    _refuse_unknown(given, channels)
+    if unknown := [name for name in given if name not in channels]:
+        raise BadRecord(f"units: there is no channel {unknown[0]!r}; there are {', '.join(map(str, channels))}")
     signals: Any = dict(channels)
     return Record(signals, {name: given.get(name, "") for name in signals}, sample_time, t0=t0, source=source)
 
@@ -120,16 +125,18 @@ def from_pandas(
 
     Parameters
     ----------
-    frame : DataFrame
-        Its index is the time: instants (`DatetimeIndex`), durations, or seconds.
+    frame : DataFrame or named Series
+        Its index is the time: instants (`DatetimeIndex`, with a zone or without), durations, or seconds. Whole numbers count rows
+        as likely as seconds: they are refused unless the index says its unit (`t [ms]`).
     units : mapping of column to unit
-        Over `frame.attrs["units"]`; a column without a unit is dimensionless. Heads `name [unit]` are understood.
+        Over `frame.attrs["units"]`. Heads `name [unit]` and `name (unit)` are understood, a second row of heads that holds units,
+        too. A column without a unit has none: a model that asks for one refuses it.
     time : str
         A column to take the time from instead of the index.
     sample_time : float
-        Seconds between rows, where neither index nor column is a time.
+        Seconds between rows, where neither index nor column is a time; one that contradicts the index is refused.
     resample : bool
-        Accept uneven time: samples are interpolated onto even instants.
+        Accept uneven time: samples are interpolated onto even instants; what was not measured stays missing.
     source : str
         A name for reports.
 
@@ -140,7 +147,7 @@ def from_pandas(
     Raises
     ------
     BadRecord
-        Uneven time, a column that holds no numbers.
+        Uneven time, an index that is none, columns of one name, a column that holds no numbers; the message says what to do.
     BadUnit
         A unit that is not known.
 
@@ -152,14 +159,17 @@ def from_pandas(
     DataFrame: 3 samples of 0.1 s, 0.3 s; u [V], speed [rad/s]
     """
     where = source or "DataFrame"
-    heads = {column: _head(str(column)) for column in frame.columns if column != time}
-    told = {**dict(heads.values()), **frame.attrs.get("units", {}), **(units or {})}
-    _refuse_unknown(units or {}, [name for name, _ in heads.values()])
-    signals = {name: _numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in heads.items()}
-    if sample_time is not None:
-        return from_arrays(signals, units={name: told[name] for name in signals}, sample_time=sample_time, source=where)
-    instants = _seconds(frame.index if time is None else frame[time], where)
-    return _timed(instants, signals, {name: told[name] for name in signals}, resample, where)
+    frame = as_frame(frame, where)
+    if time is not None and time not in frame.columns:
+        raise BadRecord(f"{where}: has no column {time!r} for the time; there are {', '.join(map(str, frame.columns))}")
+    found = heads(frame, where, without=time)
+    told = units_of(found, frame.attrs.get("units", {}), units or {}, where)
+    signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in found.items()}
+    if sample_time is not None and time is None and not _has_instants(frame.index):
+        return from_arrays(signals, units=told, sample_time=sample_time, source=where)
+    taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
+    instants = seconds(taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(found))
+    return _timed(instants, signals, told, resample, where, sample_time)
 
 
 def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = False, source: str = "") -> Record:
@@ -198,9 +208,10 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
         raise BadRecord(f"{where}: has no coordinate {dim!r}; there are {', '.join(map(str, dataset.coords)) or 'none'}")
     if other := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
         raise BadRecord(f"{where}: variable {other[0]!r} lies along {dataset[other[0]].dims}; must be along ({dim!r},) alone")
-    signals = {str(name): _numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
+    signals = {str(name): numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
     units = {str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()}
-    return _timed(_seconds(dataset[dim], where), signals, units, resample, where)
+    instants = seconds(dataset[dim].values, where, unit=str(dataset[dim].attrs.get("units", "")))
+    return _timed(instants, signals, units, resample, where)
 
 
 def as_records(records: Any) -> list[MeasuredRecord]:
@@ -226,37 +237,29 @@ def as_records(records: Any) -> list[MeasuredRecord]:
     raise BadRecord(f"record: is {type(records).__name__}; must be a Record, a file, or a list of these")
 
 
+def _has_instants(index: Any) -> bool:
+    return getattr(getattr(index, "dtype", None), "kind", "") in "mM"
+
+
+def _near_time(found: Mapping[Any, tuple[str, str]]) -> str:
+    """The column that looks like the time, for a refusal of the index."""
+    named = (column for column, (name, _) in found.items() if name.lower() in _TIMES)
+    return str(next(named, "COLUMN"))
+
+
 def _timed(
-    instants: npt.NDArray[np.float64], signals: dict[str, Any], units: dict[str, str], resample: bool, where: str
+    instants: npt.NDArray[np.float64],
+    signals: dict[str, Any],
+    units: dict[str, str],
+    resample: bool,
+    where: str,
+    sample_time: float | None = None,
 ) -> Record:
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
-    sample_time, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample)
+    refuse_disorder(instants, where)
+    told: list[str] = []
+    step, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample, told=told, names=[*signals])
+    ReadOptions(sample_time=sample_time).settle_sample_time(step, where)
     channels = dict(zip(signals, columns[1:], strict=True))
-    return Record(channels, units, sample_time, t0=float(columns[0][0]), source=where)
-
-
-def _seconds(values: Any, where: str) -> npt.NDArray[np.float64]:
-    """Instants or durations as seconds; instants count from the first one."""
-    array = np.asarray(values)
-    if array.dtype.kind in "mM":
-        return np.asarray((array - array[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=float)
-    return _numbers(array, f"{where}, time")
-
-
-def _numbers(values: Any, where: str) -> npt.NDArray[np.float64]:
-    try:
-        return np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise BadRecord(f"{where}: does not hold numbers") from None
-
-
-def _head(text: str) -> tuple[str, str]:
-    """Name and unit of a head `name [unit]`."""
-    name, bracket, rest = text.partition("[")
-    return (name.strip(), rest.rstrip("] ").strip()) if bracket and text.rstrip().endswith("]") else (text, "")
-
-
-def _refuse_unknown(units: Mapping[str, str], names: Any) -> None:
-    if unknown := [name for name in units if name not in names]:
-        raise BadRecord(f"units: there is no channel {unknown[0]!r}; there are {', '.join(map(str, names))}")
+    return Record(channels, units, step, t0=float(columns[0][0]), notes=tuple(told), source=where)

@@ -22,6 +22,16 @@ def test_units_convert_by_name():
         record.in_unit("n", "V")
 
 
+@pytest.mark.parametrize("wanted", ["%", "deg", "rad", "V"])
+def test_a_channel_without_a_unit_is_converted_to_none(wanted):
+    record = Record({"duty": [60.0]}, {"duty": ""}, 1.0, source="r.csv")
+    with pytest.raises(
+        BadUnit, match=f"record 'r.csv', channel 'duty': unit none cannot be converted to '{wanted}'; .*--unit duty"
+    ):
+        record.in_unit("duty", wanted)
+    assert record.in_unit("duty", "")[0] == record.in_unit("duty", "1")[0] == 60.0
+
+
 @pytest.mark.parametrize(
     ("channels", "units", "sample_time", "rule"),
     [

@@ -6,8 +6,10 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
+from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
+from residuum.identification.record_formats.no_value import without_overloads
 from residuum.identification.record_formats.npz import read_npz, write_npz
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet
@@ -25,8 +27,10 @@ READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
     ".mf4": read_mdf,
     ".uff": read_uff,
 }
-LOGGERS = dict.fromkeys((".txt", ".tsv", ".dat", ".lvm"), read_csv)
+LOGGERS = {**dict.fromkeys((".txt", ".tsv", ".dat"), read_csv), ".lvm": read_lvm}
 """What loggers call their text files; nothing is written under these endings."""
+OLDER = {".mdf": read_mdf}
+"""Formats of earlier days, read only."""
 CAN_LOGS = (".blf", ".asc", ".log", ".trc")
 """Logs of CAN buses: a DBC file says what is in them, and the service, which knows buses, reads them."""
 WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
@@ -52,15 +56,15 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     """
     path = Path(path)
     ending = path.suffix.lower()
-    reader = (READERS | LOGGERS).get(ending)
+    reader = (READERS | LOGGERS | OLDER).get(ending)
     if ending in CAN_LOGS:
         raise BadRecord(f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)")
     if reader is None:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS)}")
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS | OLDER)}")
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
-        return reader(path, options)
+        return without_overloads(reader(path, options))
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise
@@ -82,4 +86,4 @@ def write_record(record: Record, path: str | Path) -> None:
     WRITERS[ending](record, path)
 
 
-__all__ = ["CAN_LOGS", "LOGGERS", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]
+__all__ = ["CAN_LOGS", "LOGGERS", "OLDER", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]

@@ -12,8 +12,9 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger
+from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger, say_missing
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
 MOST_COLUMNS = 1000
 _LONGEST_HEADER = 100_000
@@ -40,6 +41,8 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    if is_scope_csv(content):
+        return parse_scope_csv(content, str(path), options)
     return parse_csv(content, str(path), options) if _is_ours(content) else _from_logger(content, str(path), options)
 
 
@@ -155,7 +158,9 @@ def _split(content: bytes, source: str) -> tuple[tuple[str, ...], str, bytes, in
         try:
             line = content[position:end].decode("utf-8").strip()
         except UnicodeDecodeError:
-            raise BadRecord(f"{source}, row {row}: is not UTF-8 text") from None
+            raise BadRecord(
+                f"{source}, row {row}: is not UTF-8 text; `residuum inspect FILE --out FILE{ENDING}` reads it as it is"
+            ) from None
         position = end + 1
         if line.startswith("#"):
             notes.append(line[1:].strip())
@@ -196,5 +201,6 @@ def _bad_cell(lines: list[str], width: int, first_row: int, source: str) -> BadR
             try:
                 float(cell)
             except ValueError:
-                return BadRecord(f"{source}, row {row}, column {column}: {cell.strip()[:40]!r} is not a number")
+                what = f"{cell.strip()[:40]!r} is not a number; if it means no value, {say_missing(cell.strip())}"
+                return BadRecord(f"{source}, row {row}, column {column}: {what}")
     return BadRecord(f"{source}: is not a table of numbers")

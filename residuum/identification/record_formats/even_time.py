@@ -1,5 +1,7 @@
 """Sample time of a time column: even to 1 % of the step, or resampled on request."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
@@ -14,16 +16,24 @@ RESAMPLED = "resampled to"
 """How a note tells of it."""
 _MOST = 1e8
 _MOST_DECIMALS = 7
+_FEW = 4
+"""Samples for each value of a stepped signal (a gear, a state), at least."""
 
 
 def even_columns(
-    columns: FloatArray, source: str, *, resample: bool, first_row: int = 0, told: list[str] | None = None
+    columns: FloatArray,
+    source: str,
+    *,
+    resample: bool,
+    first_row: int = 0,
+    told: list[str] | None = None,
+    names: Sequence[str] = (),
 ) -> tuple[float, FloatArray]:
     """Check that `columns[0]` is an even time base; return (step [s], columns on it).
 
     `columns` has shape (1 + channels, n). A step that differs from the median by more than 1 % is refused with
     its row (counted from `first_row`), unless even stamps were only rounded to the digits they are written with, or `resample`
-    asks for linear interpolation; longer holes stay missing, and what was done is put into `told`.
+    asks for linear interpolation; longer holes stay missing, and what was done is put into `told`, under `names` if given.
     """
     time = columns[0]
     if time.shape[0] < 2:
@@ -39,9 +49,10 @@ def even_columns(
     if not uneven.any() or _only_rounded(time):
         return float((time[-1] - time[0]) / (len(time) - 1)), columns
     if resample:
-        step, signals, done = resampled(time - time[0], columns[1:], source)
+        step, signals, done = made_even(time - time[0], columns[1:], source)
         if told is not None:
-            told += [f"column {k} {resampling(step, *one)}" for k, one in enumerate(done, start=2)]
+            heads = names or [f"column {k}" for k in range(2, len(columns) + 1)]
+            told += [f"{head} {resampling(step, *one)}" for head, one in zip(heads, done, strict=True)]
         return step, np.stack([time[0] + step * np.arange(signals.shape[1]), *signals])
     row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
@@ -67,17 +78,41 @@ def _only_rounded(time: FloatArray) -> bool:
     return bool(line.fun <= unit * (1.0 + 1e-3) + exact)
 
 
-def resampling(step: float, error: float, holes: int) -> str:
+def on_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64]] | None:
+    """(step [s], place of each instant) of even instants of which some are absent; None for any others."""
+    median = float(np.median(np.diff(time)))
+    if not median > 0 or (time[-1] - time[0]) / median > _MOST:
+        return None
+    last = np.rint((time[-1] - time[0]) / median)
+    step = float((time[-1] - time[0]) / last)
+    place = np.rint((time - time[0]) / step).astype(np.int64)
+    slack = JITTER * step + 4 * float(np.spacing(np.abs(time).max()))
+    fits = bool((np.abs(time - time[0] - step * place) <= slack).all()) and bool((np.diff(place) > 0).all())
+    return (step, place) if fits else None
+
+
+def resampling(step: float, how: str, holes: int) -> str:
     """What became of a channel, in words."""
-    return f"{RESAMPLED} {step:.6g} s: error about {error:.3g} rms, {holes} samples left missing"
+    return f"{RESAMPLED} {step:.6g} s: {how}, {holes} samples left missing"
 
 
-def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[float, int]]]:
-    """(step [s], channels on even instants, the error of that and the number of samples left missing of each).
+def made_even(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[str, int]]]:
+    """As `resampled`, but even instants of which some are absent need no interpolation: each sample keeps its instant."""
+    grid = on_grid(time)
+    if grid is None:
+        return resampled(time, values, source)
+    step, place = grid
+    signals = np.full((len(values), int(place[-1]) + 1), np.nan)
+    signals[:, place] = values
+    return step, signals, [("error about 0, each sample kept at its instant", signals.shape[1] - len(place))] * len(values)
 
-    Values (channels, n) at times (n,) that begin at 0 become linear between a channel's own samples; its longer holes stay
-    missing. The error is the RMS of linear interpolation, told by leaving out each sample: over the double distance that of a
-    smooth signal is four times as large; noise is counted in.
+
+def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[str, int]]]:
+    """(step [s], channels on even instants, the error of that in words and the number of samples left missing of each).
+
+    Values (channels, n) at times (n,) that begin at 0 become linear between a channel's own samples, or are held where the signal
+    is stepped; longer holes stay missing. The error is the RMS of linear interpolation, told by leaving out each sample: over the
+    double distance that of a smooth signal is four times as large; noise is counted in.
     """
     step = float(np.median(np.diff(time)))
     if (time[-1] - time[0]) / step > _MOST:
@@ -85,20 +120,43 @@ def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
             f"{source}: {time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps"
         )
     even: FloatArray = step * np.arange(int(np.floor(time[-1] / step + 1e-6)) + 1, dtype=np.float64)
-    pairs = [_interpolated(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
+    pairs = [on_instants(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
     return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
 
 
-def _interpolated(at: FloatArray, taken: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[float, int]]:
+def on_instants(at: FloatArray, taken: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[str, int]]:
+    """One channel on the instants `even`, what error that makes, and how many of them stay missing.
+
+    Nothing is said before its first sample, after its last one, or between two that are more than three of its own steps apart.
+    """
+    held = ~np.isnan(taken)
+    at, taken = at[held], taken[held]
     if len(at) < 2:
-        return np.full_like(even, np.nan), (float("nan"), len(even))
+        return np.full_like(even, np.nan), ("too few samples", len(even))
     ends: FloatArray = np.clip(even, at[0], at[-1])
     even = np.where(np.abs(ends - even) <= 1e-6 * step, ends, even)
-    signal = np.interp(even, at, taken, left=np.nan, right=np.nan)
     after = np.clip(np.searchsorted(at, even - 1e-9 * step), 1, len(at) - 1)
-    hole = (at[after] - at[after - 1] > HOLE * np.median(np.diff(at))) & (np.abs(even - at[after]) > 1e-6 * step)
+    own = float(np.median(np.diff(at)))
+    hole = (at[after] - at[after - 1] > HOLE * own) & (np.abs(even - at[after]) > 1e-6 * step)
     hole &= np.abs(even - at[after - 1]) > 1e-6 * step
-    return np.where(hole, np.nan, signal), (_linear_error(at, taken), int(hole.sum()))
+    hole |= (even < at[0]) | (even > at[-1])
+    if is_stepped(taken):
+        signal = taken[np.clip(np.searchsorted(at, even + 1e-6 * step, side="right") - 1, 0, None)]
+        how = f"held between its samples, changes up to {own:.3g} s late"
+    else:
+        signal = np.interp(even, at, taken)
+        how = f"error about {_linear_error(at, taken):.3g} rms"
+    return np.where(hole, np.nan, signal), (how, int(hole.sum()))
+
+
+def is_stepped(taken: FloatArray) -> bool:
+    """Whether a signal jumps between values and has none between them (a gear, a switch, a set point).
+
+    It stands still most of the time, or has few values, all whole. A line between two samples would be a value that never was.
+    """
+    values = np.unique(taken)
+    few = len(values) * _FEW <= len(taken) and bool((values == np.rint(values)).all())
+    return few or float(np.mean(np.diff(taken) == 0)) >= 0.5
 
 
 def _linear_error(at: FloatArray, taken: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.record_formats.even_time import on_grid
 from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
 from residuum.identification.record_formats.logger_text import (
@@ -22,20 +24,25 @@ from residuum.identification.record_formats.logger_text import (
     is_stamp,
     is_value,
     number,
+    with_unit,
 )
-from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, UNITS, number_form, stamp_form
+from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, UNITS, number_form, stamp_form
 
 _TIME_NAME = re.compile(
-    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros)(\b.*|_.*|)"
+    r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
 )
-_AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa")
+_AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
 """Names of a first column that is the time where it has a unit of time."""
+_SHOWN = 3
+"""Rows as read that are told."""
 _MOSTLY = 0.9
 """Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
 _SIGNAL_NAME = re.compile(
     r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|parameter|kanal|messstelle)"
     r"[ _]?(name|id)?|name"
 )
+_EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
+"""What a form may be that is one of two; dates are the others."""
 _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0, -32768.0, 1e30)
 
 
@@ -49,9 +56,17 @@ class LoggerFile:
 
 
 def understand(
-    content: bytes, source: str, *, decimal: str | None = None, time_form: str | None = None, time_column: str | None = None
+    content: bytes,
+    source: str,
+    *,
+    decimal: str | None = None,
+    time_form: str | None = None,
+    time_column: str | None = None,
+    missing: Sequence[str] = (),
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
+
+    `missing` are cells that mean no value, over those that loggers write.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -62,7 +77,7 @@ def understand(
     guesses = {"encoding": (encoding, why)}
     delimiter, why = find_delimiter(text, source)
     guesses["delimiter"] = (delimiter, why)
-    rows = cells_of(text, delimiter)
+    rows, suffixes = _without_units(cells_of(text, delimiter))
     first, width = _first_row(rows, source)
     guesses["first row"] = (str(first), f"from here on rows have {width} cells, values among them")
     body = rows[first - 1 :]
@@ -72,10 +87,35 @@ def understand(
     _refuse_long_form(body, names, source)
     time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
     channels = _channels(body, names, time, sign, guesses, source)
+    suffixes = {column: unit for column, unit in suffixes.items() if column in channels}
+    for column, unit in suffixes.items():
+        units[column - 1] = units[column - 1] or unit_word(unit)
+        guesses[f"unit of {names[column - 1]!r}"] = (unit, "it stands behind every number of the column")
     mapping = LoggerMapping(
         encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
     )
+    mapping = replace(mapping, suffixes=suffixes)
+    if missing:
+        mapping = replace(mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing)))
+        guesses["missing"] = (", ".join(missing), "said with --missing")
     return _with_samples(text, mapping, guesses, source)
+
+
+def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, str]]:
+    """The rows without the unit that stands behind every number of a column, and that unit by column."""
+    suffixes: dict[int, str] = {}
+    for column in range(max(map(len, rows), default=0)):
+        cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING]
+        found = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
+        if found and found.total() >= _MOSTLY * len(cells) and found.total() > 1:
+            suffixes[column + 1] = found.most_common(1)[0][0]
+    if not suffixes:
+        return rows, suffixes
+    return [[_bare(cell, suffixes.get(k, "")) for k, cell in enumerate(row, start=1)] for row in rows], suffixes
+
+
+def _bare(cell: str, unit: str) -> str:
+    return cell.removesuffix(unit).rstrip() if unit and with_unit(cell) is not None else cell
 
 
 def _first_row(rows: list[list[str]], source: str) -> tuple[int, int]:
@@ -117,9 +157,20 @@ def _heads(
         f"the last line of {width} names above the samples; {at - 1} lines before it passed over",
     )
     heads = [unit_of_head(cell) for cell in line]
-    names = _distinct([name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)], f"{source}, row {at}")
+    plain = [name or f"column {column}" for column, (name, _) in enumerate(heads, start=1)]
+    names = _distinct(_told_apart(plain, [row for k, row in above if k < at]), f"{source}, row {at}")
     units = [own or unit for own, (_, unit) in zip(units, heads, strict=True)]
     return names, ["" if unit == "-" else unit for unit in units]
+
+
+def _told_apart(names: list[str], above: list[list[str]]) -> list[str]:
+    """Names of which some stand twice, with those of the nearest line above that tells these apart (`CH 1`, `CH 2`)."""
+    twice = [k for k, name in enumerate(names) if names.count(name) > 1]
+    for row in reversed(above):
+        own = [row[k] for k in twice]
+        if twice and all(own) and len(set(own)) == len(own) and not any(map(is_value, own)):
+            return [f"{row[k]} {name}" if k in twice else name for k, name in enumerate(names)]
+    return names
 
 
 def _distinct(names: list[str], where: str) -> list[str]:
@@ -155,7 +206,13 @@ def _time(
     """(time columns, form); `told` is the form and the column that the caller says."""
     said, column = told
     stamped = {column: form for column in range(len(names)) if (form := _stamps(_column(body, column)))}
-    chosen = _time_columns(names, units, stamped, source) if column is None else (_index(column, names, source),)
+    if column is not None:
+        chosen: tuple[int, ...] = (_index(column, names, source),)
+    elif _axis_of_time(body, names, units, stamped, decimal, said):
+        chosen = (0,)
+        guesses["time column"] = (repr(names[0]), "an axis that rises evenly; its form is said with --time")
+    else:
+        chosen = _time_columns(names, units, stamped, source)
     where = "+".join(repr(names[k]) for k in chosen)
     found = (
         stamped[chosen[0]]
@@ -169,28 +226,50 @@ def _time(
     if found is None:
         raise BadRecord(f"{source}: nothing says in which unit time column {where} is; say --time seconds, milliseconds or excel")
     if found[0] not in FORMS:
-        raise BadRecord(f"{source}, time column {where}: {found[1]}; say --time 'day first' or --time 'month first'")
+        ways = " or ".join(f"--time {way!r}" for way in _EITHER.get(found[0], ("day first", "month first")))
+        raise BadRecord(f"{source}, time column {where}: {found[1]}; say {ways}")
     guesses["time"] = (f"{where}: {found[0]}", found[1])
     return tuple(k + 1 for k in chosen), found[0]
 
 
+def _axis_of_time(
+    body: list[list[str]], names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], decimal: str, said: str | None
+) -> bool:
+    """Whether the first column is the time because it is called as an axis (`X`), rises evenly, and its form is `said`.
+
+    Without a unit it may count samples: nothing else makes it a time.
+    """
+    if stamped or units[0] or said not in SINCE_START or any(_is_named_time(k, name, units) for k, name in enumerate(names)):
+        return False
+    return bool(_AXIS.fullmatch(names[0])) and _rises_evenly(body, 0, decimal)
+
+
+def _rises_evenly(body: list[list[str]], column: int, decimal: str) -> bool:
+    try:
+        values = np.array([number(cell, decimal) for cell in _column(body, column)])
+    except ValueError:
+        return False
+    return len(values) > 2 and bool((np.diff(values) > 0).all()) and on_grid(values) is not None
+
+
+def _is_named_time(k: int, name: str, units: list[str]) -> bool:
+    if not (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS)):
+        return False
+    return k == 0 or units[k].lower() in UNITS
+
+
 def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
     """The one column of times, by its stamps or by its name, or the two of date and time of day."""
-    if [form == "clock" for form, _ in stamped.values()] == [False, True]:
+    if [form in CLOCKS for form, _ in stamped.values()] == [False, True]:
         return tuple(stamped)
-    named = [
-        k
-        for k, name in enumerate(names)
-        if k not in stamped
-        and (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS))
-        and (k == 0 or units[k].lower() in UNITS)
-    ]
+    named = [k for k, name in enumerate(names) if k not in stamped and _is_named_time(k, name, units)]
     if len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
         raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
     if not stamped and not named:
         raise BadRecord(
-            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, or write 'time [s]'"
+            f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, write 'time [s]', "
+            "or `residuum inspect FILE --time seconds` where the first is an axis in seconds"
         )
     return tuple(stamped) or tuple(named)
 
@@ -252,7 +331,7 @@ def _channels(
         if sentinels := sorted({cell for cell in cells if is_value(cell) and _or_zero(cell, decimal) in _SENTINELS}):
             guesses[f"column {name!r}"] = (
                 "kept as numbers",
-                f"{sentinels[0]} may mean no value; if so, add it to `missing`",
+                f"{sentinels[0]} may mean no value; if so, say --missing {sentinels[0]}",
             )
     if not channels:
         raise BadRecord(f"{source}: no column of numbers beside the time")
@@ -266,10 +345,17 @@ def _or_zero(cell: str, decimal: str) -> float:
         return 0.0
 
 
+def _row(stamps: npt.NDArray[np.int64], values: npt.NDArray[np.float64], k: int) -> list[float | None]:
+    """Time [s] and values of a row as read, None for what is missing."""
+    return [float(stamps[k]) / 1e9, *(None if np.isnan(value) else float(value) for value in values[:, k])]
+
+
 def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str) -> LoggerFile:
     stamps, values, rows = table(text, mapping, source)
     steps = np.diff(stamps)
     back = steps < 0
+    if (days := int(stamps.max()) // (86_400 * 10**9)) and mapping.time_form == "clock" and len(mapping.time) == 1:
+        guesses["midnight"] = (f"{days} passed", "the clock goes on after midnight at its usual step")
     order = np.argsort(stamps, kind="stable")
     if back.any():
         far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
@@ -300,6 +386,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
+        "first_rows": [_row(stamps, values, k) for k in range(min(_SHOWN, len(rows)))],
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }
     return LoggerFile(mapping, guesses, samples)

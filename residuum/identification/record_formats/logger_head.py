@@ -2,6 +2,8 @@
 
 import re
 
+from residuum.identification.unit_spellings import is_spelled
+
 _BRACKET = re.compile(r"(.*?)[\s_]*\[([^\[\]]*)\]\s*")
 _PARENTHESES = re.compile(r"(.*?)[\s_]*\(([^()]*)\)\s*")
 _SLASH = re.compile(r"(.*?)\s+(?:/|in)\s+(\S+)\s*")
@@ -41,7 +43,7 @@ def is_unit(text: str) -> bool:
     (True, False)
     """
     parts = [re.sub(r"(\^|\*\*)?-?[0-9²³]$", "", part) or part for part in re.split(r"(?<!\*)[*](?!\*)|[/·]", text.strip())]
-    if text.strip() in _WHOLE:
+    if text.strip() in _WHOLE or is_spelled(text.strip()):
         return True
     return bool(text.strip()) and all(_ATOM.fullmatch(part) for part in parts)
 

@@ -1,7 +1,7 @@
 """The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,14 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, resampled, resampling
+from residuum.identification.record_formats.even_time import even_columns, made_even, resampling
 from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
-from residuum.identification.record_formats.logger_time import FORMS, nanoseconds
+from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
+from residuum.identification.record_formats.no_value import without_overloads
 from residuum.identification.record_formats.options import ReadOptions
 
 ENDING = ".mapping.yaml"
-_DUPLICATES = ("refuse", "first", "mean")
+_DUPLICATES = ("refuse", "first", "mean", "spread")
 _REORDERED = ("refuse", "sort")
 FloatArray = npt.NDArray[np.float64]
 
@@ -43,7 +44,10 @@ class LoggerMapping:
     missing : tuple of str
         Cells (in lower case) that stand for no value.
     duplicates, reordered : str
-        What becomes of rows of one stamp (`refuse`, `first`, `mean`) and of rows out of order (`refuse`, `sort`).
+        What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the next stamp) and of rows out of
+        order (`refuse`, `sort`).
+    suffixes : mapping of column to text
+        The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
 
     Raises
     ------
@@ -63,6 +67,7 @@ class LoggerMapping:
     missing: tuple[str, ...] = MISSING
     duplicates: str = "refuse"
     reordered: str = "refuse"
+    suffixes: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rules = {
@@ -75,6 +80,7 @@ class LoggerMapping:
             "reordered": self.reordered in _REORDERED,
             "time": 1 <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
             "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
+            "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
             "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
         }
         for name, holds in rules.items():
@@ -106,7 +112,7 @@ def read_mapping(path: Path) -> LoggerMapping:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, ValueError) as error:
         raise BadRecord(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
-    known = [field.name for field in fields(LoggerMapping)]
+    known = [part.name for part in fields(LoggerMapping)]
     if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
         what = repr(unknown[0]) if isinstance(found, dict) else "no table"
         raise BadRecord(f"{path}: {what} is not part of a mapping; known are {', '.join(known)}")
@@ -134,24 +140,33 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
         try:
             stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
         except (ValueError, OverflowError):
-            raise BadRecord(f"{source}, row {row}: {stamp[:40]!r} is no time of the form {mapping.time_form!r}") from None
+            what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+            raise BadRecord(f"{source}, row {row}: {what}; cut or mend the row") from None
         where = f"{source}, row {row}, column"
-        values.append([_value(cells[k - 1], mapping, f"{where} {name!r}") for k, name in mapping.names.items()])
+        values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)
     if len(rows) < 2:
         raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
     if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
         raise BadRecord(f"{source}: time stamps beyond the years 1678 to 2262; check the time's form {mapping.time_form!r}")
-    return np.array(stamps, dtype=np.int64), np.array(values).T, rows
+    times = np.array(stamps, dtype=np.int64)
+    if mapping.time_form == "clock" and len(mapping.time) == 1:
+        times = over_midnight(times)
+    return times, np.array(values).T, rows
 
 
-def _value(cell: str, mapping: LoggerMapping, where: str) -> float:
+def say_missing(cell: str) -> str:
+    """The command that says of a cell that it means no value."""
+    return f"`residuum inspect FILE --missing {cell[:40]!r} --out FILE{ENDING}` says so"
+
+
+def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     if cell.lower() in mapping.missing:
         return float("nan")
     try:
-        return number(cell, mapping.decimal)
+        return number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
     except ValueError:
-        raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, add it to `missing`") from None
+        raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
 
 
 def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
@@ -166,7 +181,7 @@ def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = 
         content = path.read_bytes()
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_logger(content, str(path), mapping, options)
+    return without_overloads(parse_logger(content, str(path), mapping, options))
 
 
 def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
@@ -181,9 +196,9 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
     except BadRecord:
         if not options.resample:
             raise
-        step, signals, told = resampled(time, values, source)
-        for name, (error, holes) in zip(mapping.names.values(), told, strict=True):
-            notes.append(f"{name} {resampling(step, error, holes)}")
+        step, signals, told = made_even(time, values, source)
+        for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
+            notes.append(f"{name} {resampling(step, how, holes)}")
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
     channels = dict(zip(mapping.names.values(), signals, strict=True))
@@ -197,7 +212,12 @@ def _ordered(
     if backward.any():
         if mapping.reordered == "refuse":
             row = rows[int(np.argmax(backward)) + 1]
-            raise BadRecord(f"{source}, row {row}: time goes back; cut the file there, or set the mapping's `reordered: sort`")
+            how = (
+                ""
+                if mapping.time_form in SINCE_START
+                else ", or set the mapping's `reordered: sort` where its rows are only shuffled"
+            )
+            raise BadRecord(f"{source}, row {row}: time goes back{_hour(stamps)}; cut the file there{how}")
         order = np.argsort(stamps, kind="stable")
         stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
         notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
@@ -206,11 +226,41 @@ def _ordered(
         return stamps, values
     if mapping.duplicates == "refuse":
         row = rows[int(np.argmax(same)) + 1]
-        raise BadRecord(f"{source}, row {row}: time stamp stands twice; set the mapping's `duplicates: first` or `mean`")
+        raise BadRecord(
+            f"{source}, row {row}: time stamp stands twice; set the mapping's `duplicates` to `spread` "
+            "(even steps until the next stamp), `first` or `mean`"
+        )
     notes.append(f"{int(same.sum())} rows of a time stamp that stands twice: {mapping.duplicates}")
     starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    if mapping.duplicates == "spread":
+        return _spread(stamps, starts, rows, source), values
     if mapping.duplicates == "first":
         return stamps[starts], values[:, starts]
     present = np.add.reduceat((~np.isnan(values)).astype(float), starts, axis=1)
     total = np.add.reduceat(np.nan_to_num(values), starts, axis=1)
     return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
+
+
+def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str) -> npt.NDArray[np.int64]:
+    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones."""
+    counts = np.diff(np.append(starts, len(stamps)))
+    each, between = int(np.median(counts)), np.diff(stamps[starts])
+    inner = counts[1:-1]
+    if len(starts) < 3 or (inner != each).any() or counts[0] > each or counts[-1] > each:
+        wrong = 1 + int(np.argmax(inner != each)) if len(inner) else 0
+        raise BadRecord(
+            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others {each} times; "
+            "they cannot be spread evenly, cut the file there"
+        )
+    step = int(np.median(between)) // each
+    place = np.concatenate([np.arange(count) for count in counts])
+    place[: counts[0]] += each - counts[0]
+    found: npt.NDArray[np.int64] = np.repeat(stamps[starts], counts) + step * place
+    return found
+
+
+def _hour(stamps: npt.NDArray[np.int64]) -> str:
+    """The remark that a clock went back by an hour, as at the end of summer time."""
+    steps = np.diff(stamps)
+    back, usual = int(steps[np.argmax(steps < 0)]), int(np.median(steps))
+    return " by an hour, as at the end of summer time" if abs(back + 3600 * 10**9 - usual) <= max(usual, 10**9) else ""

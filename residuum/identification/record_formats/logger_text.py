@@ -10,7 +10,10 @@ DELIMITERS = ("\t", ";", "|", ",", " ")
 MISSING = ("", "nan", "null", "none", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "*", "?", "no data", "bad", "invalid")
 """Cells that loggers write for a value that is not there, in lower case."""
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
-_STAMP = re.compile(r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d+:\d\d)([T :,.].*)?")
+_STAMP = re.compile(
+    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d+:\d\d|\d\d?[-. /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
+    r"|[A-Za-zä]{3,9}[. ]+\d\d?,? +\d{4})([T :,.].*)?"
+)
 _GROUPED = {",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"), ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")}
 _SURE = {
     sign: re.compile(
@@ -20,7 +23,11 @@ _SURE = {
     for sign, at, by in ((",", ",", r"\."), (".", r"\.", ","))
 }
 """Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
+_WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
 _SCANNED = 2000
+_BLANKS = "\u00a0\u202f\u2009 '’"
+"""What stands between thousands beside point and comma: blanks that do not break, Swiss apostrophes."""
+_BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 
 def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[str, str, str]:
@@ -58,7 +65,7 @@ def cells_of(text: str, delimiter: str) -> list[list[str]]:
     """The cells of every line (quotes removed, blanks stripped); runs of blanks separate where the delimiter is a blank."""
     lines = text.splitlines()
     if delimiter == " ":
-        return [line.split() for line in lines]
+        return [[cell for cell in re.split(r"[ \t]+", line) if cell] for line in lines]
     rows = []
     for line in lines:
         row = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
@@ -68,7 +75,18 @@ def cells_of(text: str, delimiter: str) -> list[list[str]]:
 
 def is_value(cell: str) -> bool:
     """Whether a cell could be a number or a time stamp."""
-    return bool(_NUMBER.fullmatch(cell) or _STAMP.fullmatch(cell))
+    return bool(_NUMBER.fullmatch(ungrouped(cell)) or _STAMP.fullmatch(cell))
+
+
+def ungrouped(cell: str) -> str:
+    """A number without the blanks between its thousands; any other cell as it is."""
+    return re.sub(f"[{_BLANKS}]", "", cell) if _BY_BLANKS.fullmatch(cell) else cell
+
+
+def with_unit(cell: str) -> tuple[str, str] | None:
+    """(number, unit) of a cell that holds both, such as `20,00 °C`."""
+    match = _WITH_UNIT.fullmatch(cell)
+    return (match[1], match[2]) if match and _NUMBER.fullmatch(ungrouped(match[1])) else None
 
 
 def is_stamp(cell: str) -> bool:
@@ -85,7 +103,7 @@ def find_delimiter(text: str, source: str) -> tuple[str, str]:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
         filled = [cell for row in rows for cell in row if cell.lower() not in MISSING]
-        share = sum(map(is_value, filled)) / max(1, len(filled))
+        share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(1, len(filled))
         score = share * count / len(rows)
         if width >= 2 and score > best[0] + 1e-9:
             best = (score, delimiter, f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of them values")
@@ -99,7 +117,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
     seen: dict[str, tuple[int, str]] = {}
     unsure: tuple[int, str] | None = None
     for row, cells in enumerate(rows, start=first_row):
-        for cell in cells:
+        for cell in map(ungrouped, cells):
             if not _NUMBER.fullmatch(cell) or not ("," in cell or "." in cell):
                 continue
             signs = [sign for sign, pattern in _SURE.items() if pattern.fullmatch(cell)]
@@ -120,6 +138,7 @@ def find_decimal(rows: list[list[str]], source: str, first_row: int) -> tuple[st
 
 def number(cell: str, decimal: str) -> float:
     """The number of a cell; ValueError when it is none."""
+    cell = ungrouped(cell)
     if not _NUMBER.fullmatch(cell):
         raise ValueError(cell)
     if _GROUPED[decimal].fullmatch(cell):

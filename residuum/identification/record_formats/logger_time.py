@@ -22,9 +22,11 @@ PER_SECOND = {
     "epoch ns": Fraction(1, 10**9),
 }
 """Seconds of one unit of a time column that holds numbers."""
-STAMPS = ("iso", "day first", "month first", "clock")
-FORMS = (*PER_SECOND, "excel", *STAMPS)
-SINCE_START = ("seconds", "milliseconds", "microseconds", "nanoseconds", "minutes", "hours", "clock")
+STAMPS = ("iso", "day first", "month first", "clock", "hh:mm", "mm:ss")
+FORMS = (*PER_SECOND, "excel", "datenum", *STAMPS)
+CLOCKS = ("clock", "hh:mm", "mm:ss", "hh:mm or mm:ss")
+"""Times of day or since a start, without a date."""
+SINCE_START = ("seconds", "milliseconds", "microseconds", "nanoseconds", "minutes", "hours", "clock", "hh:mm", "mm:ss")
 UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek"), "seconds"),
     **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "milliseconds"),
@@ -34,6 +36,15 @@ UNITS = {
     **dict.fromkeys(("h", "hr", "hours"), "hours"),
 }
 _EXCEL_EPOCH = datetime(1899, 12, 30, tzinfo=UTC)
+_MONTHS = {
+    **{"jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10, "nov": 11, "dec": 12},
+    **{"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12},
+}
+_NAMED = re.compile(r"(?:(\d{1,2})[-. /]+([A-Za-zä]{3,9})|([A-Za-zä]{3,9})[. ]+(\d{1,2}),?)[-. ,/]+(\d{4})(?:[T ,:]+(.*))?")
+_MINUTES = re.compile(r"(\d+):([0-5]\d)(?:[.,](\d+))?", re.ASCII)
+_DATENUM_1970 = 719_529
+"""MATLAB's day number of 1970-01-01."""
+_DAY = 86_400 * 10**9
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
 _CLOCK = re.compile(
     r"(\d+):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
@@ -49,6 +60,8 @@ def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[
         form = UNITS.get(unit.lower(), "")
         return (form, f"unit {unit!r} of column {name!r}") if form else None
     words = re.split(r"[\s_.:-]+", name.lower())
+    if "datenum" in words and float(np.min(values)) > 690_000 and float(np.max(values)) < 770_000:
+        return "datenum", f"MATLAB's days: {float(np.min(values)):.5f} is {_date(float(np.min(values)), 'datenum')}"
     if words[-1] in UNITS and len(words) > 1:
         return UNITS[words[-1]], f"the name {name!r} ends in {words[-1]!r}"
     return _excel_form(words, values)
@@ -76,13 +89,19 @@ def _plain(form: str) -> str:
 
 
 def _date(value: float, form: str) -> str:
+    if form == "datenum":
+        return f"{datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970):%Y-%m-%d %H:%M}"
     return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]), UTC):%Y-%m-%d %H:%M}"
 
 
 def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     """(form, reason) of a column of stamps; `day or month first` where the dates do not tell."""
+    if all(_MINUTES.fullmatch(cell) for cell in cells):
+        return _two_parts(cells)
     if all(_CLOCK.fullmatch(cell) for cell in cells):
         return "clock", f"hours:minutes:seconds, {cells[0]!r}"
+    if all(_numbered(cell) != cell for cell in cells):
+        return "day first", f"months by name, {cells[0]!r}"
     dates = [_DATE.fullmatch(cell) for cell in cells]
     if not all(dates):
         return None
@@ -98,6 +117,39 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     return "day or month first", f"{cells[0]!r} may be either"
 
 
+def _two_parts(cells: list[str]) -> tuple[str, str]:
+    """What two numbers and a colon are: a watch may show hours and minutes, or minutes and seconds."""
+    parts = [match.groups() for match in map(_MINUTES.fullmatch, cells) if match]
+    if any(fraction for *_, fraction in parts):
+        return "mm:ss", f"minutes:seconds with decimals, {cells[0]!r}"
+    if any(int(first) > 23 for first, *_ in parts):
+        return "mm:ss", "minutes:seconds, a first part is above 23"
+    return "hh:mm or mm:ss", f"{cells[0]!r} may be hours:minutes or minutes:seconds"
+
+
+def _numbered(cell: str) -> str:
+    """A stamp whose month is written by name as one with points, day first; any other cell as it is."""
+    match = _NAMED.fullmatch(cell)
+    month = _MONTHS.get((match[2] or match[3])[:3].lower()) if match else None
+    if match is None or month is None:
+        return cell
+    return f"{match[1] or match[4]}.{month}.{match[5]}" + (f" {match[6]}" if match[6] else "")
+
+
+def over_midnight(times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Times of day [ns] that go on after midnight: a step back that is a usual step and a day is that day's end.
+
+    Any other step back is left: a clock that was set or restarted tells nothing of the time between.
+    """
+    steps = np.diff(times)
+    forward = steps[steps > 0]
+    if not len(forward):
+        return times
+    usual = float(np.median(forward))
+    ended = (steps < -_DAY // 2) & (np.abs(steps + _DAY - usual) <= 0.5 * usual)
+    return np.asarray(times + _DAY * np.concatenate([[0], np.cumsum(ended)]), dtype=np.int64)
+
+
 def nanoseconds(cell: str, form: str, decimal: str) -> int:
     """Time of a cell [ns], since the start, midnight, or 1970 by its form; ValueError when it is not of that form.
 
@@ -109,9 +161,13 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     if form == "excel":
         microseconds = round(number(cell, decimal) * 86_400_000_000)
         return (microseconds + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6) * 1000
-    if form == "clock":
+    if form == "datenum":
+        return round((Fraction(cell.replace(",", ".")) - _DATENUM_1970) * _DAY)
+    if form in ("clock", "hh:mm"):
         return _clock(cell)
-    match = _DATE.fullmatch(cell)
+    if form == "mm:ss":
+        return _minutes(cell)
+    match = _DATE.fullmatch(_numbered(cell))
     if not match:
         raise ValueError(cell)
     first, second, third, clock = match.groups()
@@ -121,6 +177,13 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     year, month, date = map(int, order)
     day = datetime(year, month, date, tzinfo=UTC)
     return int(day.timestamp()) * 10**9 + (_clock(clock) if clock else 0)
+
+
+def _minutes(text: str) -> int:
+    match = _MINUTES.fullmatch(text.strip())
+    if not match:
+        raise ValueError(text)
+    return (int(match[1]) * 60 + int(match[2])) * 10**9 + int((match[3] or "0")[:9].ljust(9, "0"))
 
 
 def _clock(text: str) -> int:

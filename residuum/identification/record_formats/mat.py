@@ -1,5 +1,6 @@
 """Records as MATLAB MAT files, version 5 (SciPy) and 7.3 (HDF5, extra `formats`)."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,48 +9,144 @@ import scipy
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.even_time import FloatArray, on_grid
+from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
+from residuum.identification.record_formats.mat_variables import SHORTEST, MatVariables, variables_of
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 
-_TIME = ("time", "t", "Time")
-_RATE = ("fs", "Fs", "FS", "sampling_rate", "sr", "SR", "rate")
-_STEP = ("sample_time", "Ts", "dt")
+_TIME = re.compile(r"(?i)(time|t|tout|zeit|timestamps?)(?:_?(s|sec|seconds|ms|msec|us|min|h))?")
+_OWN_TIME = re.compile(r"(?i)(time|t)_\w+|\w+_(time|t)")
+"""Names of times of some channels only (`t_fast`); they are taken for times where they rise evenly."""
+_RATE = ("fs", "Fs", "FS", "sampling_rate", "samplingRate", "SamplingRate", "sr", "SR")
+_STEP = ("sample_time", "sampleTime", "SampleTime", "Ts", "dt")
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_SHORTEST = 3
 
 
 def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read every numeric vector of the file (structs are searched) that has the length most of them share.
+    """Read the numeric vectors of the file, and the columns of matrices that are as long as a time (structs are searched).
 
-    Sample time comes from a vector `time`, a scalar `sample_time`/`Ts`/`dt`, a scalar `fs`/`Fs`/`sampling_rate`, or
-    `options.sample_time`; units from `units_<channel>` strings or `options.units`.
+    Times are vectors called `time`, `t`, `tout`, … (in seconds, or in the unit that `units_<time>` or the name's end says), each
+    for the channels of its struct and length; Simulink's "structure with time" is understood. Without one the sample time is a
+    scalar `sample_time`/`Ts`/`dt`, a scalar `fs`/`Fs`/`sampling_rate`, or `options.sample_time`, for the longest vectors. Units
+    come from `units_<channel>` strings or `options.units`. What is not read is named in the notes.
 
-    Raises BadRecord when the file is no MAT file, holds no vector, or says no sample time.
+    Raises BadRecord when the file is no MAT file, holds no signal, says no sample time or two of them, or counts instead of
+    telling times; with what to save instead.
     """
-    variables = _flatten(_load(path))
-    vectors = {name: np.ravel(value) for name, value in variables.items() if _is_vector(value)}
-    if not vectors:
-        raise BadRecord(f"{path}: holds no numeric vector of at least {_SHORTEST} samples")
-    length = max(vectors.values(), key=len).shape[0]
-    vectors = {name: vector for name, vector in vectors.items() if vector.shape[0] == length}
-    time = next((vectors.pop(name) for name in _TIME if name in vectors), None)
-    if not vectors:
-        raise BadRecord(f"{path}: holds time but no channel of its length")
-    t0 = 0.0
-    found = _scalar_step(variables)
-    if time is not None:
-        table = np.stack([time.astype(float), *(vector.astype(float) for vector in vectors.values())])
-        found, table = even_columns(table, str(path), resample=options.resample)
-        t0, vectors = float(table[0][0]), dict(zip(vectors, table[1:], strict=True))
-    units = {name: options.unit_of(name, str(variables.get(f"units_{name}", ""))) for name in vectors}
-    return Record(vectors, units, options.settle_sample_time(found, str(path)), t0=t0, source=str(path))
+    content = _load(path)
+    found = variables_of(content)
+    times = _times(found, str(path), options)
+    if times:
+        return _timed_record(found, times, str(path), options)
+    if not found.vectors:
+        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST} samples{_instead(found, content)}")
+    length = max(map(len, found.vectors.values()))
+    channels = {name: vector.astype(float) for name, vector in found.vectors.items() if len(vector) == length}
+    units = {name: _unit(found, name, options) for name in channels}
+    step = options.settle_sample_time(_scalar_step(found), str(path))
+    return Record(channels, units, step, notes=_left_out(found, [*channels]), source=str(path))
+
+
+def _times(found: MatVariables, source: str, options: ReadOptions) -> dict[str, FloatArray]:
+    """The vectors that are times [s]; those of one length in one place that say the same count once."""
+    times: dict[str, FloatArray] = {}
+    for name, vector in list(found.vectors.items()):
+        short = name.rpartition(".")[2]
+        named = _TIME.fullmatch(short)
+        if named or (_OWN_TIME.fullmatch(short) and on_grid(vector.astype(float)) is not None):
+            times[name] = _in_seconds(name, vector.astype(float), (named and named[2]) or "", found, source, options)
+            del found.vectors[name]
+    return times
+
+
+def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables, source: str, options: ReadOptions) -> FloatArray:
+    unit = found.texts.get(f"units_{name}", "") or found.texts.get("TimeUnit", "") or ending
+    if unit:
+        if unit.lower() not in UNITS:
+            raise BadRecord(f"{source}: {name!r} is in {unit!r}, which is no unit of time")
+        return vector * float(PER_SECOND[UNITS[unit.lower()]])
+    step = float(np.median(np.diff(vector)))
+    if step < 1:
+        return vector
+    if options.sample_time is None:
+        may = "seconds, milliseconds or a count of rows"
+        raise BadRecord(
+            f"{source}: nothing says the unit of {name!r}, whose steps are {step:g}: {may}; save units_{name} = 's' beside it, "
+            "or say --sample-time"
+        )
+    return vector * (options.sample_time / step)
+
+
+def _timed_record(found: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions) -> Record:
+    channels, read = [], []
+    for name, vector in found.vectors.items():
+        clock = _clock(found, name, len(vector), times, source)
+        if clock is not None:
+            channels.append(TimedChannel(name, _unit(found, name, options), times[clock], vector.astype(float)))
+            read.append(name)
+    for name, matrix in found.matrices.items():
+        for number, column in enumerate(_columns(found, name, matrix, times, source), start=1):
+            own = f"{name}_{number}"
+            clock = _clock(found, name, len(column), times, source)
+            channels.append(TimedChannel(own, _unit(found, own, options), times[clock or ""], column.astype(float)))
+            read.append(name)
+    if not channels:
+        there = "".join(f"; {name} has {len(vector)} values" for name, vector in found.vectors.items())
+        raise BadRecord(f"{source}: holds time ({', '.join(times)}) but no channel of its length{there}")
+    said = _scalar_step(found)
+    record = on_one_base(channels, source, options, _left_out(found, read))
+    if said is not None and len(times) == 1 and options.sample_time is None and abs(said - record.sample_time) > 0.01 * said:
+        raise BadRecord(
+            f"{source}: its time says {record.sample_time:.6g} s a sample, its scalar {said:.6g} s; say which with --sample-time"
+        )
+    return record
+
+
+def _clock(found: MatVariables, name: str, length: int, times: dict[str, FloatArray], source: str) -> str | None:
+    """The time of a channel: of its length, in its struct before one outside."""
+    fitting = [clock for clock, time in times.items() if len(time) == length]
+    near = [clock for clock in fitting if found.home[clock] == found.home[name]] or fitting
+    if any(not np.array_equal(times[clock], times[near[0]]) for clock in near[1:]):
+        raise BadRecord(f"{source}: several times of {length} samples, {', '.join(near)}, for {name!r}; save one file a time")
+    return near[0] if near else None
+
+
+def _columns(found: MatVariables, name: str, matrix: np.ndarray, times: dict[str, FloatArray], source: str) -> list[np.ndarray]:
+    """The signals of a matrix: along the side that is as long as a time, which one side alone must be."""
+    sides = [side for side in (0, 1) if _clock(found, name, matrix.shape[side], times, source) is not None]
+    return list(matrix.T if sides == [0] else matrix) if len(sides) == 1 else []
+
+
+def _left_out(found: MatVariables, read: list[str]) -> tuple[str, ...]:
+    vectors = [f"{name} ({len(vector)} values)" for name, vector in found.vectors.items() if name not in read]
+    matrices = [f"{name} ({' × '.join(map(str, m.shape))})" for name, m in found.matrices.items() if name not in read]
+    left = [*vectors, *matrices, *found.rest]
+    return (f"{NOT_READ}{', '.join(left)}",) if left else ()
+
+
+def _instead(found: MatVariables, content: dict[str, Any]) -> str:
+    """What to save instead, by what the file holds."""
+    if found.matrices:
+        name, matrix = next(iter(found.matrices.items()))
+        how = f"time = {name}(:,1); u = {name}(:,2); save('file.mat', 'time', 'u')"
+        return f", but the matrix {name} ({' × '.join(map(str, matrix.shape))}); save its columns under their names: {how}"
+    if found.rest or "__function_workspace__" in content:
+        there = ", ".join(found.rest[:4]) or "objects of MATLAB"
+        how = "save their parts, time = ts.Time; y = ts.Data; save('file.mat', 'time', 'y')"
+        return f" ({there}); objects (timeseries, timetable, Dataset) are read by MATLAB alone: {how}"
+    return ""
+
+
+def _unit(found: MatVariables, name: str, options: ReadOptions) -> str:
+    return options.unit_of(name, found.texts.get(f"units_{name}", ""))
 
 
 def write_mat(record: Record, path: str | Path) -> None:
-    """Write a MAT file of version 5 that `read_mat` gives back: channels, `sample_time`, `units_<channel>`."""
+    """Write a MAT file of version 5 that `read_mat` gives back: channels, `time`, `units_<channel>`."""
     content: dict[str, Any] = {name: np.asarray(signal)[:, None] for name, signal in record.channels.items()}
     content |= {f"units_{name}": unit for name, unit in record.units.items() if unit}
-    scipy.io.savemat(path, content | {"time": record.time[:, None]}, long_field_names=True)
+    scipy.io.savemat(path, content | {"time": record.time[:, None], "units_time": "s"}, long_field_names=True)
 
 
 def _load(path: str | Path) -> dict[str, Any]:
@@ -88,34 +185,10 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
     return found
 
 
-def _flatten(variables: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Struct fields under their own name where it is free, else under `struct.field`."""
-    flat: dict[str, Any] = {}
-    for name, value in variables.items():
-        if name.startswith("__"):
-            continue
-        if isinstance(value, dict):
-            for inner, item in _flatten(value, f"{prefix}{name}.").items():
-                short = inner.rsplit(".", 1)[-1]
-                flat[short if short not in flat and short not in variables else inner] = item
-        else:
-            flat[prefix + name if prefix else name] = value
-    return flat
-
-
-def _is_vector(value: Any) -> bool:
-    return (
-        isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.size >= _SHORTEST and value.size == max(value.shape)
-    )
-
-
-def _scalar_step(variables: dict[str, Any]) -> float | None:
-    scalars = {
-        name: float(value)
-        for name, value in variables.items()
-        if np.ndim(value) == 0 and isinstance(value, int | float | np.number)
-    }
+def _scalar_step(found: MatVariables) -> float | None:
+    """The sample time [s] that a scalar says; `iddata` counts its `Ts` in its `TimeUnit`."""
+    unit = float(PER_SECOND[UNITS.get(found.texts.get("TimeUnit", "s").lower(), "seconds")])
     for name in _STEP:
-        if scalars.get(name, 0.0) > 0:
-            return scalars[name]
-    return next((1.0 / scalars[name] for name in _RATE if scalars.get(name, 0.0) > 0), None)
+        if found.numbers.get(name, 0.0) > 0:
+            return found.numbers[name] * unit
+    return next((1.0 / found.numbers[name] for name in _RATE if found.numbers.get(name, 0.0) > 0), None)

@@ -1,5 +1,6 @@
 """Records as National Instruments TDMS (extra `formats`)."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,46 +8,98 @@ import numpy as np
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
+from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
+
+_TIME_NAME = re.compile(r"(?i)time|timestamps?|zeit|zeitstempel|t|x[-_ ]?values?|elapsed[ _]time|time[ _](axis|stamp|base)")
 
 
 def read_tdms(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
-    """Read the numeric channels of the longest length; sample time from `wf_increment`, units from `unit_string`.
+    """Read the numeric channels, each at its own times (see `on_one_base`).
 
-    Channels of one name in several groups become `group.name`. Raises BadRecord when the file is no TDMS
-    file, or its channels differ in sample time.
+    Its times are said by `wf_increment` and `wf_start_offset`, else by a channel of times in its group, as long as it, that holds
+    stamps or is called `time`; else by `options.sample_time`. Units are `unit_string` or `NI_UnitDescription`. Channels of one
+    name in several groups become `group.name`. What is not read is named in the notes.
+
+    Raises BadRecord when the file is no TDMS file, or nothing says the times of a channel.
     """
-    channels = _longest_signals(path)
-    steps = {float(step) for channel in channels if (step := channel.properties.get("wf_increment"))}
-    if len(steps) > 1:
-        raise BadRecord(f"{path}: channels differ in sample time {sorted(steps)}; one record has one")
-    plain = [channel.name for channel in channels]
-    names = [channel.name if plain.count(channel.name) == 1 else f"{channel.group_name}.{channel.name}" for channel in channels]
-    return Record(
-        {name: np.asarray(channel[:]) for name, channel in zip(names, channels, strict=True)},
-        {
-            name: options.unit_of(name, str(channel.properties.get("unit_string", "")))
-            for name, channel in zip(names, channels, strict=True)
-        },
-        options.settle_sample_time(next(iter(steps), None), str(path)),
-        t0=float(channels[0].properties.get("wf_start_offset", 0.0)),
-        source=str(path),
-    )
+    groups = _groups(path)
+    plain = [channel.name for channels in groups.values() for channel in channels]
+    found, left_out = [], []
+    for group, channels in groups.items():
+        clock = _clock(channels, str(path))
+        for channel in channels:
+            if channel is clock:
+                continue
+            name = channel.name if plain.count(channel.name) == 1 else f"{group}.{channel.name}"
+            if _is_signal(channel):
+                values = np.asarray(channel[:], dtype=float)
+                found.append(TimedChannel(name, _unit(channel), _times(channel, clock, options, str(path)), values))
+            else:
+                left_out.append(f"{name} ({'no numbers' if len(channel) > 1 else f'{len(channel)} samples'})")
+    if not found:
+        raise BadRecord(f"{path}: holds no numeric channel{among(left_out)}")
+    notes = (f"{NOT_READ}{', '.join(left_out)}",) if left_out else ()
+    return on_one_base(found, str(path), options, notes)
 
 
-def _longest_signals(path: str | Path) -> list[Any]:
-    """The numeric channels of the longest length."""
+def _groups(path: str | Path) -> dict[str, list[Any]]:
     nptdms = need("nptdms", path)
     try:
         file = nptdms.TdmsFile.read(path)
-        channels = [channel for group in file.groups() for channel in group.channels() if _is_signal(channel)]
+        return {group.name: list(group.channels()) for group in file.groups()}
     except (OSError, ValueError, KeyError, TypeError, OverflowError, MemoryError, EOFError) as error:
         raise BadRecord(f"{path}: is not a TDMS file: {' '.join(str(error).split())[:120]}") from None
-    if not channels:
-        raise BadRecord(f"{path}: holds no numeric channel")
-    longest = max(len(channel) for channel in channels)
-    return [channel for channel in channels if len(channel) == longest]
+
+
+def _clock(channels: list[Any], source: str) -> Any:
+    """The channel of a group that holds the times of the others, or None."""
+    clocks = [channel for channel in channels if len(channel) > 1 and _tells_time(channel)]
+    if len(clocks) > 1:
+        both = ", ".join(repr(channel.name) for channel in clocks)
+        raise BadRecord(f"{source}: several channels of times, {both}, in one group; keep one")
+    return clocks[0] if clocks else None
+
+
+def _tells_time(channel: Any) -> bool:
+    if channel.dtype.kind == "M":
+        return True
+    unit = _unit(channel).lower()
+    return channel.dtype.kind in "fiu" and bool(_TIME_NAME.fullmatch(channel.name)) and (not unit or unit in UNITS)
+
+
+def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.ndarray:
+    """The instants of a channel's samples [s]."""
+    start = float(channel.properties.get("wf_start_offset", 0.0))
+    if step := float(channel.properties.get("wf_increment") or 0.0):
+        return start + step * np.arange(len(channel))
+    if clock is not None and len(clock) == len(channel):
+        return _instants(clock, source)
+    if options.sample_time is None:
+        raise BadRecord(
+            f"{source}: nothing says the sample time of channel {channel.name!r} (no wf_increment, no channel of times as long "
+            "as it in its group); give it with --sample-time"
+        )
+    return start + options.sample_time * np.arange(len(channel))
+
+
+def _instants(clock: Any, source: str) -> np.ndarray:
+    values = np.asarray(clock[:])
+    if values.dtype.kind == "M":
+        return (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
+    if not (unit := _unit(clock)):
+        values = values.astype(float)
+        step = float(np.median(np.diff(values)))
+        if step >= 1 or values[0] > 1e9:
+            raise BadRecord(f"{source}: nothing says the unit of channel {clock.name!r} of times; give --sample-time without it")
+        return values
+    return values.astype(float) * float(PER_SECOND[UNITS[unit.lower()]])
+
+
+def _unit(channel: Any) -> str:
+    return str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "").strip()
 
 
 def write_tdms(record: Record, path: str | Path) -> None:

@@ -38,7 +38,14 @@ def read_uff(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 
 def write_uff(record: Record, path: str | Path) -> None:
-    """Write one data set 58 a channel as text of 12 digits, so that `read_uff` gives it back."""
+    """Write one data set 58 a channel as text of 12 digits, so that `read_uff` gives it back.
+
+    Raises BadRecord for missing samples: the format has none, and its library writes zeros for them.
+    """
+    if lacking := [name for name in record.names if record.missing(name).any()]:
+        raise BadRecord(
+            f"{path}: UFF 58 keeps no missing samples, and channel {lacking[0]!r} has some; write .csv, .npz or .parquet"
+        )
     pyuff = need("pyuff", path)
     file = pyuff.UFF(str(path))
     sets = [

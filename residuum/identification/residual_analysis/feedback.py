@@ -58,10 +58,15 @@ def _innovations(signals: Sequence[FloatArray]) -> list[FloatArray | None]:
         if noise is None:
             found.append(None)
             continue
-        e = np.concatenate([noise.whiten(np.ascontiguousarray(v[:, o])) for v in signals])
+        e = np.concatenate([_in_place(noise.whiten(np.ascontiguousarray(v[:, o])), len(v)) for v in signals])
         spread = np.nanmedian(np.abs(e)) / NORMAL_MEDIAN if e.size else 0.0
         found.append(np.clip(e / spread, -OUTLYING_INNOVATION, OUTLYING_INNOVATION) if spread > 0.0 else None)
     return found
+
+
+def _in_place(e: FloatArray, n: int) -> FloatArray:
+    """Innovations at their own samples: the first have no past, and how many depends on the noise's order, so on the signal."""
+    return np.r_[np.full(n - len(e), np.nan), e]
 
 
 def _answers(e: FloatArray, u: FloatArray) -> bool:

@@ -7,8 +7,10 @@ from typing import Annotated, Any
 import typer
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats import CAN_LOGS
+from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS
 from residuum.identification.record_formats.logger_file import LoggerFile, understand
+from residuum.identification.record_formats.lvm import has_head
+from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.records import DbcFile, is_can_log
 from residuum.service.commands.report import AsJson, report
@@ -18,24 +20,32 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="inspect")
 def inspect_command(
-    file: Annotated[str, typer.Argument(metavar="FILE|modbus:HOST:PORT", help="A logger's text file, a CAN log, or a device.")],
+    file: Annotated[
+        str, typer.Argument(metavar="FILE|modbus:HOST:PORT", help="A record file, a logger's text file, a CAN log, or a device.")
+    ],
     out: Annotated[Path | None, typer.Option(metavar="MAPPING.yaml", help="Write the mapping here.")] = None,
     decimal: Annotated[str | None, typer.Option(help="The decimal sign, where the file leaves it open.")] = None,
     time: Annotated[str | None, typer.Option(help="Form of the time column: seconds, epoch ms, excel, 'day first' …")] = None,
+    missing: Annotated[
+        list[str] | None, typer.Option(metavar="CELL", help="A cell that means no value, such as OL; may be given again.")
+    ] = None,
     dbc: DbcFile = None,
     register_map: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="Register map of a Modbus device.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show how a logger's file is understood: columns, units, times, rate, gaps. Write a mapping file for it.
 
+    Of a file whose format says this itself (MAT, TDMS, MDF, LVM, Parquet …) show what is read, what is left out, the first rows.
     Of a CAN log with its DBC file, or a Modbus device with its register map, show what is on the wire and what they make of it.
     """
     if register_map is not None or file.startswith("modbus:"):
         report(*_device(file, register_map), as_json=as_json)
     elif dbc is not None or is_can_log(Path(file)):
         report(*_log(Path(file), dbc), as_json=as_json)
+    elif _says_itself(Path(file)):
+        report(*import_module("residuum.service.commands.record_inspection").inspect_record(Path(file)), as_json=as_json)
     else:
-        _logger_file(Path(file), out, decimal, time, as_json=as_json)
+        _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
@@ -48,6 +58,16 @@ def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], st
     return found
 
 
+def _says_itself(file: Path) -> bool:
+    """Whether a file's format says how it is read, so that there is nothing to guess and no mapping to write."""
+    ending = file.suffix.lower()
+    if ending == ".lvm":
+        return file.is_file() and has_head(file.read_bytes())
+    if ending == ".csv":
+        return file.is_file() and is_scope_csv(file.read_bytes())
+    return ending in READERS | OLDER
+
+
 def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     if dbc is None or not is_can_log(file):
         raise BadRecord(f"{file}: a CAN log ({', '.join(CAN_LOGS)}) and the DBC file of its bus (--dbc FILE) go together")
@@ -55,14 +75,16 @@ def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     return found
 
 
-def _logger_file(file: Path, out: Path | None, decimal: str | None, time: str | None, *, as_json: bool) -> None:
+def _logger_file(
+    file: Path, out: Path | None, decimal: str | None, time: str | None, missing: list[str], *, as_json: bool
+) -> None:
     if out is not None:
         check_output_file(out)
     try:
         content = file.read_bytes()
     except OSError as error:
         raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
-    found = understand(content, str(file), decimal=decimal, time_form=time)
+    found = understand(content, str(file), decimal=decimal, time_form=time, missing=missing)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
     report(_plain(file, found), _human(file, found), as_json=as_json)
@@ -78,6 +100,7 @@ def _plain(file: Path, found: LoggerFile) -> dict[str, Any]:
             for column, name in mapping.names.items()
         ],
         "samples": {key: value for key, value in found.samples.items() if key != "missing"},
+        "without_unit": [name for column, name in mapping.names.items() if not mapping.units.get(column)],
         "mapping": mapping.to_yaml(),
     }
 
@@ -88,6 +111,9 @@ def _human(file: Path, found: LoggerFile) -> str:
     lines += [f"  {what}: {value!r} ({reason})" for what, (value, reason) in found.guesses.items()]
     for column, name in mapping.names.items():
         lines.append(f"  column {column}: {name} [{mapping.units.get(column, '')}], {samples['missing'][name]} missing")
+    if bare := [name for column, name in mapping.names.items() if not mapping.units.get(column)]:
+        lines.append(f"  without a unit: {', '.join(bare)}; --unit COLUMN=UNIT, or the mapping, says it")
+    lines += ["  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row) for row in samples["first_rows"]]
     lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
     if samples["gap_count"] > len(samples["gaps"]):
         lines.append(f"  {samples['gap_count']} gaps in all")

@@ -13,6 +13,8 @@ from residuum.identification.record_formats import CAN_LOGS, ReadOptions, read_r
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
 from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.identification.record_formats.no_value import NO_VALUE
+from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
 from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
@@ -33,6 +35,9 @@ MappingFile = Annotated[
 DbcFile = Annotated[
     Path | None, typer.Option("--dbc", metavar="FILE", help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.")
 ]
+
+_TOLD = (RESAMPLED, MEASURED_AT, NOT_READ, NO_VALUE)
+"""What notes tell of the samples themselves: a command says it."""
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
@@ -102,6 +107,6 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
     chosen = mapping or (beside if beside.is_file() else None)
     record = read_record(file, options) if chosen is None else read_logger_file(file, read_mapping(chosen), options)
     done = record.notes if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes) else ()
-    for note in done or [note for note in record.notes if RESAMPLED in note]:
+    for note in done or [note for note in record.notes if any(word in note for word in _TOLD)]:
         progress(f"{file}: {note}")
     return record

@@ -18,6 +18,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
 from residuum.identification.record_formats import parse_csv, read_record
+from residuum.identification.record_formats.no_value import without_overloads
 from residuum.service.bad_bodies import BadBody, TooLarge
 from residuum.service.work.npy import read_header
 
@@ -53,7 +54,7 @@ def from_json(body: bytes, _unpacked: int) -> Record:
 
 def from_csv(body: bytes, _unpacked: int) -> Record:
     """Of our own form of CSV."""
-    return parse_csv(body, source="body")
+    return without_overloads(parse_csv(body, source="body"))
 
 
 def from_npz(body: bytes, unpacked: int) -> Record:

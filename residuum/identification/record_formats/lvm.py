@@ -1,0 +1,118 @@
+"""LabVIEW measurement files (LVM): their head says separator, decimal sign, units, start and step; nothing is guessed."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.csv import read_csv
+from residuum.identification.record_formats.logger_head import unit_of_head, unit_word
+from residuum.identification.record_formats.logger_text import MISSING, decoded, number
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
+
+_FIRST = b"LabVIEW Measurement"
+_END = "***End_of_Header***"
+_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
+
+
+def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
+    """Read the channels of a LabVIEW measurement file; a file without both of LabVIEW's heads is read as any logger's.
+
+    Times are its X column (seconds), or `X0` and `Delta_X` where it has none. A column `Comment` and cells of text are not read.
+
+    Raises BadRecord with the row for a file of several segments, a row of the wrong width, a cell that is no number.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    if not has_head(content):
+        return read_csv(path, options)
+    return parse_lvm(content, str(path), options)
+
+
+def has_head(content: bytes) -> bool:
+    """Whether a file has both of LabVIEW's heads: they say how it is read."""
+    return content.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and content.count(_END.encode()) >= 2
+
+
+def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
+    """Read the bytes of a LabVIEW measurement file (see `read_lvm`)."""
+    lines = decoded(content, source)[0].splitlines()
+    ends = [row for row, line in enumerate(lines) if line.startswith(_END)]
+    if len(ends) != 2:
+        raise BadRecord(f"{source}: has {max(0, len(ends) - 1)} segments; one is read, save one file a segment")
+    general = _keys(lines[: ends[0]], None)
+    cut = _SEPARATORS.get(general.get("Separator", ["tab"])[0].lower().strip("\t,; "), "\t")
+    decimal = general.get("Decimal_Separator", ["."])[0][:1] or "."
+    if decimal not in (".", ","):
+        raise BadRecord(f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma")
+    segment = _keys(lines[ends[0] + 1 : ends[1]], cut)
+    heads = [cell.strip() for cell in "".join(lines[ends[1] + 1 : ends[1] + 2]).split(cut)]
+    said = segment.get("Channels", ["0"])[0]
+    n_channels = int(said) if said.isdigit() else 0
+    places = _places(general.get("X_Columns", ["No"])[0].lower().strip("\t,; "), n_channels, source)
+    width = max(map(max, places)) + 1
+    table = _table(lines[ends[1] + 2 :], cut, decimal, width, ends[1] + 3, source)
+    channels = []
+    for k, (at_x, at_y) in enumerate(places):
+        name, unit = unit_of_head((heads[at_y] if at_y < len(heads) else "") or f"channel {k + 1}")
+        labels = segment.get("Y_Unit_Label", [])
+        own = unit_word(labels[k]) if k < len(labels) and labels[k] else unit
+        start, step = (_said(segment, key, k, decimal) for key in ("X0", "Delta_X"))
+        times = table[:, at_x]
+        if np.isnan(times).all():
+            if not step > 0:
+                raise BadRecord(f"{source}: says neither times nor Delta_X; give --sample-time")
+            times = start + step * np.arange(len(table))
+        known = ~np.isnan(times)
+        channels.append(TimedChannel(name, own, times[known], table[known, at_y]))
+    beside = any(any(map(str.strip, line.split(cut)[width:])) for line in lines[ends[1] + 2 :])
+    notes = (f"{NOT_READ}{', '.join(heads[width:]) or 'what stands beside the channels'} (text)",) if beside else ()
+    return on_one_base(channels, source, options, notes)
+
+
+def _keys(lines: Sequence[str], cut: str | None) -> dict[str, list[str]]:
+    """Key → its values, of the lines of a head; the general one does not say yet what cuts its cells."""
+    found = {}
+    for line in lines:
+        cells = line.split(cut) if cut else re.split(r"[\t;,]", line, maxsplit=1)
+        found[cells[0].strip()] = [cell.strip() for cell in cells[1:]] or [""]
+    return found
+
+
+def _places(x_columns: str, n: int, source: str) -> list[tuple[int, int]]:
+    """Column of the times and of the values of each channel."""
+    if n < 1 or n > 1000:
+        raise BadRecord(f"{source}: its head says {n} channels; 1 to 1000 are read")
+    return [(2 * k, 2 * k + 1) for k in range(n)] if x_columns == "multi" else [(0, k + 1) for k in range(n)]
+
+
+def _table(lines: Sequence[str], cut: str, decimal: str, width: int, first_row: int, source: str) -> np.ndarray:
+    rows = []
+    for row, line in enumerate(lines, start=first_row):
+        if not line.strip():
+            continue
+        cells = [cell.strip() for cell in line.split(cut)[:width]]
+        if len(cells) < width:
+            raise BadRecord(f"{source}, row {row}: {len(cells)} cells; its head says {width}")
+        try:
+            rows.append([np.nan if cell.lower() in MISSING else number(cell, decimal) for cell in cells])
+        except ValueError:
+            raise BadRecord(f"{source}, row {row}: holds a cell that is no number with decimal sign {decimal!r}") from None
+    if len(rows) < 2:
+        raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
+    return np.array(rows)
+
+
+def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str) -> float:
+    values = segment.get(key, [])
+    try:
+        return number(values[k], decimal) if k < len(values) and values[k] else 0.0
+    except ValueError:
+        return 0.0

@@ -1,0 +1,55 @@
+"""Numbers that instruments write where they have no value: an overload is taken for missing, what only may be one is told."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.record import Record, Signal
+
+OVERLOAD = 1e30
+"""No instrument measures this much in any unit; 9.9e37 is what meters and oscilloscopes write for an overload."""
+NO_VALUE = "no value: "
+"""How a note begins that tells of such numbers."""
+_MARK = re.compile(r"-?(9{3,}(\.9+)?|32767|32768|65535|2147483647|2147483648)")
+_APART = 2.0
+"""Of the spread of all other values: so far away from them stands a mark."""
+
+
+def without_overloads(record: Record) -> Record:
+    """The record with overloads missing; the notes tell how many, and which numbers may be marks for no value."""
+    channels, notes = dict(record.channels), list(record.notes)
+    for name, signal in record.channels.items():
+        over = np.abs(signal) >= OVERLOAD  # a comparison with NaN is false
+        if over.any():
+            notes.append(
+                f"{NO_VALUE}{name}: {int(over.sum())} samples of {signal[over][0]:.9g} are an overload, taken as missing"
+            )
+            channels[name] = np.where(over, np.nan, signal)
+        notes += [f"{NO_VALUE}{name}: {_said(value, count)}" for value, count in _marks(np.asarray(channels[name]))]
+    return record if notes == list(record.notes) else replace(record, channels=channels, notes=tuple(notes))
+
+
+def _said(value: float, count: int) -> str:
+    cell = f"{value:g}"
+    return (
+        f"{count} samples of {cell}, far from all others, may mean that there is none; then "
+        f"`residuum inspect FILE --missing {cell} --out FILE.mapping.yaml` says so"
+    )
+
+
+def _marks(signal: Signal) -> list[tuple[float, int]]:
+    """Values that are written as marks are and stand far from all others, with their number."""
+    known = signal[np.isfinite(signal)]
+    if not known.size:
+        return []
+    ends = {float(known.min()), float(known.max())}
+    return [(end, int((known == end).sum())) for end in sorted(ends) if _is_mark(end, known)]
+
+
+def _is_mark(value: float, known: npt.NDArray[np.floating]) -> bool:
+    if not _MARK.fullmatch(f"{value:.10g}"):
+        return False
+    rest = known[known != value]
+    return bool(rest.size) and bool(np.abs(rest - value).min() > _APART * np.ptp(rest))

@@ -1,0 +1,163 @@
+"""How loggers, instruments and data sheets spell units, and the spelling that stands for each.
+
+A text is put into the form of products (`m/s2` → `m/s**2`), then looked up as a whole, then word by word. What stands in no table
+is left as it is: the registry says whether anybody knows it.
+"""
+
+from __future__ import annotations
+
+import re
+
+_SAME = str.maketrans(
+    {
+        **{"℃": "°C", "℉": "°F", "º": "°", "˚": "°", "Ω": "Ω", "μ": "µ", "−": "-", "·": "*", "⋅": "*", "×": "*"},
+        **dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-", strict=True)),
+    }
+)
+_POWER = re.compile(r"(?<![A-Za-z_])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?\(?(-?[1-9])\)?(?![\dA-Za-z.*])")
+"""A short word with its exponent right behind it: `m3`, `s-2`, `min^-1`, `cm**2`."""
+_DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
+_JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
+"""A force and a length that are written as one word: `Nm`, `kNm`, `Ncm`."""
+_BELOW = re.compile(r"/" + _JOINED.pattern)
+_WORD = re.compile(r"[A-Za-zµ°Ω%\"_][A-Za-zµ°Ω%_]*")
+_BLANK = re.compile(r"\s+")
+
+
+def _each(words: str, meant: str) -> dict[str, str]:
+    return dict.fromkeys(words.split(), meant)
+
+
+_WHOLE = {
+    **_each("1 - -- none unitless dimensionless raw bool boolean count", "dimensionless"),
+    **_each("C °C degC DegC °Celsius oC Cel celsius Celsius deg_C deg.C Deg_C deg._C degree_C degrees_C degree_Celsius", "degC"),
+    **_each("°_C degrees_Celsius deg_Celsius grad_C Grad_C", "degC"),
+    **_each("°F degF DegF oF deg_F deg._F °_F Fahrenheit fahrenheit degrees_F", "degF"),
+    **_each("°K degK deg_K Kelvin kelvin", "kelvin"),
+    **_each("° Deg DEG degrees", "degree"),
+    **_each('" in. inches Zoll zoll', "inch"),
+    **_each("g gn G g_n g0 g's gs G's", "standard_gravity"),
+    **_each("RPM Rpm r.p.m. rev/min revs/min r/min U/min Upm UPM upm tr/min 1/min /min min**-1 rev*min**-1", "revolution/minute"),
+    **_each("rev_per_min rpm turns/min turn/min revolutions/min 1/minute minute**-1", "revolution/minute"),
+    **_each("rps RPS rev/s rev/sec revs/s U/s r/s turns/s turn/s", "revolution/second"),
+    **_each("dps deg/sec °/s °/sec", "degree/second"),
+    **_each("%RH %rh %rH %_RH RH% %r.F. %rF %_r.F. % percent Percent pct PCT Prozent %age vol% %vol Vol% Vol.-%", "percent"),
+    **_each("ppm PPM ppmv", "ppm"),
+    **_each("bar(g) bar(a) bar_g bar_a barg bara BAR Bar bar_(g) bar_(a) bar_abs bar_rel", "bar"),
+    **_each("kg/cm**2 kgf/cm**2 kp/cm**2 at", "technical_atmosphere"),
+    **_each("mb mbar hPa mBar millibar", "mbar"),
+    **_each("psi PSI Psi psig psia PSIG PSIA psi(g) psi(a) psid lbf/in**2 lb/in**2", "psi"),
+    **_each("kPa(g) kPa(a) kPag kPaa kpa KPa KPA", "kPa"),
+    **_each("Mpa MPA", "MPa"),
+    **_each("inH2O inH20 inWC inH2O(g) in_H2O", "inch_H2O"),
+    **_each("inHg inHG in_Hg", "inch_Hg"),
+    **_each("mmHg mmHG mm_Hg", "mmHg"),
+    **_each("Torr torr", "torr"),
+    **_each("mmH2O mm_H2O mmWS mmWC", "mmH2O"),
+    **_each("lpm LPM slpm l/mn", "liter/minute"),
+    **_each("gpm GPM", "gallon/minute"),
+    **_each("cfm CFM ft**3/min", "foot**3/minute"),
+    **_each("fpm FPM", "foot/minute"),
+    **_each("fps", "foot/second"),
+    **_each("cbm/h m**3/hr m**3/hour Nm**3/h Nm3/h cmh CMH", "meter**3/hour"),
+    **_each("kmh km/hr Km/h KMH kph KPH km/hour", "kilometer_per_hour"),
+    **_each("mph MPH mi/h", "mile_per_hour"),
+    **_each("kt kts knots Knots knot", "knot"),
+    **_each("ft-lb ft-lbf ft*lb ft*lbf ftlb ftlbf lb-ft lbf-ft lb*ft lbft ft_lb ft_lbf lb_ft lbf_ft ft-lbs", "lbf*foot"),
+    **_each("in-lb in-lbf in*lb in*lbf inlb lb-in lbf-in lb*in lbin in_lb in_lbf lb_in in-lbs", "lbf*inch"),
+    **_each("N-m Newton-meter newton-meter N_m Newton_meter Nm newton_meter", "N*m"),
+    **_each("oz-in ozf-in in-oz oz*in", "ozf*inch"),
+    **_each("mil mils thou", "thou"),
+    **_each("hp HP Hp bhp", "horsepower"),
+    **_each("PS", "metric_horsepower"),
+}
+"""Texts that mean something as a whole only; a blank is written `_` here."""
+_WORDS = {
+    **_each("volt Volt VOLT volts Volts VDC Vdc VAC Vac Vrms", "V"),
+    **_each("mVolt millivolt millivolts mVDC", "mV"),
+    **_each("ampere Ampere amperes Amperes amp Amp amps Amps AMPS ADC Adc AAC Arms", "A"),
+    **_each("ohms Ohm Ohms OHM Ω", "ohm"),
+    **{f"{k}{w}": f"{k}ohm" for k in "mkM" for w in ("Ohm", "Ohms", "ohms", "Ω")},
+    **_each("watt Watt watts Watts", "W"),
+    **_each("KW Kw kw", "kW"),
+    **_each("KV", "kV"),
+    **_each("KWh KWH kwh kWH", "kWh"),
+    **_each("var VAr VAR", "VA"),
+    **_each("kvar kVAr kVAR kvAr", "kVA"),
+    **_each("Mvar MVAr MVAR", "MVA"),
+    **_each("hertz Hertz HZ hz", "Hz"),
+    **_each("khz KHz KHZ", "kHz"),
+    **_each("Newton newton Newtons newtons NEWTON", "N"),
+    **_each("kp kilopond Kilopond", "kgf"),
+    **_each("pascal Pascal pascals PA", "Pa"),
+    **_each("sec secs Sec Secs SEC Sek sek second seconds Second Seconds sekunde Sekunden", "s"),
+    **_each("msec msecs mSec millisecond milliseconds Milliseconds", "ms"),
+    **_each("usec µsec us µs microseconds microsecond", "us"),
+    **_each("days Day Days", "day"),
+    **_each("mins minutes Minutes minute Minute Min MIN", "min"),
+    **_each("hr hrs Hr hour hours Hours Std", "h"),
+    **_each("metre metres meter meters Meter Meters", "m"),
+    **_each("um µm micron microns", "um"),
+    **_each("Kg KG kgs", "kg"),
+    **_each("gram grams Gram gr", "gram"),
+    **_each("liter litre liters litres Liter ltr", "l"),
+    **_each("cbm", "m**3"),
+    **_each("cc ccm", "cm**3"),
+    **_each("uA µA", "uA"),
+    **_each("deg Deg °", "degree"),
+    **_each("rev revs", "revolution"),
+    **_each("radians radian Rad rads", "rad"),
+    **_each("kgf", "kgf"),
+    **_each("lbs Lbs", "lb"),
+    "%": "percent",
+}
+_SI = {
+    **dict.fromkeys(["A", "V", "W", "J", "F", "H", "s", "S", "T", "Hz", "VA", "Wh", "ohm", "Pa", "N", "rad"], "n u µ m k M G"),
+    **{"m": "n u µ m c d k", "l": "u µ m c d h", "L": "u µ m c d h", "g": "u µ m k", "bar": "m k", "Ah": "m k", "mol": "m k u µ"},
+    **{"F": "p n u µ m", "eV": "k M", "cal": "k", "lx": "k", "K": "m", "t": "k", "C": "m u µ", "lm": "", "cd": ""},
+}
+_OTHERS = (
+    "daN hPa min h d ha ft in yd mi lb oz lbf kgf gf ozf psi atm torr mmHg mmH2O cmH2O inHg degC degF delta_degC delta_degF deg "
+    "rpm mph kph knot ppm arcmin arcsec cP cSt gon gal hp BTU Btu count bit byte g_0 turn % mile inch foot yard kg "
+    "revolution tonne feet inches day"
+)
+KNOWN_SYMBOLS = frozenset((*(p + u for u, prefixes in _SI.items() for p in ("", *prefixes.split())), *_OTHERS.split()))
+"""Symbols that mean what the registry reads; it would read many more words as a prefix and a unit (`pct`: pico-centitonne)."""
+LOOKALIKES = frozenset(
+    _each(
+        "point points pixel pixels cycle cycles scaled grain grains chain chains stone decibel decibels neper link links "
+        "particle particles number_meter hand hands barrel dots pixel_per_inch value values",
+        "",
+    )
+)
+"""Long words that loggers use for something else than the unit that has this name."""
+
+
+def canonical(text: str) -> str:
+    """The text in the registry's spelling.
+
+    >>> canonical("m/s²"), canonical("Nm"), canonical("min⁻¹"), canonical("kOhm"), canonical("oil level")
+    ('m/s**2', 'N*m', 'revolution/minute', 'kohm', 'oil level')
+    """
+    plain = _BLANK.sub(" ", text.translate(_SAME)).strip()
+    for spelled in (plain, _powers(plain)):
+        if (whole := _WHOLE.get(spelled.replace(" ", "_"))) is not None:
+            return whole
+    plain = _JOINED.sub(r"\1*\2", _BELOW.sub(r"/\1/\2", _powers(plain))).replace("°C", "delta_degC")
+    if whole := _WHOLE.get(plain.replace(" ", "_")):
+        return whole
+    return _WORD.sub(lambda found: _WORDS.get(found[0], found[0]), plain)
+
+
+def is_spelled(text: str) -> bool:
+    """Whether a text is listed as a spelling of a unit, in any form of it, or is a symbol of two letters or more.
+
+    >>> is_spelled("bar(g)"), is_spelled("ml"), is_spelled("left"), is_spelled("A")
+    (True, True, False, False)
+    """
+    plain = _BLANK.sub("_", text.translate(_SAME).strip())
+    return len(plain) > 1 and (plain in _WHOLE or plain in _WORDS or plain in KNOWN_SYMBOLS)
+
+
+def _powers(text: str) -> str:
+    return _POWER.sub(lambda found: f"{found[1]}**{found[2]}", _DOT.sub("*", text)).replace("^", "**")

@@ -1,0 +1,145 @@
+"""Stamps as loggers write them: read as what they are, or asked for; and numbers that mean no value."""
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats import read_record
+from residuum.identification.record_formats.logger_file import understand
+from residuum.identification.record_formats.logger_mapping import parse_logger
+from residuum.identification.record_formats.no_value import without_overloads
+
+N = 300
+BASE = datetime(2024, 3, 11, 9, 58, 30)
+VALUES = np.round(500 + 100 * np.sin(0.05 * np.arange(N)), 3)
+
+
+def text(stamps, head="Time,p [bar]"):
+    return "\n".join([head, *(f"{stamp},{value:.3f}" for stamp, value in zip(stamps, VALUES, strict=False))]).encode() + b"\n"
+
+
+def read(content, duplicates="", **said):
+    found = understand(content, "log.csv", **said)
+    mapping = found.mapping if not duplicates else type(found.mapping)(**{**vars(found.mapping), "duplicates": duplicates})
+    return found, parse_logger(content, "log.csv", mapping)
+
+
+@pytest.mark.parametrize("form", ["%d-%b-%Y %H:%M:%S", "%d %B %Y %H:%M:%S", "%b %d %Y %H:%M:%S", "%d. %B %Y %H:%M:%S"])
+def test_months_by_name(form):
+    _, record = read(text([f"{BASE + timedelta(seconds=k):{form}}" for k in range(N)]))
+    assert record.n == N and record.sample_time == pytest.approx(1.0)
+    assert record.t0 == pytest.approx(1710151110.0)
+
+
+def test_days_of_matlab():
+    _, record = read(text([f"{739322.4 + k / 86400:.10f}" for k in range(N)], head="datenum,p [bar]"))
+    assert record.sample_time == pytest.approx(1.0, rel=1e-4)
+    assert record.t0 == pytest.approx((739322.4 - 719529) * 86400)
+
+
+def test_two_numbers_and_a_colon_are_asked_for():
+    watch = text([f"{k // 60:02d}:{k % 60:02d}" for k in range(N)])
+    with pytest.raises(BadRecord, match="may be hours:minutes or minutes:seconds; say --time 'hh:mm' or --time 'mm:ss'"):
+        read(watch)
+    assert read(watch, time_form="mm:ss")[1].sample_time == 1.0
+    assert read(watch, time_form="hh:mm")[1].sample_time == 60.0
+
+
+def test_minutes_that_no_day_has_and_decimals_of_seconds_tell_a_stopwatch():
+    long = text([f"{(1380 + k) // 60:02d}:{k % 60:02d}" for k in range(N)])
+    assert read(long)[1].sample_time == 1.0
+    parts = text([f"{k // 600:02d}:{k // 10 % 60:02d}.{k % 10}" for k in range(N)])
+    assert read(parts)[1].sample_time == pytest.approx(0.1)
+
+
+def test_a_clock_goes_on_after_midnight():
+    begin = datetime(2024, 1, 1, 23, 58)
+    found, record = read(text([f"{begin + timedelta(seconds=k):%H:%M:%S}" for k in range(N)]))
+    assert record.n == N and record.sample_time == 1.0 and not record.missing("p").any()
+    assert found.guesses["midnight"][0] == "1 passed"
+
+
+def test_a_clock_that_is_set_back_is_not_sorted():
+    stamps = [f"{BASE + timedelta(seconds=k - (3600 if k > 200 else 0)):%H:%M:%S}" for k in range(N)]
+    with pytest.raises(BadRecord, match=r"row 203: time goes back by an hour.*cut the file there$"):
+        read(text(stamps))
+
+
+def test_stamps_of_whole_seconds_may_be_spread():
+    stamps = [f"{BASE + timedelta(seconds=(k + 3) // 10):%Y-%m-%d %H:%M:%S}" for k in range(N)]
+    with pytest.raises(BadRecord, match="stands twice; set the mapping's `duplicates` to `spread`"):
+        read(text(stamps))
+    record = read(text(stamps), duplicates="spread")[1]
+    assert record.n == N and record.sample_time == pytest.approx(0.1)
+    np.testing.assert_array_equal(record["p"], VALUES)
+    with pytest.raises(BadRecord, match="a stamp stands 9 times, others 10 times; they cannot be spread evenly"):
+        read(text([*stamps[:103], *stamps[104:]]), duplicates="spread")
+
+
+def test_a_cell_that_means_no_value_is_said_by_an_option():
+    content = b"Time (s),U (V)\n0,1\n1,OL\n2,3\n3,4\n"
+    with pytest.raises(BadRecord, match=r"row 3, column 'U': 'OL' is not a number; .*inspect FILE --missing 'OL'"):
+        read(content)
+    found, record = read(content, missing=["OL"])
+    assert np.isnan(record["U"]).tolist() == [False, True, False, False] and "ol" in found.mapping.missing
+
+
+@pytest.mark.parametrize("head", ["time [s],U [V]", "Time (s),U (V)"])
+def test_an_overload_is_missing_and_told_in_every_text_file(tmp_path, head):
+    rows = [f"{k},{9.99999999e37 if k in (5, 6) else np.sin(k):.9g}" for k in range(40)]
+    (tmp_path / "r.csv").write_text("\n".join([head, *rows]) + "\n")
+    record = read_record(tmp_path / "r.csv")
+    assert np.flatnonzero(record.missing("U")).tolist() == [5, 6]
+    assert any("2 samples of 9.99999999e+37 are an overload" in note for note in record.notes)
+
+
+@pytest.mark.parametrize("mark", [-999.9, -9999.0, 32767.0])
+def test_a_number_that_may_mean_no_value_is_told(mark):
+    values = np.where(np.arange(50) == 7, mark, 20 + np.sin(np.arange(50)))
+    record = without_overloads(Record({"T": values}, {"T": "°C"}, 1.0))
+    assert not record.missing("T").any()
+    assert f"1 samples of {mark:g}, far from all others" in record.notes[0] and f"--missing {mark:g}" in record.notes[0]
+
+
+def test_numbers_in_their_place_are_not_remarked():
+    record = Record({"n": np.arange(990.0, 1000.0), "m": np.linspace(-999.0, 999.0, 10)}, {"n": "", "m": ""}, 1.0)
+    assert without_overloads(record) is record
+
+
+@pytest.mark.parametrize("blank", ["\u00a0", "\u202f", "'"])
+def test_blanks_between_thousands_cut_no_cells(blank):
+    rows = "\n".join(f"11.03.2024 08:00:{k:02d};20,{k:02d};1{blank}{500 + k},5" for k in range(40))
+    _, record = read(f"Zeit;T [°C];P [W]\n{rows}\n".encode())
+    np.testing.assert_allclose(record["P"], 1500.5 + np.arange(40))
+    assert dict(record.units) == {"T": "°C", "P": "W"} and record.sample_time == 1.0
+
+
+def test_names_that_stand_twice_are_told_apart_by_the_line_above():
+    rows = "\n".join(f"{k * 2e-9:.9f},{k % 3},{k % 5}" for k in range(40))
+    content = f'"Channel","CH 1","CH 2"\n"Scale = ",0.1,2\n"Time (s)","Voltage (V)","Voltage (V)"\n{rows}\n'.encode()
+    assert dict(read(content)[1].units) == {"CH 1 Voltage": "V", "CH 2 Voltage": "V"}
+    with pytest.raises(BadRecord, match="stands twice"):
+        read(content.replace(b"CH 2", b"CH 1"))
+
+
+def test_an_axis_without_a_unit_is_the_time_only_where_its_form_is_said():
+    content = ("X,CH1 (V)\n" + "\n".join(f"{k * 1e-5:.5f},{k % 3}" for k in range(40)) + "\n").encode()
+    with pytest.raises(BadRecord, match=r"no time column found among X, CH1; .*inspect FILE --time seconds"):
+        read(content)
+    assert read(content, time_form="seconds")[1].sample_time == pytest.approx(1e-5)
+    source = ("Source,CH1\nSecond,Volt\n" + "\n".join(f"{k * 1e-5:.5f},{k % 3}" for k in range(40)) + "\n").encode()
+    assert dict(read(source)[1].units) == {"CH1": "V"}
+
+
+def test_a_unit_behind_every_number_is_the_unit_of_the_column():
+    rows = [f"11.03.2024 08:00:{k:02d};20,{k:02d} °C;{1500 + k},0 W" for k in range(40)]
+    content = "\n".join(["Zeit;T;P", *rows]).encode()
+    found, record = read(content)
+    assert dict(record.units) == {"T": "°C", "P": "W"} and found.guesses["unit of 'P'"][0] == "W"
+    np.testing.assert_allclose(record["P"], 1500.0 + np.arange(40))
+    assert found.mapping.suffixes == {2: "°C", 3: "W"}
+    with pytest.raises(BadRecord, match=r"row 22, column 'P': '1520,0 kW' is not a number"):
+        read(content.replace(b"1520,0 W", b"1520,0 kW"))

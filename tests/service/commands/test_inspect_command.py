@@ -1,0 +1,47 @@
+"""`inspect` shows of every format what is read, what is left out, what has no unit, and the first rows."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from residuum.service.cli import BAD_INPUT, DONE, run
+
+TIME = 0.01 * np.arange(300)
+
+
+def test_a_file_that_says_itself_how_it_is_read(tmp_path, capsys):
+    file = tmp_path / "r.mat"
+    savemat(
+        file, {"time": TIME[:, None], "u": np.cos(TIME)[:, None], "units_u": "V", "w": TIME[:, None], "gains": [1.0, 2.0, 3.0]}
+    )
+    assert run(["inspect", str(file), "--json"]) == DONE
+    shown = json.loads(capsys.readouterr().out)
+    assert [(c["name"], c["unit"], c["missing"]) for c in shown["columns"]] == [("u", "V", 0), ("w", "", 0)]
+    assert shown["samples"]["sample_time"] == pytest.approx(0.01) and len(shown["first_rows"]) == 3
+    assert shown["notes"] == ["not read: gains (3 values)"]
+    assert run(["inspect", str(file)]) == DONE
+    said = capsys.readouterr().out
+    assert "not read: gains" in said and "without a unit: w; --unit" in said
+
+
+def test_a_loggers_file_shows_its_first_rows_and_what_has_no_unit(tmp_path, capsys):
+    file = tmp_path / "r.txt"
+    file.write_text(
+        "t [s];p [bar];duty\n" + "\n".join(f"{k};{k / 4:.2f};{'' if k == 1 else 7}".replace(".", ",") for k in range(9))
+    )
+    assert run(["inspect", str(file), "--json"]) == DONE
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["samples"]["first_rows"] == [[0.0, 0.0, 7.0], [1.0, 0.25, None], [2.0, 0.5, 7.0]]
+    assert shown["without_unit"] == ["duty"]
+
+
+def test_a_cell_is_said_to_mean_no_value_for_every_command(tmp_path, capsys):
+    file = tmp_path / "r.csv"
+    file.write_text("time [s],U [V]\n0,1\n1,OL\n2,3\n3,4\n")
+    assert run(["inspect", str(file)]) == BAD_INPUT
+    assert "--missing 'OL'" in capsys.readouterr().err
+    mapping = tmp_path / "r.csv.mapping.yaml"
+    assert run(["inspect", str(file), "--missing", "OL", "--out", str(mapping)]) == DONE
+    assert "- ol" in mapping.read_text()
