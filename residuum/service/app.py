@@ -21,6 +21,7 @@ from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
 from residuum.service.broker_address import broker_address
+from residuum.service.known_queries import KnownQueries
 from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
 from residuum.service.loop_watch import watch_loop
@@ -84,6 +85,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
         redoc_url=None,
     )
     problems.install(app)
+    app.add_middleware(KnownQueries, document=app.openapi)  # behind the gate: a stranger is told of no keys
     app.add_middleware(Gate, settings=settings, keys=keys, tokens=tokens, measure=metrics.request)
     _add_routes(app)
     return app

@@ -21,8 +21,9 @@ from residuum.diagnosis.vibration.fault_lines import LineEvidence, line_evidence
 from residuum.diagnosis.vibration.knocks import without_knocks
 from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
 from residuum.diagnosis.vibration.octave_bands import octave_edges, octave_rms
-from residuum.diagnosis.vibration.order_tracking import angle_from_speed, at_even_angle
 from residuum.diagnosis.vibration.sensor_health import changed_gain, suspect, unusable
+from residuum.diagnosis.vibration.shaft_speed import unusable_speeds, usual_speed
+from residuum.diagnosis.vibration.steady_speed import at_steady_speed
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
@@ -43,7 +44,6 @@ _SHORTEST = 1024
 _LEAST_CHANGE: Array = np.array([1.6, 1.6, 1.6])
 _LEAST_CHANGE_OF_BAND = (2.5, 2.0)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
 _FEWEST_WINDOWS = 4
-_STEADY = 0.005  # speed range [-] below which lines are looked for in time, above in angle
 _VERSION = 1
 
 
@@ -74,8 +74,9 @@ class Bearing(Diagnoser):
     windows are also held against healthy prediction limits; a change there lowers the prominence that names a part to 4.5
     (and is `unknown` when no line reaches it), and its absence raises it to 7.5.
 
-    A speed channel that varies by more than 0.5 % makes the lines be looked for in the angle domain. What points to the
-    sensor (drift, loose mounting, mains hum, another sensitivity than the baseline's) is `not-assessable`, never a fault.
+    A speed channel may be in rpm, 1/min, Hz, rad/s or the like; one that varies by more than 0.5 % makes the lines be looked
+    for in the angle domain. What points to the sensor (drift, loose mounting, mains hum, another sensitivity than the
+    baseline's) is `not-assessable`, never a fault; so is a changing speed that contradicts what was said of it.
 
     Fails for: faults without impacts (evenly worn, general roughness) unless a baseline shows them; a stated speed that is
     wrong by more than 2 %; another source that modulates the vibration within 2 % of a fault frequency.
@@ -87,7 +88,7 @@ class Bearing(Diagnoser):
     hertz : mapping or None
         The same in hertz, and `shaft` if known; instead of `orders`.
     speed_rpm : float or None
-        Shaft speed; None: from the record's speed channel (its name holds `speed` or `rpm`).
+        Shaft speed; None: from the record's speed channel (its name holds `speed`, `rpm` or `drehzahl`).
     channel : str or None
         The acceleration channel; None: the first one with a unit of acceleration, or an only channel without unit.
     machine_class : str or None
@@ -193,7 +194,7 @@ class Bearing(Diagnoser):
                 self.name, f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
             )
         try:
-            evidence = line_evidence(self._at_steady_speed(record, x), record.sampling_rate, frequencies) if frequencies else {}
+            evidence = self._lines(record, x, frequencies) if frequencies else {}
             zone = severity(x, record.sampling_rate, self.machine_class) if self.machine_class else None
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
@@ -201,6 +202,10 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
         more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
         return self._judge(measured, evidence, unit, more)
+
+    def _lines(self, record: Record, x: Array, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
+        steady = at_steady_speed(x, record, self.speed_rpm, in_hertz=bool(self.hertz))
+        return line_evidence(steady, record.sampling_rate, frequencies)
 
     def _judge(self, measured: _Measured, lines: Mapping[str, LineEvidence], unit: str, more: dict[str, Any]) -> Finding:
         limits = self._limits(measured)
@@ -266,26 +271,26 @@ class Bearing(Diagnoser):
         return record[name] if gain == 1.0 else record[name] * record[name].dtype.type(gain), "m/s²"
 
     def _frequencies(self, record: Record) -> BearingFrequencies | None:
-        speed = self.speed_rpm or _speed_of(record)
         if self.hertz:
-            return BearingFrequencies.from_hertz(self.hertz, speed / 60 if speed else None)
+            return BearingFrequencies.from_hertz(self.hertz, self._shaft_beside_hertz(record))
         if not self.orders:
             return None
-        if not speed:
-            raise BadInput("bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel")
-        return BearingFrequencies.from_orders(self.orders, speed / 60)
-
-    def _at_steady_speed(self, record: Record, x: Array) -> Array:
-        """The signal as if the shaft had turned at its mean speed, when a speed channel says that it did not."""
-        name = None if self.speed_rpm or self.hertz else _speed_channel(record)
-        if name is None:
-            return x
-        speed = np.abs(record.in_unit(name, "rpm"))
-        if np.isnan(speed).any() or np.ptp(speed) <= _STEADY * float(np.median(speed)):
-            return x
-        return at_even_angle(
-            x, angle_from_speed(speed, record.sampling_rate), 60 * record.sampling_rate / float(np.median(speed))
+        speed = self.speed_rpm or usual_speed(record)
+        if speed:
+            return BearingFrequencies.from_orders(self.orders, speed / 60)
+        wrong = unusable_speeds(record)
+        raise BadInput(
+            "bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel"
+            + (f" ({wrong})" if wrong else "")
         )
+
+    def _shaft_beside_hertz(self, record: Record) -> float | None:
+        """The shaft's frequency [Hz]. Lines in hertz do not need it: several speeds in a record are no reason to refuse it."""
+        try:
+            speed = self.speed_rpm or usual_speed(record)
+        except BadInput:
+            return None
+        return speed / 60 if speed else None
 
     def save(self, path: str | Path) -> None:
         """Store the baseline and the bearing's frequencies."""
@@ -440,21 +445,6 @@ def _says(
 
 def _slowest(frequencies: BearingFrequencies | None) -> float | None:
     return min(frequencies.lines.values()) if frequencies else None
-
-
-def _speed_channel(record: Record) -> str | None:
-    names = [name for name in record.names if any(word in name.lower() for word in ("speed", "rpm"))]
-    return next((name for name in names if compatible(record.units[name], "rpm")), None)
-
-
-def _speed_of(record: Record) -> float | None:
-    """Median of the record's speed channel [rpm]; None when it has none, or it stands still."""
-    name = _speed_channel(record)
-    if name is None:
-        return None
-    speed = np.abs(record.in_unit(name, "rpm"))
-    known = speed[~np.isnan(speed)]
-    return float(np.median(known)) or None if known.size else None
 
 
 def _example_record(fault: Any, seed: int, seconds: float = 2.0) -> Record:

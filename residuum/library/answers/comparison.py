@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from residuum.identification.residual_analysis.compare import Comparison
@@ -67,8 +68,8 @@ def comparison_text(comparison: Comparison) -> str:
         )
     for name, balance in comparison.balances.items():
         lines.append(
-            f"balance {name}: missing term of {balance.missing_rms:.3g} {balance.unit} RMS, "
-            f"{balance.relative_percent:.1f} % of what drives it"
+            f"balance {name}: missing term of {balance.missing_rms:.3g} {balance.unit} RMS"
+            + (f", {balance.relative_percent:.1f} % of what drives it" if math.isfinite(balance.relative_percent) else "")
         )
     present = comparison.present
     lines.append(

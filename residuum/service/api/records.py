@@ -16,6 +16,7 @@ from residuum.identification.record_formats.logger_time import FORMS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
+from residuum.service.api.reading_options import READING_OPTIONS, reading
 from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.bad_bodies import UnsupportedBody
@@ -57,6 +58,12 @@ async def add_record(
     time_column: Annotated[
         str | None, Query(description="Name of a logger's column of times.", max_length=200, pattern=TEXT)
     ] = None,
+    time: Annotated[str | None, Query(description="The same as `time_column`.", max_length=200, pattern=TEXT)] = None,
+    sample_time: Annotated[
+        float | None, Query(description="Seconds between samples, for files that do not say it.", gt=0, allow_inf_nan=False)
+    ] = None,
+    unit: Annotated[list[str] | None, Query(description=READING_OPTIONS["unit"], max_length=256)] = None,
+    map: Annotated[list[str] | None, Query(description=READING_OPTIONS["map"], max_length=256)] = None,
     dbc: Annotated[
         str | None,
         Query(
@@ -70,10 +77,12 @@ async def add_record(
 
     A logger's text file is understood by its own text; what that leaves open is refused, and said with these parameters.
     """
-    said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column}
+    said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column or time}
+    how = reading(said | {"sample_time": sample_time}, map or (), unit or ())
     content = await body_of(request)
     bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
-    record = await running.reading(_read, filename, content, running.settings, said, bus)
+    record = await running.reading(_read, filename, content, running.settings, how.options, bus)
+    record = how.renamed(record)
     number = await run_in_threadpool(running.store.add_record, filename, record)
     stored = await run_in_threadpool(running.store.record, number)
     return Json(stored.to_json(), 201, {"Location": f"/api/v1/records/{number}"})

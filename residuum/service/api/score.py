@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -15,7 +14,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
-from residuum.service.api.signal_body import SIGNAL_BODY, record_of
+from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, query_parameter, record_of
 from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
 
@@ -26,20 +25,22 @@ _LONGEST_KEPT = 1000
 """Bytes of a query up to which it is remembered as it was parsed."""
 
 
-def _parameter(place: str, name: str, kind: str, says: str) -> dict[str, Any]:
-    return {"in": place, "name": name, "required": place == "path", "description": says, "schema": {"type": kind}}
-
-
+_DIAGNOSER = {
+    "in": "path",
+    "name": "diagnoser",
+    "required": True,
+    "description": "One of `GET /diagnosers`.",
+    "schema": {"type": "string"},
+}
 _DESCRIBED = SIGNAL_BODY | {
     "parameters": [
-        _parameter("path", "diagnoser", "string", "One of `GET /diagnosers`."),
-        _parameter("query", "baseline", "string", "A stored baseline, or the name of an asset that has one."),
-        _parameter("query", "sample_time", "number", ".npy: seconds between samples (or `sampling_rate` [Hz])."),
-        _parameter("query", "channel", "string", ".npy: `name [unit]`, once a row of the array."),
-        _parameter("query", "speed_rpm", "number", "bearing: shaft speed [rpm]."),
-        _parameter("query", "orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
-        _parameter("query", "hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
-        _parameter("query", "method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
+        _DIAGNOSER,
+        query_parameter("baseline", "string", "A stored baseline, or the name of an asset that has one."),
+        *SIGNAL_QUERY,
+        query_parameter("speed_rpm", "number", "bearing: shaft speed [rpm]."),
+        query_parameter("orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
+        query_parameter("hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
+        query_parameter("method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
     ]
 }
 

@@ -17,11 +17,12 @@ from starlette.datastructures import QueryParams
 
 from residuum.diagnosis.diagnosers.base import Channel
 from residuum.identification.record import Record
+from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
 from residuum.service.services import Services
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
-from residuum.service.work.upload_reader import read_body
+from residuum.service.work.upload_reader import read_body, read_upload
 
 AT_ONCE = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
@@ -32,9 +33,30 @@ _APART_UNPACKED = 8 * 2**20
 _PACKED = "application/zip"
 _ARRAY = "application/octet-stream"
 _KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)
+_ENDINGS = {"text/csv": ".csv", _PACKED: ".npz"}
 _HEAD = re.compile(r"^(?P<name>[^\[\]]{1,200}?)\s*\[(?P<unit>[^\[\]]{0,80})\]$")
 
+
+def query_parameter(name: str, kind: str, says: str, *, repeated: bool = False) -> dict[str, Any]:
+    """A key of a query, as the OpenAPI document has it."""
+    schema = {"type": "array", "items": {"type": kind}} if repeated else {"type": kind}
+    return {"in": "query", "name": name, "required": False, "description": says, "schema": schema}
+
+
+SIGNAL_QUERY = [
+    query_parameter("sample_time", "number", ".npy: seconds between samples (or `sampling_rate` [Hz])."),
+    query_parameter("sampling_rate", "number", ".npy: samples a second [Hz], instead of `sample_time`."),
+    query_parameter("t0", "number", ".npy: time of the first sample [s]."),
+    query_parameter("channel", "string", ".npy: `name [unit]`, once a row of the array.", repeated=True),
+    *(
+        query_parameter(name, "string", f"CSV, NPZ: {says}" if name != "map" else says, repeated=name in ("map", "unit"))
+        for name, says in READING_OPTIONS.items()
+    ),
+]
+"""What may be said of a body of signals in the query."""
+
 SIGNAL_BODY: dict[str, Any] = {
+    "parameters": SIGNAL_QUERY,
     "requestBody": {
         "required": True,
         "description": "One window. A sample that is missing is null in JSON, NaN in arrays, an empty cell in CSV.",
@@ -65,7 +87,7 @@ SIGNAL_BODY: dict[str, Any] = {
             "text/csv": {"schema": {"type": "string"}},
             "application/zip": {"schema": {"type": "string", "format": "binary"}},
         },
-    }
+    },
 }
 """What routes that take signals say of their body in the OpenAPI document."""
 
@@ -81,8 +103,16 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if kind not in _KINDS:
         raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(_KINDS)}")
+    reading = _reading(request.scope["query_string"], kind)
+    return reading.renamed(await _read(request, kind, reading, expected))
+
+
+async def _read(request: Request, kind: str, reading: Reading, expected: Sequence[Channel]) -> Record:
     services: Services = request.app.state.services
     body, settings = await body_of(request), services.settings
+    if reading.options:  # a stranger's file, to be understood: as an upload is, in a process of its own
+        within: dict[str, Any] = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
+        return await services.reading(read_upload, body, _ENDINGS[kind], "body", **within, options=reading.options)
     if kind == _ARRAY:
         return await _off_the_loop(body, _from_npy, body, request.scope["query_string"], expected)
     if kind == _PACKED and len(body) <= _APART and await run_in_threadpool(unpacked_size, body) <= _APART_UNPACKED:
@@ -91,6 +121,15 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
         return await _off_the_loop(body, FORMATS[kind], body, settings.body_limit)
     limits = {"memory": settings.upload_memory, "seconds": settings.upload_seconds, "unpacked": settings.body_limit}
     return await services.reading(read_body, body, kind, **limits)
+
+
+@lru_cache(maxsize=256)
+def _reading(query_string: bytes, kind: str) -> Reading:
+    """What a query says of reading a body of this kind."""
+    query = QueryParams(query_string)
+    if kind not in _ENDINGS:
+        only_of_files(query, kind)
+    return reading_of(query)
 
 
 async def body_of(request: Request) -> bytes:

@@ -1,0 +1,77 @@
+"""How a file that comes over HTTP is to be read: the options of the command line, as keys of the query."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from starlette.datastructures import QueryParams
+
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+from residuum.identification.record_formats.logger_time import FORMS
+
+_OF_THE_FILE = {
+    "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",
+    "time": "Name of the column of times.",
+    "resample": "true: accept uneven time stamps; longer holes stay missing.",
+    "decimal": "Decimal sign of a logger's file that leaves it open: . or ,",
+    "time_form": f"Form of a logger's times: {', '.join(FORMS)}.",
+}
+READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
+"""Key and meaning of what may be said of a body that is a file; several of `unit` and `map` are taken."""
+_TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
+
+
+class Reading(NamedTuple):
+    """Options of `ReadOptions` as plain values, and the names that columns get."""
+
+    options: dict[str, Any]
+    renames: dict[str, str]
+
+    def renamed(self, record: Record) -> Record:
+        """The record with its columns called as was said."""
+        return record.rename(self.renames) if self.renames else record
+
+
+def reading_of(query: QueryParams) -> Reading:
+    """What a query says of reading; BadInput names the key that is malformed."""
+    said: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form") if key in query}
+    if "time" in query:
+        said["time_column"] = query["time"]
+    if "resample" in query:
+        said["resample"] = _truth(query["resample"])
+    return reading(said, query.getlist("map"), query.getlist("unit"))
+
+
+def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) -> Reading:
+    """Plain options with `map` and `unit` texts; a unit is said of a column, or of the name that it gets."""
+    columns = _pairs("map", maps)
+    options = dict(said)
+    if "time" in columns:
+        options["time_column"] = columns.pop("time")
+    if told := {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}:
+        options["units"] = told
+    return Reading(options, {column: name for name, column in columns.items()})
+
+
+def only_of_files(query: QueryParams, kind: str) -> None:
+    """Refuse options of a file for a body that says these things itself."""
+    if given := next((key for key in _OF_THE_FILE if key in query), None):
+        raise BadInput(f"query, {given}: is an option for files (text/csv, application/zip); {kind} says it itself")
+
+
+def _pairs(key: str, texts: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise BadInput(f"query, {key} {text[:60]!r}: must be {'NAME=COLUMN' if key == 'map' else 'CHANNEL=UNIT'}")
+        found[name] = value
+    return found
+
+
+def _truth(text: str) -> bool:
+    if text.lower() not in (*_TRUE, *_FALSE):
+        raise BadInput(f"query, resample: {text[:40]!r} is neither true nor false")
+    return text.lower() in _TRUE

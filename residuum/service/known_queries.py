@@ -1,0 +1,77 @@
+"""A query key that a route does not know is refused: passed over, it would leave an answer to another question than was asked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from functools import cached_property, lru_cache
+from typing import Any
+from urllib.parse import parse_qsl
+
+from starlette.routing import compile_path
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from residuum.service.problems import problem
+
+_REMEMBERED = 1000
+"""Bytes of a query up to which it is remembered that it is good: clients ask with the same one again and again."""
+_NEAREST = 3
+
+
+class KnownQueries:
+    """Refuses keys that the interface's own document does not name for a route; pages and what is undocumented pass.
+
+    Parameters
+    ----------
+    app : ASGI app
+        What answers the requests that pass.
+    document : callable
+        Gives the OpenAPI document, whose parameters are the known keys.
+    """
+
+    def __init__(self, app: ASGIApp, document: Callable[[], Mapping[str, Any]]) -> None:
+        self.app = app
+        self.document = document
+        self._good = lru_cache(maxsize=256)(self._refusal)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it."""
+        query = scope.get("query_string")
+        if scope["type"] == "http" and query:
+            look = self._good if len(query) <= _REMEMBERED else self._refusal
+            if (refusal := look(scope["method"], scope["path"], query)) is not None:
+                return await problem(400, refusal, "unknown-query")(scope, receive, send)
+        await self.app(scope, receive, send)
+
+    def _refusal(self, method: str, path: str, query: bytes) -> str | None:
+        known = self._known(method, path)
+        if known is None:
+            return None
+        keys = [key for key, _ in parse_qsl(query.decode("latin-1"), keep_blank_values=True)]
+        unknown = next((key for key in keys if key not in known), None)
+        return None if unknown is None else _says(unknown, known)
+
+    def _known(self, method: str, path: str) -> list[str] | None:
+        """The keys of the route that answers, in the order of the document; None for a route that it does not have."""
+        asked = "GET" if method == "HEAD" else method
+        return next((keys[asked] for pattern, keys in self._routes if asked in keys and pattern.match(path)), None)
+
+    @cached_property
+    def _routes(self) -> list[tuple[re.Pattern[str], dict[str, list[str]]]]:
+        return [(compile_path(path)[0], _keys(methods)) for path, methods in self.document()["paths"].items()]
+
+
+def _keys(methods: Mapping[str, Any]) -> dict[str, list[str]]:
+    return {
+        method.upper(): [each["name"] for each in operation.get("parameters", []) if each["in"] == "query"]
+        for method, operation in methods.items()
+    }
+
+
+def _says(key: str, known: list[str]) -> str:
+    if not known:
+        return f"query {key[:60]!r}: this route takes no query"
+    near = get_close_matches(key, known, n=_NEAREST)
+    nearest = f"nearest {'is' if len(near) == 1 else 'are'} {', '.join(near)}; " if near else ""
+    return f"query {key[:60]!r}: is not known here; {nearest}known are {', '.join(known)}"

@@ -1,0 +1,99 @@
+"""The speed of a shaft, whatever unit its channel is written in, steady or not; where it cannot be known, that is said."""
+
+import numpy as np
+import pytest
+
+from residuum.diagnosis.diagnosers.bearing import Bearing
+from residuum.diagnosis.finding import Verdict
+from residuum.diagnosis.vibration.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.shaft_speed import is_turning, turns_per_minute, usual_speed
+from residuum.identification.errors import BadInput
+from residuum.identification.record import Record
+
+ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}
+RATE, SHAFT = 12000, 29.95
+A_TURN_A_SECOND = {
+    "Hz": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0, "kHz": 1e-3, "rpm": 60.0, "1/min": 60.0, "min^-1": 60.0, "min**-1": 60.0,
+    "U/min": 60.0, "rad/s": 2 * np.pi, "°/s": 360.0, "turn/s": 1.0,
+}  # fmt: skip
+
+
+def inner_race(**speeds):
+    """Two seconds of a damaged inner race beside channels of speed: name → (value, unit)."""
+    x = faulty_bearing(2 * RATE, RATE, SHAFT, ORDERS, "bpfi", snr_db=0, seed=3)
+    channels = {name: value * np.ones(x.shape[0]) for name, (value, _) in speeds.items()}
+    return Record({"housing": x, **channels}, {"housing": "m/s²"} | {name: unit for name, (_, unit) in speeds.items()}, 1 / RATE)
+
+
+@pytest.mark.parametrize("unit", A_TURN_A_SECOND)
+def test_the_part_is_named_in_every_unit_of_the_speed(unit):
+    told = SHAFT * A_TURN_A_SECOND[unit]
+    assert turns_per_minute(told, unit) == pytest.approx(60 * SHAFT)
+    assert Bearing(orders=ORDERS).score(inner_race(speed=(told, unit))).fault_class == "inner-race"
+
+
+@pytest.mark.parametrize("unit", ["%/s", "count/s", "ticks/min", "rad/s**2", "1/m", "m/s", "s", "V"])
+def test_what_is_no_speed_of_rotation_is_refused_and_named(unit):
+    assert not is_turning(unit)
+    with pytest.raises(BadInput, match="no unit of a speed of rotation"):
+        turns_per_minute(1.0, unit)
+    with pytest.raises(BadInput, match=r"give speed_rpm.*channel 'speed' is in"):
+        Bearing(orders=ORDERS).score(inner_race(speed=(1797.0, unit)))
+
+
+def test_a_speed_without_a_unit_is_asked_for_it():
+    with pytest.raises(BadInput, match="'speed' has no unit: --unit speed=rpm"):
+        Bearing(orders=ORDERS).score(inner_race(speed=(1797.0, "")))
+
+
+def test_of_two_speeds_the_shaft_s_must_be_named():
+    two = {"motor_speed": (3000.0, "rpm"), "shaft_speed": (SHAFT, "Hz")}
+    with pytest.raises(BadInput, match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*--map speed=CHANNEL"):
+        Bearing(orders=ORDERS).score(inner_race(**two))
+    assert usual_speed(inner_race(**two).rename({"shaft_speed": "speed"})) == pytest.approx(60 * SHAFT)
+    assert Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(inner_race(**two)).fault_class == "inner-race"
+    hertz = {name: order * SHAFT for name, order in ORDERS.items()}
+    assert Bearing(hertz=hertz).score(inner_race(**two)).fault_class == "inner-race"
+    same = {"speed_a": (1797.0, "rpm"), "speed_b": (1797.5, "1/min")}
+    assert Bearing(orders=ORDERS).score(inner_race(**same)).fault_class == "inner-race"
+
+
+def run_up(first, last, *, fault=True, seconds=6, rate=12800, unit="Hz", known=slice(None)):
+    """A damaged outer race while the shaft goes from `first` to `last` Hz; the speed is known at some samples only."""
+    n, rng = seconds * rate, np.random.default_rng(5)
+    shaft = np.linspace(first, last, n)
+    turned = np.cumsum(shaft) / rate
+    impacts = np.zeros(n)
+    strikes = np.arange(1, int(turned[-1] * ORDERS["bpfo"])) / ORDERS["bpfo"]
+    impacts[np.searchsorted(turned, strikes)] = 1.0 if fault else 0.0
+    t = np.arange(130) / rate
+    x = np.convolve(impacts, np.exp(-t / 0.0012) * np.sin(2 * np.pi * 3200 * t))[:n] + 0.3 * rng.standard_normal(n)
+    speed = np.full(n, np.nan)
+    speed[known] = (shaft * A_TURN_A_SECOND[unit])[known]
+    return Record({"a": x, "speed": speed}, {"a": "m/s²", "speed": unit}, 1 / rate)
+
+
+@pytest.mark.parametrize("unit", ["Hz", "rpm", "min^-1", "rad/s"])
+def test_a_run_up_is_followed_by_its_speed_channel(unit):
+    judged = Bearing(orders=ORDERS).score(run_up(20, 35, unit=unit))
+    assert judged.fault_class == "outer-race", judged.reason
+    assert Bearing(orders=ORDERS).score(run_up(20, 35, unit=unit, fault=False)).verdict is Verdict.HEALTHY
+
+
+def test_a_speed_that_is_read_four_times_a_second_is_enough():
+    assert Bearing(orders=ORDERS).score(run_up(20, 35, known=slice(None, None, 3200))).fault_class == "outer-race"
+
+
+def test_a_run_up_whose_speed_is_not_known_throughout_cannot_be_judged():
+    judged = Bearing(orders=ORDERS).score(run_up(20, 35, known=slice(0, 40000)))
+    assert judged.verdict is Verdict.NOT_ASSESSABLE and "the speed has gaps" in judged.reason
+
+
+def test_what_is_said_of_a_changing_speed_must_agree_with_its_channel():
+    record = run_up(20, 35)
+    judged = Bearing(orders=ORDERS, speed_rpm=1500).score(record)
+    assert judged.verdict is Verdict.NOT_ASSESSABLE
+    assert "speed_rpm is 1500, but channel 'speed' goes from 1200 to 2100 rpm" in judged.reason
+    assert Bearing(orders=ORDERS, speed_rpm=1650).score(record).fault_class == "outer-race"
+    in_hertz = Bearing(hertz={name: 27.5 * order for name, order in ORDERS.items()}).score(record)
+    assert in_hertz.verdict is Verdict.NOT_ASSESSABLE and "give orders" in in_hertz.reason
