@@ -35,6 +35,7 @@ UNTIMELY = ("seconds", "version", "elapsed", "started", "finished", "submitted",
 """Names of members whose values are times of the clock, durations of the work, or versions; so are those with these endings."""
 ROUNDING = 1e-6
 """Relative difference up to which a number differs by rounding."""
+_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?|\b\d+(\.\d+)? s\b"
 RUN = "from residuum.service.cli import main; main()"
 PATIENCE = 600.0
 
@@ -146,7 +147,7 @@ def record(tree: Path, out: Path, inputs: Path, only: str | None) -> None:
                 for case in cases["calls"]:
                     found[named(case, found)] = service.call(case)
     where = subprocess.run(["git", "-C", tree, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    plain = json.dumps({"commit": where.stdout.strip(), "answers": found}, indent=1, ensure_ascii=False)
+    plain = json.dumps({"commit": where.stdout.strip(), "only": only, "answers": found}, indent=1, ensure_ascii=False)
     out.write_text(plain.replace(str(Path(temporary)), "FOLDER").replace(str(tree), "TREE"))
 
 
@@ -164,7 +165,7 @@ def differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, str]
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for k, (one, other) in enumerate(zip(old, new, strict=True)):
             yield from differences(one, other, f"{place}[{k}]")
-    elif old != new and not (is_time(old) and is_time(new)) and without_places(old) != without_places(new):
+    elif old != new and without_times(without_places(old)) != without_times(without_places(new)):
         yield ("rounding" if alike(old, new) else "other"), place
 
 
@@ -182,9 +183,9 @@ def untimely(name: str) -> bool:
     return name in UNTIMELY or name.endswith(tuple(f"_{word}" for word in UNTIMELY)) or name.endswith("_at")
 
 
-def is_time(value: Any) -> bool:
-    """Whether a text is a time of the clock, or carries one."""
-    return isinstance(value, str) and re.search(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d|\b\d+(\.\d+)? s\b", value) is not None
+def without_times(value: Any) -> Any:
+    """A text with the clock's times and the numbers of seconds in it masked, so that all its other words still count."""
+    return re.sub(_TIME, "TIME", value) if isinstance(value, str) else value
 
 
 def without_places(value: Any) -> Any:
@@ -214,13 +215,27 @@ def on_purpose(name: str, kind: str, places: list[str], changes: list[Mapping[st
     return "; ".join(dict.fromkeys(change["why"] for change in fitting)) if fitting and fits else ""
 
 
+def asked_again(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Cases of the old record that the new one must answer too: all, or the commands that its `--only` matches."""
+    only = new.get("only")
+    if only is None:
+        return list(old["answers"])
+    commands = (name for name in old["answers"] if name.startswith("residuum "))
+    return [name for name in commands if re.search(only, name.removeprefix("residuum "))]
+
+
 def compare(old_file: Path, new_file: Path, table: Path | None, verbose: bool) -> int:
-    """Print (and write) a table of the cases by kind of difference; 1 when one differs that no listed change explains."""
+    """Print (and write) a table of the cases by kind of difference.
+
+    1 when one differs, or is not answered any more, that no listed change explains, and when nothing was compared.
+    """
     old, new = (json.loads(path.read_text()) for path in (old_file, new_file))
     changes = yaml.safe_load(CASES.read_text())["changed_on_purpose"]
     rows, count, unexpected = [], {"same": 0, "more": 0, "rounding": 0, "changed on purpose": 0, "unexpected": 0}, 0
-    for name in (name for name in old["answers"] if name in new["answers"]):
-        kind, places = judged(old["answers"][name], new["answers"][name])
+    names = asked_again(old, new)
+    for name in names:
+        answered = name in new["answers"]
+        kind, places = judged(old["answers"][name], new["answers"][name]) if answered else ("less", ["no answer"])
         why = on_purpose(name, kind, places, changes) if kind in ("other", "less", "rounding") else ""
         verdict = "changed on purpose" if why else "unexpected" if kind in ("other", "less") else kind
         count[verdict] += 1
@@ -238,7 +253,7 @@ def compare(old_file: Path, new_file: Path, table: Path | None, verbose: bool) -
     print("\n".join(lines))
     if table:
         table.write_text("# Golden outputs\n\n" + "\n".join(lines) + "\n")
-    return int(unexpected > 0)
+    return int(unexpected > 0 or not names)
 
 
 def main() -> int:
