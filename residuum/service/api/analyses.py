@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field, model_validator
 
 from residuum.identification.physics import BUILT_IN
-from residuum.identification.physics.effects import EFFECTS
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
 from residuum.library.identification_methods import Request as Sought
 from residuum.robust_control.control_problem import WeightChoice
@@ -32,8 +32,15 @@ RecordNumbers = Annotated[
 ]
 SaveAs = Annotated[NewModelName | None, Field(description="Store the resulting model under this name, as a new version.")]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
-PLACED_EFFECT = r"^[a-z][a-z0-9-]{0,63}(@[^,@]{1,200})?$"
+PLACED_EFFECT = r"^[a-z][a-z0-9-]{0,63}([@:][^,@]{1,200})?$"
 Names = Annotated[dict[Text, Text], Field(max_length=100, description="Model's name of a signal → record's channel.")]
+
+
+Learned = Annotated[bool, Field(description="Learn a curve over one signal where no effect with a name explains the error.")]
+Seconds = Annotated[
+    float | None,
+    Field(gt=0, le=1e6, description="Longest time for the search [s]; the answer then depends on the machine, and says so."),
+]
 
 
 class Comparison(BaseModel, extra="forbid"):
@@ -48,6 +55,8 @@ class Explanation(Comparison):
     """Which effects may explain a model's error."""
 
     effects: Annotated[list[Text], Field(max_length=100, description="Only these of the catalogue (default: all that fit).")] = []
+    learned: Learned = False
+    seconds: Seconds = None
 
 
 class Improvement(Comparison):
@@ -55,10 +64,19 @@ class Improvement(Comparison):
 
     add: Annotated[
         list[Annotated[str, Field(pattern=PLACED_EFFECT)]],
-        Field(max_length=20, description="Effects to add, `id` or `id@balance` (also an input's or output's name)."),
+        Field(
+            max_length=20,
+            description="Effects to add, `id` or `id@balance` (also an input's or output's name); `learned@balance(signal)`, "
+            "`forgotten-input@balance(column)` and `coupling@balance(other)` name what they are tied to.",
+        ),
     ] = []
     auto: bool = Field(False, description="Add what explain finds until the model is adequate.")
     effects: Annotated[list[Text], Field(max_length=100, description="With `auto`: consider only these.")] = []
+    free: Annotated[
+        list[Text], Field(max_length=100, description="Parameters that the model fixes, to be estimated; no other is.")
+    ] = []
+    learned: Learned = False
+    seconds: Seconds = None
     save_as: SaveAs = None
 
     @model_validator(mode="after")
@@ -157,7 +175,8 @@ def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
     considered = _considered(asked.effects)
-    return accepted(running.jobs.submit("explain", analyses.explain, _asked(running, model, asked), considered, then=_result))
+    how = (considered, asked.learned, asked.seconds)
+    return accepted(running.jobs.submit("explain", analyses.explain, _asked(running, model, asked), *how, then=_result))
 
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)
@@ -166,7 +185,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
     """
-    _known([effect.split("@")[0] for effect in asked.add])
+    _known([effect.replace(":", "@").split("@")[0] for effect in asked.add])
     considered = _considered(asked.effects) if asked.auto else None
     by = getattr(request.state, "caller", ANYBODY).name
 
@@ -181,8 +200,8 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
         return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
     add = None if asked.auto else asked.add
-    work = _asked(running, model, asked)
-    return accepted(running.jobs.submit("improve", analyses.improve, work, add, considered, then=keep))
+    work = (_asked(running, model, asked), add, considered, asked.free, asked.learned, asked.seconds)
+    return accepted(running.jobs.submit("improve", analyses.improve, *work, then=keep))
 
 
 @router.post("/models/{model}/estimate", status_code=202, response_model=JobAnswer)
@@ -287,7 +306,7 @@ def _considered(effects: Sequence[str]) -> list[str] | None:
 
 
 def _known(effects: Sequence[str]) -> None:
-    if unknown := [effect for effect in effects if effect not in EFFECTS]:
+    if unknown := [effect for effect in effects if effect not in EFFECTS and effect not in STRUCTURAL]:
         raise NotFound(f"effect {unknown[0][:60]!r}: is not in the catalogue; GET /effects lists it")
 
 

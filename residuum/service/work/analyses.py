@@ -81,20 +81,43 @@ def compare(progress: Progress, asked: Asked) -> Mapping[str, Any]:
     return {"result": model.compare(records, map=asked.mapping).to_dict()}
 
 
-def explain(progress: Progress, asked: Asked, effects: Sequence[str] | None) -> Mapping[str, Any]:
-    """`result`: the `explain` object; `effects` None considers all of the catalogue."""
+def explain(
+    progress: Progress, asked: Asked, effects: Sequence[str] | None, learned: bool = False, seconds: float | None = None
+) -> Mapping[str, Any]:
+    """`result`: the `explain` object; `effects` None considers all of the catalogue, `learned` also curves over one signal."""
     progress(0.0, "explain")
     keep_large_arrays()
     model, records = asked.opened()
-    return {"result": model.explain(records, map=asked.mapping, effects=effects, progress=progress).to_dict()}
+    found = model.explain(records, map=asked.mapping, effects=effects, learned=learned, seconds=seconds, progress=progress)
+    return {"result": found.to_dict()}
 
 
-def improve(progress: Progress, asked: Asked, add: Sequence[str] | None, effects: Sequence[str] | None) -> Mapping[str, Any]:
-    """`result`: the `improve` object; `file`: the larger model's text. `add` None adds what explain finds."""
+def improve(
+    progress: Progress,
+    asked: Asked,
+    add: Sequence[str] | None,
+    effects: Sequence[str] | None,
+    free: Sequence[str] = (),
+    learned: bool = False,
+    seconds: float | None = None,
+) -> Mapping[str, Any]:
+    """`result`: the `improve` object; `file`: the larger model's text. `add` None adds what explain finds.
+
+    Values that the model fixes stay, but for those named in `free`.
+    """
     progress(0.0, "improve")
     keep_large_arrays()
     model, records = asked.opened()
-    found = model.improve(records, map=asked.mapping, add=add, effects=effects, free=[], progress=progress)
+    found = model.improve(
+        records,
+        map=asked.mapping,
+        add=add,
+        effects=effects,
+        free=free,
+        learned=learned,
+        seconds=seconds,
+        progress=progress,
+    )
     return {"result": found.to_dict(), "file": found.model.text.encode()}
 
 

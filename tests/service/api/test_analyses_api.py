@@ -152,6 +152,62 @@ def test_improve_finds_the_effect_alone(client, axis_with_friction):
     assert found["model_file"] is None and "stored" not in found
 
 
+TANK = """
+name: tank
+inputs: {inflow: l/s}
+states: {h: {unit: m}}
+parameters: {A: {value: 28, unit: l/m, lower: 1, upper: 1000, fixed: true}}
+balances: {tank: {kind: volume, storage: A * der(h), terms: {in: inflow}, level: h}}
+outputs: {level: {value: h, unit: m}}
+"""
+
+
+@pytest.fixture(scope="module")
+def leaking_tank(client, tmp_path_factory):
+    """Number of a record of a tank of 31.7 l/m, held to be 28 l/m, whose drain was recorded and is no input of the model."""
+    rng = np.random.default_rng(3)
+    inflow, drain = (np.repeat(rng.uniform(0, high, 40), every)[:1000] for high, every in ((1.0, 40), (0.9, 27)))
+    level = 2.0 + np.concatenate([[0.0], np.cumsum((inflow - drain) / 31.7)[:-1]]) + 0.002 * rng.standard_normal(1000)
+    record = Record({"inflow": inflow, "drain": drain, "level": level}, {"inflow": "l/s", "drain": "l/s", "level": "m"}, 1.0)
+    answer = client.post("/api/v1/models", params={"name": "tank"}, content=TANK.encode())
+    assert answer.status_code == 201, answer.text
+    return upload(client, record, tmp_path_factory.mktemp("tank") / "tank.csv")
+
+
+@pytest.mark.parametrize("written", ["forgotten-input@tank(drain)", "forgotten-input:tank(drain)"])
+def test_a_forgotten_input_is_added_and_a_fixed_value_freed_where_it_is_named(client, leaking_tank, written):
+    asked = {"records": [leaking_tank], "add": [written], "free": ["A"]}
+    job = result(client, client.post("/api/v1/models/tank/improve", json=asked))
+    assert job["state"] == "done", job
+    (added,) = job["result"]["effects"]
+    assert added["channel"] == "drain" and added["gain"]["value"] == pytest.approx(-1.0, rel=0.05)
+    assert read_model(job["result"]["file"]).values["A"] == pytest.approx(31.7, rel=0.05)
+
+
+def test_a_curve_is_added_and_a_fixed_value_stays_where_nobody_names_it(client, leaking_tank):
+    asked = {"records": [leaking_tank], "add": ["learned@tank(h)"]}
+    job = result(client, client.post("/api/v1/models/tank/improve", json=asked))
+    assert job["state"] == "done", job
+    (added,) = job["result"]["effects"]
+    assert added["signals"] == ["h"] and len(added["curve"]["at"]) == len(added["curve"]["value"])
+    assert read_model(job["result"]["file"]).values["A"] == 28
+
+
+def test_what_is_tied_to_nothing_there_is_the_jobs_one_line(client, leaking_tank):
+    for add in ("forgotten-input@tank(nothing)", "coupling@tank(nothing)"):
+        job = result(client, client.post("/api/v1/models/tank/improve", json={"records": [leaking_tank], "add": [add]}))
+        assert job["state"] == "refused" and "nothing" in job["error"], job
+
+
+def test_explain_takes_curves_and_forgotten_inputs(client, refused, leaking_tank):
+    asked = {"records": [leaking_tank], "effects": ["forgotten-input"], "learned": True}
+    job = result(client, client.post("/api/v1/models/tank/explain", json=asked))
+    assert job["state"] == "done", job
+    leading = job["result"]["candidates"][0]
+    assert (leading["effect"], leading["channel"]) == ("forgotten-input", "drain") and "remaining" in job["result"]
+    assert refused("POST", "/api/v1/models/tank/explain", json=asked | {"seconds": 0})[0] == 422
+
+
 def test_an_improvement_names_its_effects_or_leaves_them_to_explain(refused, axis_with_friction):
     path, records = "/api/v1/models/linear-axis/improve", {"records": [axis_with_friction]}
     for body in ({}, {"add": ["coulomb-friction"], "auto": True}, {"add": ["coulomb-friction,backlash"]}):
