@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from residuum.identification.discrepancy.candidate import Candidate, Quantity
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 from residuum.identification.work import Work
 
 _ERROR_AFTER, _STD = "error_after", "std_"

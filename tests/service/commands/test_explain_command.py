@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from residuum.identification.discrepancy.candidate import Quantity
-from residuum.identification.discrepancy.held_values import HeldValue
+from residuum.identification.unseen_blocks.candidate import Quantity
+from residuum.identification.unseen_blocks.held_value import HeldValue
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
 from residuum.library.answers.quantities import sizes_text
