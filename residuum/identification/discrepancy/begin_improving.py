@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
-from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.explain import explained
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.held_out import Split
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
@@ -19,6 +19,7 @@ from residuum.identification.physics import Experiment, Key, PhysicalModel, cand
 from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.held_value import freed
+from residuum.identification.unseen_blocks.search import Wanted
 
 
 @dataclass(frozen=True)
@@ -54,17 +55,12 @@ def asked_for(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     return Beginning(experiments, base, _with_free(base, how.free, experiments), None, chosen)
 
 
-def named(model: PhysicalModel, parts: Split, how: Request, tell: Tell) -> Explanation:
-    """What `explain` says of the training data."""
-    return explain(
-        freed(model, how.free),
-        parts.training,
-        how.mapping,
-        effects=how.effects,
-        learned=how.learned,
-        seconds=how.seconds,
-        tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
-    )
+def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> Explanation:
+    """What `explain` says: of the training data by an exact structure, else of blocks of all records."""
+    wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned)
+    judging = parts.training if any(record.split is not None for record in records) else records
+    later: Tell = lambda share, doing: tell(0.1 + 0.5 * share, doing)  # noqa: E731
+    return explained(freed(model, how.free), parts.training, judging, how.mapping, wanted, how.seconds, later)
 
 
 def begun_exactly(model: PhysicalModel, parts: Split, how: Request, said: Explanation, exact: Exact) -> Beginning:

@@ -16,11 +16,10 @@ from residuum.identification.discrepancy.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import next_experiments
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import times_each_its_innovations
-from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, share, unseen
+from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, share, unseen
 from residuum.identification.discrepancy.visibility import undetectable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
-from residuum.identification.unseen_blocks.remaining import Remaining
 from residuum.identification.work import begun
 
 
@@ -48,7 +47,7 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
         drifting=found.drifting,
         left=_left(found),
         held=held_values(model, exact.doubted, found.best),
-        remaining=None if blocks is None else _remaining(found, blocks),
+        remaining=None if blocks is None else remaining_of(found.base, found.best, blocks),
         work=begun(),
         seconds=time.perf_counter() - began,
         exact=exact,
@@ -72,18 +71,6 @@ def _with_share(candidate: Candidate, found: Search, blocks: Blocks) -> Candidat
         return candidate
     before, after = unseen(found.before[step], blocks), unseen(found.alternatives[step][key], blocks)
     return replace(candidate, share=Quantity(*share(before, after), ""))
-
-
-def _remaining(found: Search, blocks: Blocks) -> Remaining:
-    """What the best structure leaves on unseen blocks."""
-    base, best = unseen(found.base, blocks), unseen(found.best, blocks)
-    noise = np.array([np.nan if n is None else np.sqrt(n.innovation_variance) for n in found.best.noises])
-    seen = (blocks.count.sum(axis=0) > 0.0) & (noise > 0.0)
-    times = np.sqrt(best[:, seen].sum(axis=0) / blocks.count[:, seen].sum(axis=0)) / noise[seen]
-    largest = float(times.max()) if times.size else float("inf")
-    total = base.sum(axis=0)
-    where = int(np.argmax((best[:, total > 0.0] / total[total > 0.0]).sum(axis=1)))
-    return Remaining(1.0 - share(base, best)[0], largest, blocks.times[where])
 
 
 def _left(found: Search) -> dict[str, tuple[float, str, float]]:

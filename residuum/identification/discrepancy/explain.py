@@ -71,14 +71,29 @@ def explain(
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
     """
-    wanted = Wanted(None if effects is None else tuple(effects), learned)
+    return explained(
+        model, records, records, mapping, Wanted(None if effects is None else tuple(effects), learned), seconds, tell
+    )
+
+
+def explained(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    judging: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Wanted,
+    seconds: float | None,
+    tell: Tell,
+) -> Explanation:
+    """The answer; an exact structure is sought on `records`, and what takes away most on unseen blocks of those `judging`."""
     with at_most():
-        return _explained(model, records, mapping, wanted, seconds, tell)
+        return _explained(model, records, judging, mapping, wanted, seconds, tell)
 
 
 def _explained(
     model: PhysicalModel,
     records: Sequence[Record],
+    judging: Sequence[Record],
     mapping: Mapping[str, str] | None,
     wanted: Wanted,
     seconds: float | None,
@@ -91,9 +106,9 @@ def _explained(
     if exact is None or structured or leaves_more_than_noise(exact.found):
         tell(0.5, "what takes away most on blocks kept aside")
         left = None if seconds is None else seconds - (time.perf_counter() - began)
-        found = search_on_blocks(model, records, mapping, wanted, left, tell)
+        found = search_on_blocks(model, judging, mapping, wanted, left, tell)
         if found is not None and (exact is None or does_better(found, exact.found.best.model)):
-            return answer_on_blocks(found, wanted, records, mapping, began)
+            return answer_on_blocks(found, wanted, judging, mapping, began)
     tell(0.75, "drawing what no effect explains")
     known = exact or nothing_found(model, records, mapping, wanted.effects)
     return answer_of(known, model, searched=exact is not None, structured=structured, began=began)

@@ -77,7 +77,7 @@ def _joined(
             if better is None:
                 raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
             kept = better
-            history.append(Step(key[0], judge.error(better)))
+            history.append(judge.step(key[0], better))
             continue
         found = exact.found
         highest = history[-1].error * (KEPT_SHIFT if key in found.timing else KEPT_RISE)
@@ -86,7 +86,7 @@ def _joined(
             error = judge.error(better) if better is not None else np.inf
             if better is not None and error <= highest:
                 kept = better
-                history.append(Step(each[0], error))
+                history.append(judge.step(each[0], better))
                 break
         else:
             refused.append(key)
@@ -112,5 +112,5 @@ def _joined_together(
             all_ = None if all_ is None else added(all_, experiments, key, found.values_of(key))
         left = np.inf if all_ is None else judge.error(all_)
         if all_ is not None and left <= error * KEPT_RISE:
-            return all_, [Step(id, left, together=True) for id, _ in keys]
+            return all_, [judge.step(id, all_, together=True) for id, _ in keys]
     return None, []

@@ -20,6 +20,7 @@ from residuum.identification.physics import Experiment
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, folds_of
 from residuum.identification.unseen_blocks.judged import moved
+from residuum.identification.unseen_blocks.remaining import Remaining
 
 FloatArray = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -89,3 +90,15 @@ def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
     total = before.sum(axis=0)
     each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
     return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
+
+
+def remaining_of(base: Structure, best: Structure, blocks: Blocks) -> Remaining:
+    """What `best` leaves on unseen blocks of what `base` left."""
+    before, after = unseen(base, blocks), unseen(best, blocks)
+    noise = np.array([np.nan if n is None else np.sqrt(n.innovation_variance) for n in best.noises])
+    seen = (blocks.count.sum(axis=0) > 0.0) & (noise > 0.0)
+    times = np.sqrt(after[:, seen].sum(axis=0) / blocks.count[:, seen].sum(axis=0)) / noise[seen]
+    largest = float(times.max()) if times.size else float("inf")
+    total = before.sum(axis=0)
+    where = int(np.argmax((after[:, total > 0.0] / total[total > 0.0]).sum(axis=1)))
+    return Remaining(1.0 - share(before, after)[0], largest, blocks.times[where])

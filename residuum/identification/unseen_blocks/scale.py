@@ -13,8 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 from residuum.identification.physics import noise_floor
 from residuum.identification.unseen_blocks.data import Data, Rung
@@ -44,6 +42,8 @@ class Scale:
         """Weighted values (rows, outputs, …) of windows through the outputs' filters."""
         if self.filters is None:
             return values
+        from scipy.signal import lfilter  # noqa: PLC0415
+
         out = np.empty_like(values)
         for begin, end in pairwise(starts):
             for o, a in enumerate(self.filters):
@@ -91,6 +91,8 @@ def of_power(scale: Scale, data: Data, power: Array) -> Scale:
 
 def of_noise(residuals: Sequence[Array], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
     """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show in the others alone."""
+    from scipy.signal import lfilter  # noqa: PLC0415
+
     at = np.split(rung.block, rung.starts[1:-1])
     weights, filters = np.zeros(len(measured)), []
     for o, seen in enumerate(measured):
@@ -106,6 +108,8 @@ def of_noise(residuals: Sequence[Array], rung: Rung, measured: npt.NDArray[np.bo
 
 def _whitening(pieces: Sequence[Array]) -> Array:
     """Autoregression (1, a₁, …) of the quieter half of the pieces (Yule and Walker), its order by Akaike's criterion."""
+    from scipy.linalg import solve_toeplitz  # noqa: PLC0415
+
     known = sorted((np.nan_to_num(p) for p in pieces if np.isfinite(p).any()), key=lambda p: float(np.mean(p**2)))
     quiet = known[: -(-len(known) // 2)]
     n = sum(map(len, quiet))
@@ -128,4 +132,6 @@ def _whitening(pieces: Sequence[Array]) -> Array:
 
 def innovations(signal: Array) -> Array:
     """What its own past does not predict of a signal."""
+    from scipy.signal import lfilter  # noqa: PLC0415
+
     return np.asarray(lfilter(_whitening([signal]), [1.0], signal))

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.discrepancy.improve_on_blocks import joined_on_blocks
-from residuum.identification.discrepancy.search import untold
+from residuum.identification.discrepancy.improve_on_blocks import joined_of
+from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.search import Wanted
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
 
@@ -34,6 +35,8 @@ def test_an_effect_that_does_nothing_does_not_join(fan, seed):
     for _ in range(300):
         turning.step()
     model, records = rs.model(RIG / "fan.yaml").physical, [window(turning), window(turning)]
-    ids = ["quadratic-drag", "backlash", "output-saturation"]
-    joined = joined_on_blocks(model, records, None, ids, learned=False, seconds=None, tell=untold)
-    assert joined.added == ["quadratic-drag"] and joined.errors[1] < 0.1 * joined.errors[0]
+    found = searched(model, records, None, Wanted(("quadratic-drag", "backlash", "output-saturation")))
+    joined = joined_of(found, records, None)
+    first, drag = joined.history
+    assert (first.added, drag.added) == (None, "quadratic-drag") and drag.error < 0.1 * first.error
+    assert first.remaining.share == pytest.approx(1.0) and drag.remaining.share < 0.05
