@@ -42,7 +42,7 @@ class Joined:
 
 
 def joined_on_blocks(model: PhysicalModel, records: Sequence[Record], found: Search, how: Request, tell: Tell) -> Joined:
-    """Add the effects that were `found`; where that freed values which the model holds, those found beside them as they are held."""
+    """Add the effects that were `found`; where that freed values, those found beside them as they are held."""
     if any(key.effect == HELD for key in found.best.keys):
         wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned, held=False)
         found = search_on_blocks(model, records, how.mapping, wanted, how.seconds, tell) or found

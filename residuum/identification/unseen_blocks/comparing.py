@@ -113,7 +113,7 @@ def is_alike(other: Judged, chosen: Judged, before: Judged | None, scale: Scale)
     """Whether the data cannot tell another structure from the chosen one, both in the place of `before`."""
     if not scale.nats:
         mean, std = paired(chosen, other, scale)
-        return mean < 2.0 * std and other.cost < 1.5 * chosen.cost
+        return mean <= 2.0 * std and other.cost < 1.5 * chosen.cost
     # deletion has a scatter of its own: alike where seen or unseen blocks say so
     difference = 0.5 * (other.power - chosen.power).sum(axis=1)
     doubt = float(difference.std(ddof=1) * np.sqrt(len(difference)))

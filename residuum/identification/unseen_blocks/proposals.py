@@ -37,14 +37,24 @@ CURVE_KNOTS, MOST_CURVES = 9, 3
 
 
 def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | None, *, learned: bool, held: bool) -> list[Key]:
-    """Everything that may join the model; `wanted` restricts the effects."""
+    """Everything that may join the model; `wanted` restricts the effects.
+
+    What acts at times that nobody recorded may have been something else: it is proposed only where it is asked for.
+    """
     keys = candidates(model, wanted)
+    if wanted is None:
+        keys = [key for key in keys if _recorded(model, key)]
     keys = [key for key in keys if not find_effect(key.effect).curve]
     if learned and along is not None:
         keys += _curves(model, along)
     if held:
         keys += [Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0]
     return keys
+
+
+def _recorded(model: PhysicalModel, key: Key) -> bool:
+    effect = find_effect(key.effect)
+    return effect.recorded(model.site(key.target, effect))
 
 
 def beginnings(key: Key, along: Track) -> list[PhysicalModel]:

@@ -18,7 +18,10 @@ CART = """
 name: cart
 inputs: {force: N}
 states: {v: {unit: m/s}}
-parameters: {M: {value: 2.0, unit: kg, lower: 0.1}, d: {value: 1.0, unit: N*s/m, lower: 0.01}, k: {value: 0.5, unit: N, lower: -5, upper: 5}}
+parameters:
+  M: {value: 2.0, unit: kg, lower: 0.1}
+  d: {value: 1.0, unit: N*s/m, lower: 0.01}
+  k: {value: 0.5, unit: N, lower: -5, upper: 5}
 balances: {body: {kind: force, storage: M * der(v), terms: {drive: force, drag: -d * v, load: k}, velocity: v}}
 outputs: {speed: {value: v, unit: m/s}}
 """
