@@ -52,6 +52,16 @@ _CLOCK = re.compile(
 _EPOCHS = (("epoch s", 1e9, 2.2e9), ("epoch ms", 1e12, 2.2e12), ("epoch us", 1e15, 2.2e15), ("epoch ns", 1e18, 2.2e18))
 
 
+def seconds_of(unit: str) -> float | None:
+    """Seconds of one unit of a time, as it is spelled; None for what is no unit of time.
+
+    >>> seconds_of("ms"), seconds_of("Minutes"), seconds_of("V")
+    (0.001, 60.0, None)
+    """
+    name = UNITS.get(unit.lower())
+    return None if name is None else float(PER_SECOND[name])
+
+
 def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[str, str] | None:
     """(form, reason) of a time column of numbers, or None where nothing says its unit."""
     if epoch := _epoch_form(unit, float(np.min(values)), float(np.max(values))):
