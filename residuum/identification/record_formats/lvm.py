@@ -16,6 +16,8 @@ from residuum.identification.record_formats.time_bases import NOT_READ, TimedCha
 
 _FIRST = b"LabVIEW Measurement"
 _END = "***End_of_Header***"
+LONGEST_HEAD = 1 << 20
+"""Bytes within which both heads end."""
 _X_COLUMNS = ("no", "one", "multi")
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
@@ -38,8 +40,9 @@ def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 
 def has_head(content: bytes) -> bool:
-    """Whether a file has both of LabVIEW's heads: they say how it is read."""
-    return content.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and content.count(_END.encode()) >= 2
+    """Whether a file has both of LabVIEW's heads, which say how it is read; its first `LONGEST_HEAD` bytes are enough."""
+    start = content[:LONGEST_HEAD]
+    return start.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and start.count(_END.encode()) >= 2
 
 
 def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
