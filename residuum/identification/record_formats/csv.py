@@ -121,7 +121,7 @@ def table_record(
             row = first_row + int(np.argmax(infinite))
             raise BadRecord(f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty (missing)")
     told: list[str] = []
-    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told)
+    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told, names=names[1:])
     options.settle_sample_time(step, source)
     return Record(
         dict(zip(names[1:], columns[1:], strict=True)),

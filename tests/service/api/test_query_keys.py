@@ -1,5 +1,7 @@
 """What a query says is heeded or refused, never passed over; files over HTTP are read with the options of the command line."""
 
+import gzip
+
 import httpx
 import numpy as np
 import pytest
@@ -123,3 +125,22 @@ def test_refusals_name_the_key_that_helps(client, refused):
 def test_a_file_of_an_older_format_is_taken(client, refused):
     status, detail = refused("POST", "/api/v1/records?filename=old.mdf", content=b"nothing")
     assert status == 422 and "is not an MDF file" in detail
+
+
+def test_wrapped_bodies_and_words_for_no_number_are_refused_with_the_way_on(refused):
+    scored, headers = "/api/v1/score/bearing", {"content-type": "application/json"}
+    for path in (scored, "/api/v1/records?filename=a.csv", "/api/v1/identify"):
+        status, detail = refused("POST", path, content=gzip.compress(b"{}"), headers=headers | {"content-encoding": "gzip"})
+        assert status == 415 and "send it uncompressed" in detail
+        status, detail = refused("POST", path, files={"file": ("a.csv", b"time [s],a [V]\n0,1\n1,2\n")})
+        assert status == 415 and "not as a form" in detail
+    for word in ("NaN", "Infinity", "-Infinity"):
+        content = '{"sample_time":0.1,"units":{"a":"V"},"channels":{"a":[1,µ]}}'.replace("µ", word)
+        status, detail = refused("POST", scored, content=content, headers=headers)
+        assert status == 400 and "JSON has neither NaN nor Infinity, a missing sample is null" in detail
+
+
+def test_a_resampled_channel_is_told_by_its_name(client):
+    content = table(["time [s]", "a [V]"], [["0", "1"], ["1", "2"], ["2.5", "3"], ["3.5", "3"], ["4.5", "3"]])
+    notes = client.post("/api/v1/records?filename=a.csv&resample=true", content=content).json()["notes"]
+    assert notes[0].startswith("a resampled to 1 s")
