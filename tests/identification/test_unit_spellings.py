@@ -1,4 +1,4 @@
-"""Three hundred spellings of units from the heads of public measurement files: the right factor, or refused; none read as another."""
+"""Over three hundred spellings of units from the heads of measurement files: the right factor or refused, never another."""
 
 import math
 

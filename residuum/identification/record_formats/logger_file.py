@@ -144,7 +144,9 @@ def _heads(
     rows: list[list[str]], first: int, width: int, guesses: dict[str, tuple[str, str]], source: str
 ) -> tuple[list[str], list[str]]:
     above = [
-        (k, row) for k, row in enumerate(rows[: first - 1], start=1) if len(row) == width and sum(map(bool, row)) > width / 2
+        (k, row)
+        for k, row in enumerate(rows[: first - 1], start=1)
+        if len(row) == width and (sum(map(bool, row)) > width / 2 or _holds_units_only(row))
     ]
     if not above:
         raise BadRecord(f"{source}, row {first}: no line of {width} column names stands above it; write one")
@@ -183,12 +185,22 @@ def _distinct(names: list[str], where: str) -> list[str]:
 
 def _unit_line(line: list[str], above: list[str]) -> list[str] | None:
     """The units of a line that holds nothing else, or half units below a line without any; None for any other line."""
-    bare = [unit_word(cell.strip().strip("[]()").strip()) for cell in line]
+    bare = [_bare_unit(cell) for cell in line]
     filled = [cell for cell in bare if cell and not is_stampish(cell)]
     certain = sum(map(is_unit, filled))
     if certain == len(filled) or (2 * certain >= len(filled) and not any(map(is_unit, above))):
         return ["" if is_stampish(cell) else cell for cell in bare]
     return None
+
+
+def _bare_unit(cell: str) -> str:
+    return unit_word(cell.strip().strip("[]()").strip())
+
+
+def _holds_units_only(line: list[str]) -> bool:
+    """Whether all cells that are filled are units: few of them are enough where most columns have none."""
+    filled = [_bare_unit(cell) for cell in line if cell]
+    return bool(filled) and all(map(is_unit, filled))
 
 
 def is_stampish(cell: str) -> bool:
