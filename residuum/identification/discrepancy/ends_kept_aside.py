@@ -12,17 +12,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.held_out import Split, split
+from residuum.identification.discrepancy.held_out import Split, rmse_aside, split
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
-from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import PhysicalModel, Settings, Simulator, estimate, match
+from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, data_of
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import fitted
 
 FloatArray = npt.NDArray[np.float64]
-_STATES = Settings(iterations=20, tolerance=1e-4)
 
 
 def steps_that_hold(
@@ -50,22 +48,6 @@ def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[s
     estimated = fitted(data.model, rung.parts, None, found.court.scale, steps=20, tolerance=1e-5)
     if estimated is None:
         return np.full(len(model.outputs), np.inf)
-    return _left(estimated.model, parts, mapping, hold)
-
-
-def _left(model: PhysicalModel, parts: Split, mapping: Mapping[str, str] | None, hold: FloatArray) -> FloatArray:
-    """First states come from the samples before those that count, or where all count from the record itself."""
-    simulator, left = Simulator(model), []
-    for record, first in parts.testing:
-        _, (e,) = match(model, [record], mapping)
-        e = replace(e, hold=hold)
-        seen = replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e
-        try:
-            start = estimate(model, [seen], free=(), settings=_STATES)
-        except NotIdentifiable:
-            return np.full(len(model.outputs), np.inf)
-        run = simulator.run_each([e], start.initial, simulator.p(), substeps=start.substeps)
-        left.append(run.errors[first:])
-    joined = np.concatenate(left)
-    count = np.isfinite(joined).sum(axis=0)
-    return np.where(count > 0, np.sqrt(np.nansum(joined**2, axis=0) / np.maximum(count, 1)), np.nan)
+    _, aside = match(estimated.model, [record for record, _ in parts.testing], mapping)
+    testing = [(replace(e, hold=hold), first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
+    return rmse_aside(estimated.model, testing)
