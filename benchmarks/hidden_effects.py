@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import orjson
 
-from residuum.identification.discrepancy.explain import Explanation, explain
+from residuum.identification.discrepancy.explain import explain
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
 from residuum.identification.discrepancy.join_effects import added
@@ -178,17 +179,22 @@ def _explained(case: Case) -> dict[str, Any]:
         "group": [first.effect, *first.indistinguishable_from] if first else [],
         "chi_square": chi_square(case, explanation) if case.family in SINGLE else None,
         "probability": group_probability(explanation),
-        "accepted": [key[0] for key in explanation.search.accepted],
+        "accepted": [key.effect for key in explanation.accepted],
         "unknown": explanation.probability_unknown,
         "seconds": explanation.seconds,
     }
 
 
-def chi_square(case: Case, explanation: Explanation) -> float:
-    """Twice the log-likelihood that the hidden effect gains over the refitted base: how much of it the record can show."""
-    search, id = explanation.search, case.hidden[0][0]
+def chi_square(case: Case, explanation: Explanation) -> float | None:
+    """Twice the log-likelihood that the hidden effect gains over the refitted base: how much of it the record can show.
+
+    None where the answer is not that of the search for an exact structure.
+    """
+    if explanation.exact is None:
+        return None
+    search, id = explanation.exact.found, case.hidden[0][0]
     known = [s for key, s in search.alternatives[0].items() if key[0] == id] if search.alternatives else []
-    fitted = known or [added(search.base, explanation.experiments, key) for key in candidates(search.base.model, [id])]
+    fitted = known or [added(search.base, explanation.exact.experiments, key) for key in candidates(search.base.model, [id])]
     return 2.0 * max((s.log_likelihood - search.base.log_likelihood for s in fitted if s is not None), default=0.0)
 
 

@@ -68,7 +68,7 @@ def _covariance(factor: float) -> Change:
     def change(original: Any) -> Any:
         def changed(*args: Any, **given: Any) -> Any:
             model = original(*args, **given)
-            named = {name: getattr(model, name) for name in ("covariance", "parameter_covariance")}
+            named = {name: getattr(model, name) for name in ("covariance", "parameter_covariance", "longer_covariance")}
             return replace(model, **{name: factor * value for name, value in named.items() if value is not None})
 
         return changed
@@ -79,7 +79,8 @@ def _covariance(factor: float) -> Change:
 def _gain_lost(original: Any) -> Any:
     def changed(*args: Any, **given: Any) -> Any:
         model = original(*args, **given)
-        return replace(model, impulse_response=0.85 * model.impulse_response)
+        longer = None if model.longer_response is None else 0.85 * model.longer_response
+        return replace(model, impulse_response=0.85 * model.impulse_response, longer_response=longer)
 
     return changed
 

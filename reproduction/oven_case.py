@@ -50,7 +50,10 @@ def algorithm_4(plants: int) -> Oven:
         "worst": _record({name: values[:middle] for name, values in joined.items()}, "worst"),
         "best": _record({name: values[middle:] for name, values in joined.items()}, "best"),
     }
-    models = {name: identify_impulse_response(record, "duty", "temperature", order=100) for name, record in records.items()}
+    models = {
+        name: identify_impulse_response(record, "duty", "temperature", order=100, cover_cut=False)
+        for name, record in records.items()
+    }
     plant = models["average"].transfer_function()
     omega = frequency_grid([plant])
     loop = Loop([plant], omega)

@@ -68,6 +68,11 @@ _WHOLE = {
     **_each("N-m Newton-meter newton-meter N_m Newton_meter Nm newton_meter", "N*m"),
     **_each("oz-in ozf-in in-oz oz*in", "ozf*inch"),
     **_each("mil mils thou", "thou"),
+    **_each("V_rms V_DC V_AC V_dc V_ac V_RMS", "V"),
+    **_each("A_rms A_DC A_AC A_dc A_ac A_RMS", "A"),
+    **_each("kgm**2 kgm2", "kg*m**2"),
+    **_each("watt-hour watt-hours", "Wh"),
+    **_each("sqm", "m**2"),
     **_each("hp HP Hp bhp", "horsepower"),
     **_each("PS", "metric_horsepower"),
 }
@@ -109,6 +114,14 @@ _WORDS = {
     **_each("radians radian Rad rads", "rad"),
     **_each("kgf", "kgf"),
     **_each("lbs Lbs", "lb"),
+    **_each("Joule joule Joules joules", "J"),
+    **_each("Ws", "W*s"),
+    **_each("mPas", "mPa*s"),
+    **_each("mAmp mAmps milliamp milliamps", "mA"),
+    **_each("millimetre millimetres", "mm"),
+    **_each("centimetre centimetres", "cm"),
+    **_each("kilometre kilometres", "km"),
+    **_each("lux Lux", "lx"),
     "%": "percent",
 }
 _SI = {

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from residuum.identification.discrepancy.candidate import Candidate
-from residuum.identification.discrepancy.explain import Explanation as Explained
+from residuum.identification.discrepancy.explanation import Explanation as Explained
+from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.library.answers.explanation import explanation_json, explanation_text
 from residuum.library.answers.quantities import sizes_text
 from residuum.library.comparison import Comparison

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
+from residuum.identification.record_formats.logger_time import seconds_of
 
 _EPOCH = 1e11
 """Above this a number is no second of our days, since 1970 or since a start."""
@@ -36,7 +36,8 @@ def seconds(values: Any, where: str, *, unit: str = "", told: bool = False, near
             f"{where}: the time does not hold numbers or instants ({str(array[0])[:30]!r}); make instants of it with "
             "pandas.to_datetime(…), or say sample_time=…"
         )
-    if unit and unit.lower() not in UNITS:
+    factor = seconds_of(unit) if unit else 1.0
+    if factor is None:
         raise BadRecord(f"{where}: the time is in {unit!r}, which is no unit of time")
     if array.dtype.kind in "iu" and not unit and not told:
         raise BadRecord(
@@ -46,13 +47,13 @@ def seconds(values: Any, where: str, *, unit: str = "", told: bool = False, near
     if not unit and np.nanmax(np.abs(array), initial=0.0) > _EPOCH:
         how = "make instants of it with pandas.to_datetime(…, unit='ms')"
         raise BadRecord(f"{where}: the time {array[0]:.0f} is too large for seconds; {how}")
-    return np.asarray(array, dtype=float) * float(PER_SECOND[UNITS[unit.lower()]] if unit else 1)
+    return np.asarray(array, dtype=float) * factor
 
 
 def unit_of_time(head: Any) -> str:
     """The unit of time in the head of a column or in the name of an index (`t [ms]`), or nothing."""
     unit = unit_of_head(str(head or ""))[1]
-    return unit if unit.lower() in UNITS else ""
+    return "" if seconds_of(unit) is None else unit
 
 
 def refuse_disorder(instants: npt.NDArray[np.float64], where: str) -> None:

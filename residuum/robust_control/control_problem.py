@@ -33,6 +33,7 @@ _VALIDATION_PLANTS = 200
 _MORE_PLANTS, _MOST_PLANTS = 4, 12_800
 _PROMISED_SHARE = 0.95
 _PLANTS_IN_SEARCH, _PLANTS_OF_PROMISE = 100, 400
+_MORE_ORDER = 2
 _FOLLOWED = 1.5
 """Steps are followed for so many of the settling times that are asked for or promised."""
 
@@ -161,8 +162,14 @@ class ControlProblem:
         self.crossing = critical_frequency(omega, self.magnitude)
 
     def _uncertainty(self, plant: TransferFunction, omega: FloatArray) -> tuple[TransferFunction, FloatArray]:
-        choice = self.choice
-        return overall_uncertainty(self.models, plant, omega, n_samples=choice.samples, order=choice.order, seed=self.seed)
+        """W_T and Ω; two orders more where the fit alone, not Ω, is over 100 % at the lowest frequency."""
+        for order in (self.choice.order, self.choice.order + _MORE_ORDER):
+            W_T, largest = overall_uncertainty(
+                self.models, plant, omega, n_samples=self.choice.samples, order=order, seed=self.seed
+            )
+            if largest[0] >= 1.0 or abs(W_T.frequency_response(omega[:1])[0]) < 1.0:
+                break
+        return W_T, largest
 
     def nominal_plants(self) -> dict[str, Any]:
         """The largest uncertainty about the joined model and about the models' mean, and which of them is the nominal plant."""
@@ -238,8 +245,8 @@ class ControlProblem:
         plants = []
         each = math.ceil(count / len(self.models))
         for number, model in enumerate(self.models):
-            den = np.r_[1.0, np.zeros(model.delay + model.order - 1)]
-            drawn = model.sample(each, np.random.default_rng([self.seed, stream, number]))
+            den = np.r_[1.0, np.zeros(model.delay + model.reach - 1)]
+            drawn = model.sample_longer(each, np.random.default_rng([self.seed, stream, number]))
             plants += [TransferFunction(g, den, model.sample_time) for g in drawn]
         return plants
 

@@ -20,9 +20,10 @@ from residuum.diagnosis.vibration.bearing_model import faulty_bearing
 from residuum.diagnosis.vibration.fault_lines import LineEvidence, line_evidence
 from residuum.diagnosis.vibration.knocks import without_knocks
 from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
+from residuum.diagnosis.vibration.moving_lines import moving_line
 from residuum.diagnosis.vibration.octave_bands import octave_edges, octave_rms
 from residuum.diagnosis.vibration.sensor_health import changed_gain, suspect, unusable
-from residuum.diagnosis.vibration.shaft_speed import unusable_speeds, usual_speed
+from residuum.diagnosis.vibration.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
 from residuum.diagnosis.vibration.steady_speed import at_steady_speed
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
@@ -38,6 +39,7 @@ PROMINENT_WITHOUT_A_CHANGE = 7.5  # one healthy second of a real rig reaches 6.1
 DEPTH = 0.08  # a line family that modulates the envelope by less is no fault yet, however significant
 IMPULSIVE = 6.0
 _CAGE_LEADS_BY = 1.25
+_RIVAL = 0.8  # of the most prominent family: one fault's lines make another family stand out by half as much, on real rigs too
 _BALL_BESIDE_CAGE = (3.5, 0.5)  # deciles and share of the cage's: balls change their load once a turn of the cage
 _WINDOW = 1.0  # s
 _SHORTEST = 1024
@@ -76,7 +78,8 @@ class Bearing(Diagnoser):
 
     A speed channel may be in rpm, 1/min, Hz, rad/s or the like; one that varies by more than 0.5 % makes the lines be looked
     for in the angle domain. What points to the sensor (drift, loose mounting, mains hum, another sensitivity than the
-    baseline's) is `not-assessable`, never a fault; so is a changing speed that contradicts what was said of it.
+    baseline's) is `not-assessable`, never a fault; so is a changing speed that contradicts what was said of it, or that the
+    vibration's own lines show where no channel tells it. Two families that stand out nearly alike are `unknown`, and both told.
 
     Fails for: faults without impacts (evenly worn, general roughness) unless a baseline shows them; a stated speed that is
     wrong by more than 2 %; another source that modulates the vibration within 2 % of a fault frequency.
@@ -154,16 +157,23 @@ class Bearing(Diagnoser):
         Raises NotIdentifiable when they hold fewer than 4 windows, BadInput when they differ in rate or cannot be used.
         """
         healthy = _healthy(records, labels)
-        rate, frequencies = healthy[0].sampling_rate, self._frequencies(healthy[0])
-        signals = [without_knocks(self._trainable(record), rate, _slowest(frequencies))[0] for record in healthy]
+        rate = healthy[0].sampling_rate
         window = min(_WINDOW, *(record.duration for record in healthy))
         edges = octave_edges(rate, window)
-        parts = [part for x in signals for part in _windows(x, rate, window)]
+        parts: list[Array] = []
+        lines: dict[str, float] = {}
+        for record in healthy:
+            speed = self._speed_channel(record)
+            frequencies = self._frequencies(record, speed)
+            x, _ = without_knocks(self._trainable(record), rate, _slowest(frequencies))
+            parts += _windows(x, rate, window)
+            if frequencies:
+                steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
+                _keep_largest(lines, [*_windows(steady, rate, window), steady], rate, frequencies)
         if len(parts) < _FEWEST_WINDOWS:
             raise NotIdentifiable(f"bearing: {len(parts)} healthy windows of {window:g} s; at least {_FEWEST_WINDOWS} are needed")
         shape = HealthyBand.of([_shape(part) for part in parts])
         bands = HealthyBand.of([octave_rms(part, rate, edges) for part in parts])
-        lines = _healthy_prominence([*parts, *signals], rate, frequencies) if frequencies else {}
         self._baseline = _Baseline(rate, window, shape, edges, bands, lines)
         return self
 
@@ -184,7 +194,8 @@ class Bearing(Diagnoser):
         x, unit = self._acceleration(record)
         if reason := unusable(x, _SHORTEST):
             return Finding.not_assessable(self.name, reason)
-        frequencies = self._frequencies(record)
+        speed = self._speed_channel(record)
+        frequencies = self._frequencies(record, speed)
         x, knocks = without_knocks(x, record.sampling_rate, _slowest(frequencies))
         if reason := suspect(x, record.sampling_rate, frequencies.shaft if frequencies else None):
             return Finding.not_assessable(self.name, reason)
@@ -194,17 +205,20 @@ class Bearing(Diagnoser):
                 self.name, f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
             )
         try:
-            evidence = self._lines(record, x, frequencies) if frequencies else {}
+            evidence = self._lines(record, x, speed, frequencies) if frequencies else {}
             zone = severity(x, record.sampling_rate, self.machine_class) if self.machine_class else None
         except BadInput as error:
             return Finding.not_assessable(self.name, str(error))
         if frequencies and not evidence and self._baseline is None:
             return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
         more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
-        return self._judge(measured, evidence, unit, more)
+        judged = self._judge(measured, evidence, unit, more)
+        if judged.verdict is Verdict.HEALTHY and speed is None and frequencies and (line := _moving(x, record, frequencies)):
+            return Finding.not_assessable(self.name, line)
+        return judged
 
-    def _lines(self, record: Record, x: Array, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
-        steady = at_steady_speed(x, record, self.speed_rpm, in_hertz=bool(self.hertz))
+    def _lines(self, record: Record, x: Array, speed: str | None, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
+        steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
 
     def _judge(self, measured: _Measured, lines: Mapping[str, LineEvidence], unit: str, more: dict[str, Any]) -> Finding:
@@ -213,12 +227,13 @@ class Bearing(Diagnoser):
         changed = [name for name in limits if values[name] > limits[name]]
         prominences = {f"prominence_{name}": line.prominence for name, line in lines.items()}
         line_limits = {f"prominence_{name}": self._line_limit(name, bool(changed)) for name in lines}
-        named = _named(lines, line_limits)
+        likely = _likely(lines, line_limits)
+        named = likely[0] if len(likely) == 1 else None
         worst = max(
             [values[name] / limits[name] for name in limits]
             + [line.prominence / line_limits[f"prominence_{name}"] * min(1.0, line.depth / DEPTH) for name, line in lines.items()]
         )
-        faulty = bool(named or changed)
+        faulty = bool(likely or changed)
         return Finding(
             self.name,
             Verdict.FAULTY if faulty else Verdict.HEALTHY,
@@ -230,9 +245,10 @@ class Bearing(Diagnoser):
                 "lines": {name: vars(line) for name, line in lines.items()},
                 "changed": changed,
                 "baseline": self._baseline is not None,
+                **({"likely": [CLASS_OF[name] for name in likely]} if len(likely) > 1 else {}),
                 **more,
             },
-            _says(named, lines, changed, values, limits) if faulty else None,
+            _says(likely, lines, changed, values, limits) if faulty else None,
         )
 
     def _limits(self, measured: _Measured) -> dict[str, float]:
@@ -270,12 +286,16 @@ class Bearing(Diagnoser):
         gain = float(convert(1.0, unit, "m/s²", what=f"channel {name!r}"))
         return record[name] if gain == 1.0 else record[name] * record[name].dtype.type(gain), "m/s²"
 
-    def _frequencies(self, record: Record) -> BearingFrequencies | None:
+    def _speed_channel(self, record: Record) -> str | None:
+        """The channel of the shaft's speed; several are no reason to refuse a record that does not need one."""
+        return only_speed_channel(record) if self.hertz or self.speed_rpm or not self.orders else speed_channel(record)
+
+    def _frequencies(self, record: Record, channel: str | None) -> BearingFrequencies | None:
+        speed = self.speed_rpm or usual_speed(record, channel)
         if self.hertz:
-            return BearingFrequencies.from_hertz(self.hertz, self._shaft_beside_hertz(record))
+            return BearingFrequencies.from_hertz(self.hertz, speed / 60 if speed else None)
         if not self.orders:
             return None
-        speed = self.speed_rpm or usual_speed(record)
         if speed:
             return BearingFrequencies.from_orders(self.orders, speed / 60)
         wrong = unusable_speeds(record)
@@ -283,14 +303,6 @@ class Bearing(Diagnoser):
             "bearing: orders are multiples of shaft speed; give speed_rpm, or a record with a speed channel"
             + (f" ({wrong})" if wrong else "")
         )
-
-    def _shaft_beside_hertz(self, record: Record) -> float | None:
-        """The shaft's frequency [Hz]. Lines in hertz do not need it: several speeds in a record are no reason to refuse it."""
-        try:
-            speed = self.speed_rpm or usual_speed(record)
-        except BadInput:
-            return None
-        return speed / 60 if speed else None
 
     def save(self, path: str | Path) -> None:
         """Store the baseline and the bearing's frequencies."""
@@ -382,11 +394,11 @@ def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Re
     return [block for record in healthy for block in blocks_of(record)]
 
 
-def _healthy_prominence(parts: list[Array], rate: float, frequencies: BearingFrequencies) -> dict[str, float]:
-    """How prominent each line family is in healthy signals anyway: the largest over them."""
-    found = [line_evidence(part, rate, frequencies) for part in parts]
-    names = sorted(set().union(*found))
-    return {name: max(evidence[name].prominence for evidence in found if name in evidence) for name in names}
+def _keep_largest(lines: dict[str, float], parts: list[Array], rate: float, frequencies: BearingFrequencies) -> None:
+    """Raise `lines` to how prominent each family is in healthy signals anyway: the largest over them."""
+    for part in parts:
+        for name, evidence in line_evidence(part, rate, frequencies).items():
+            lines[name] = max(lines.get(name, -np.inf), evidence.prominence)
 
 
 def _windows(x: Array, rate: float, window: float) -> list[Array]:
@@ -404,17 +416,32 @@ def _band_names(edges: Array) -> list[str]:
     return [f"rms_{low:.4g}_{high:.4g}_hz" for low, high in pairwise(edges)]
 
 
-def _named(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> str | None:
+def _likely(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> list[str]:
+    """The family that stands out most, and the next one where it stands out nearly as much: then neither can be named."""
+    named = _most_prominent(lines, limits)
+    if named is None or named == "ftf":
+        return [named] if named else []
+    least = _RIVAL * lines[named].prominence
+    rivals = [name for name in _over(lines, limits) if name not in (named, "ftf") and lines[name].prominence >= least]
+    return [named, *sorted(rivals, key=lambda name: -lines[name].prominence)[:1]]
+
+
+def _over(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> dict[str, float]:
+    """Prominence of the families that mean a fault."""
+    return {
+        name: line.prominence
+        for name, line in lines.items()
+        if line.prominence > limits[f"prominence_{name}"] and line.depth >= DEPTH
+    }
+
+
+def _most_prominent(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> str | None:
     """The family that stands out most; the cage only when it does so by a quarter, and no ball does so half as much.
 
     A damaged ball passes the load once a turn of the cage, which puts the cage's line beside its own. The cage's harmonics in
     turn meet the others' lines: BPFO = N FTF.
     """
-    over = {
-        name: line.prominence
-        for name, line in lines.items()
-        if line.prominence > limits[f"prominence_{name}"] and line.depth >= DEPTH
-    }
+    over = _over(lines, limits)
     named = max(over, key=lambda name: over[name] / (_CAGE_LEADS_BY if name == "ftf" else 1.0), default=None)
     if named == "ftf" and "bsf" in lines and lines["bsf"].depth >= DEPTH:
         least, share = _BALL_BESIDE_CAGE
@@ -423,24 +450,38 @@ def _named(lines: Mapping[str, LineEvidence], limits: Mapping[str, float]) -> st
 
 
 def _says(
-    named: str | None,
+    likely: list[str],
     lines: Mapping[str, LineEvidence],
     changed: list[str],
     values: Mapping[str, float],
     limits: Mapping[str, float],
 ) -> str:
     parts = []
-    if named:
-        line = lines[named]
+    for name in likely:
+        line = lines[name]
         parts.append(
             f"the envelope of {line.low:.0f}–{line.high:.0f} Hz is modulated by {100 * line.depth:.0f} % at {line.frequency:.1f} "
-            f"Hz and its harmonics ({named.upper()}: {line.expected:.1f} Hz), {line.prominence:.1f} deciles above the control "
+            f"Hz and its harmonics ({name.upper()}: {line.expected:.1f} Hz), {line.prominence:.1f} deciles above the control "
             "frequencies"
         )
+    if len(likely) > 1:
+        parts.append(f"{' and '.join(CLASS_OF[name] for name in likely)} are alike: neither can be named")
     if changed:
         worst = max(changed, key=lambda name: values[name] / limits[name])
         parts.append(f"{worst} is {values[worst]:.3g} against a limit of {limits[worst]:.3g}")
     return "; ".join(parts)
+
+
+def _moving(x: Array, record: Record, frequencies: BearingFrequencies) -> str:
+    """Why no line that was not found says anything: the vibration shows a changing speed; empty for a steady one."""
+    lines = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
+    line = moving_line(x, record.sampling_rate, lines) if lines else None
+    if line is None:
+        return ""
+    return (
+        f"a line of the envelope goes from {line.first:.0f} to {line.last:.0f} Hz within {line.seconds:.2g} s: the shaft changes "
+        "its speed and no channel tells it; record the speed beside the vibration, or judge a stretch of steady speed"
+    )
 
 
 def _slowest(frequencies: BearingFrequencies | None) -> float | None:

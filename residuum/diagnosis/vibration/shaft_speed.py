@@ -62,9 +62,16 @@ def speed_in_rpm(record: Record, name: str) -> FloatArray:
     return np.abs(turns_per_minute(record[name], record.units[name], what=f"channel {name!r}"))
 
 
-def usual_speed(record: Record) -> float | None:
-    """Median of the record's speed channel [rpm]; None when it has none, or it stands still."""
-    name = speed_channel(record)
+def only_speed_channel(record: Record) -> str | None:
+    """The speed channel; none of several, which are no reason to refuse a record whose speed was said apart."""
+    try:
+        return speed_channel(record)
+    except BadInput:
+        return None
+
+
+def usual_speed(record: Record, name: str | None) -> float | None:
+    """Median of a speed channel [rpm]; None without a channel, or where it stands still."""
     return None if name is None else _usual(record, name)
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from residuum.diagnosis.vibration.fault_lines import TOLERANCE
 from residuum.diagnosis.vibration.order_tracking import angle_from_speed, at_even_angle
-from residuum.diagnosis.vibration.shaft_speed import speed_channel, speed_in_rpm
+from residuum.diagnosis.vibration.shaft_speed import speed_in_rpm
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
@@ -18,7 +18,9 @@ _STEADY = 0.005  # speed range [-] below which lines are looked for in time, abo
 _LONGEST_GAP = 1.0  # s without a reading: the speed of a shaft does little in between that its two neighbours do not tell
 
 
-def at_steady_speed(x: Array, record: Record, said_rpm: float | None = None, *, in_hertz: bool = False) -> Array:
+def at_steady_speed(
+    x: Array, record: Record, name: str | None, said_rpm: float | None = None, *, in_hertz: bool = False
+) -> Array:
     """The signal at even steps of shaft angle, as many a turn as it has on average; as it is when the speed is steady.
 
     Parameters
@@ -26,7 +28,9 @@ def at_steady_speed(x: Array, record: Record, said_rpm: float | None = None, *, 
     x : array, shape (n,)
         A channel of `record`, worked on.
     record : Record
-        Holds the speed channel, if any.
+        Holds the speed channel.
+    name : str or None
+        Of the speed channel, if there is one.
     said_rpm : float or None
         The speed that was said apart from the record [rpm].
     in_hertz : bool
@@ -37,7 +41,6 @@ def at_steady_speed(x: Array, record: Record, said_rpm: float | None = None, *, 
     BadInput
         What was said cannot hold for a shaft that changes its speed, or the speed has gaps of more than a second.
     """
-    name = _only_channel(record) if in_hertz or said_rpm is not None else speed_channel(record)
     if name is None:
         return x
     speed = speed_in_rpm(record, name)
@@ -53,14 +56,6 @@ def at_steady_speed(x: Array, record: Record, said_rpm: float | None = None, *, 
         raise BadInput(f"bearing: speed_rpm is {said_rpm:g}, but {change}; leave speed_rpm out, or that channel")
     turned = angle_from_speed(_bridged(speed, record.sampling_rate), record.sampling_rate)
     return at_even_angle(x, turned, 60 * record.sampling_rate / middle)
-
-
-def _only_channel(record: Record) -> str | None:
-    """The speed channel; none of several, which are no reason to refuse a record whose speed was said apart."""
-    try:
-        return speed_channel(record)
-    except BadInput:
-        return None
 
 
 def _bridged(speed: Array, rate: float) -> Array:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.experiments_to_blame import at_turned_timing
-from residuum.identification.discrepancy.explain import Explanation, explain
+from residuum.identification.discrepancy.explain import explained
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.held_out import Split
-from residuum.identification.discrepancy.held_values import freed
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.search import Tell
 from residuum.identification.discrepancy.structure_fits import fit_structure
@@ -17,6 +18,8 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
 from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.held_value import freed
+from residuum.identification.unseen_blocks.search import Wanted
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,14 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """The training data, the model as it was on them, the base that effects join, what `explain` says, and the effects chosen."""
+    """The training data, the model as it was on them, the base that effects join, what the search for an exact structure found,
+    where one was, and the effects chosen.
+    """
 
     experiments: list[Experiment]
     as_it_was: Structure
     base: Structure
-    explanation: Explanation | None
+    exact: Exact | None
     chosen: list[Key]
 
 
@@ -50,25 +55,24 @@ def asked_for(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     return Beginning(experiments, base, _with_free(base, how.free, experiments), None, chosen)
 
 
-def explained(model: PhysicalModel, parts: Split, how: Request, tell: Tell) -> Beginning:
-    """The base on the experiments that `explain` settled on, and the effects that it accepts."""
-    found = explain(
-        freed(model, how.free),
-        parts.training,
-        how.mapping,
-        effects=how.effects,
-        learned=how.learned,
-        seconds=how.seconds,
-        tell=lambda share, doing: tell(0.1 + 0.5 * share, doing),
-    )
-    search, experiments = found.search, found.experiments
+def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> Explanation:
+    """What `explain` says: of the training data by an exact structure, else of blocks of all records."""
+    wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned)
+    judging = parts.training if any(record.split is not None for record in records) else records
+    later: Tell = lambda share, doing: tell(0.1 + 0.5 * share, doing)  # noqa: E731
+    return explained(freed(model, how.free), parts.training, judging, how.mapping, wanted, how.seconds, later)
+
+
+def begun_exactly(model: PhysicalModel, parts: Split, how: Request, said: Explanation, exact: Exact) -> Beginning:
+    """The base on the experiments that the search for an exact structure settled on, and the effects that it accepts."""
+    search, experiments = exact.found, exact.experiments
     initial, chosen = search.base.initial, [*search.accepted, *search.timing]
     if turned := at_turned_timing(search, experiments):
         experiments, initial, chosen = turned[0], turned[1].initial, list(search.accepted)
-    started = experiments_and_base(with_inputs_of(model, search.base.model), parts.training, how.mapping, found.finer)
+    started = experiments_and_base(with_inputs_of(model, search.base.model), parts.training, how.mapping, exact.finer)
     model = started[1].model
     as_it_was = fit_structure(model, experiments, initial) or replace(search.base, model=model)
-    return Beginning(experiments, as_it_was, _with_free(as_it_was, how.free, experiments), found, chosen)
+    return Beginning(experiments, as_it_was, _with_free(as_it_was, how.free, experiments), exact, chosen)
 
 
 def with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalModel:

@@ -32,7 +32,7 @@ def without_needless(
         without = judge.error(less)
         if without <= error * KEPT_RISE:
             structure, error = less, without
-            dropped.append(Step(f"-{use.id}", without))
+            dropped.append(judge.step(f"-{use.id}", less))
     return structure, dropped
 
 

@@ -16,13 +16,13 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.evidence import tempered
 from residuum.identification.discrepancy.first_order import first_order_fit
-from residuum.identification.discrepancy.linear_response import LinearResponse, linear_response
 from residuum.identification.discrepancy.policy.answers import FACTOR_KNOTS, FREE_TERM_KNOTS
 from residuum.identification.discrepancy.policy.likelihood import FREE_TERM_RIDGE
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 from residuum.identification.residual_analysis.innovations import Noises
 from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from residuum.identification.discrepancy.policy.likelihood import AGAIN_STEPS, S
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, Simulator, estimate
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy.records import FEWEST_TO_SPLIT, STANDSTILL, TRAINING_SHARE
 
@@ -94,18 +94,25 @@ def split_experiments(
 def held_out_rmse(
     structure: Structure, testing: Sequence[tuple[Experiment, int]], initial: Sequence[FloatArray] | None = None
 ) -> FloatArray:
+    """`rmse_aside` of a structure's model."""
+    return rmse_aside(structure.model, testing, initial)
+
+
+def rmse_aside(
+    model: PhysicalModel, testing: Sequence[tuple[Experiment, int]], initial: Sequence[FloatArray] | None = None
+) -> FloatArray:
     """RMS simulation error of each output over the samples that count; ∞ where the model diverges.
 
     Initial states come from the samples before those that count, or where all count from the experiment itself; they are sought
     from `initial` on. One of which none counts (the first that would is its end) lends what its effects remember to the one that
     follows it.
     """
-    simulator, experiments = Simulator(structure.model), [e for e, _ in testing]
+    simulator, experiments = Simulator(model), [e for e, _ in testing]
     seen = [replace(e, Y=np.where(np.arange(e.n)[:, None] < first, e.Y, np.nan)) if first else e for e, first in testing]
     try:
-        start = estimate(structure.model, seen, free=(), initial=initial, settings=STATES_ALONE)
+        start = estimate(model, seen, free=(), initial=initial, settings=STATES_ALONE)
     except NotIdentifiable:
-        return np.full(len(structure.model.outputs), np.inf)
+        return np.full(len(model.outputs), np.inf)
     runs = simulator.run_each(experiments, start.initial, simulator.p(), substeps=start.substeps)
     joined = np.concatenate([(e.Y - run.Y)[first:] for (e, first), run in zip(testing, runs, strict=True)])
     count = np.isfinite(joined).sum(axis=0)

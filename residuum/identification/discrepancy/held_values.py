@@ -7,11 +7,10 @@ effect stands in for it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ALIKE, HELD_REACH, HELD_STANDARD_DEVIATIONS
+from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ALIKE, HELD_STANDARD_DEVIATIONS
 from residuum.identification.discrepancy.search_state import Search, evidence_asked
 from residuum.identification.discrepancy.structure_comparison import schwarz, simulates_no_worse
 from residuum.identification.discrepancy.structure_fits import refit
@@ -19,31 +18,7 @@ from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Stru
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
 from residuum.identification.side_by_side import side_by_side
-
-
-@dataclass(frozen=True)
-class HeldValue:
-    """A parameter's value in the model, where it is fixed, and the one that the records ask for, with its standard deviation.
-
-    Of the parameters in `indistinguishable_from` another value would do as much (a mass, or the area that drives it).
-    """
-
-    name: str
-    held: float
-    value: float
-    std: float
-    unit: str
-    indistinguishable_from: tuple[str, ...]
-
-
-def freed(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
-    """The model with these of its fixed parameters free, within reach of their values."""
-    known = dict(model.parameters)
-    for name in names:
-        p = known[name]
-        low, high = sorted(((1.0 - HELD_REACH) * p.value, (1.0 + HELD_REACH) * p.value))
-        known[name] = replace(p, fixed=False, lower=max(low, p.lower), upper=min(high, p.upper))
-    return replace(model, parameters=known)
+from residuum.identification.unseen_blocks.held_value import HeldValue, freed
 
 
 def wrongly_held(found: Search, experiments: Sequence[Experiment]) -> list[str]:

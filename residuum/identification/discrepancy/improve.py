@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.begin_improving import Request, asked_for, explained, with_inputs_of
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.final_estimate import (
     doubts_of,
     least_simulation_error,
@@ -21,18 +21,19 @@ from residuum.identification.discrepancy.final_estimate import (
 )
 from residuum.identification.discrepancy.held_out import Split, split
 from residuum.identification.discrepancy.held_out_error import HeldOutError
-from residuum.identification.discrepancy.held_values import freed
-from residuum.identification.discrepancy.improve_by_share import ASIDE, joined_by_share
+from residuum.identification.discrepancy.improve_on_blocks import ASIDE, joined_on_blocks
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.join_effects import all_joined
 from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIME, STRANGE
-from residuum.identification.discrepancy.proposals import uninformed
 from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import Experiment, PhysicalModel, match
+from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.unseen_blocks.held_value import freed
+from residuum.identification.unseen_blocks.proposals import without_idle
+from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.work import at_most
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,9 +66,12 @@ def improve(
 
     Parameters are estimated on the training part of the records; an effect proposed by `explain` is kept only while the
     simulation error on the rest does not rise. Where the end of a record refuses an effect, or its error stands far above
-    the rest's, the beginning is kept aside instead: the end may show what the rest never did. The returned model is
-    re-estimated on everything. Values that the model fixes stay, but for those named in `free`. The verdict is that of `compare`
-    on the returned model: `adequate` where its error is not structured.
+    the rest's, the beginning is kept aside instead: the end may show what the rest never did. Where no structure of the
+    catalogue is exact, every block of the records is kept aside in turn, and what joins also simulates their end no worse.
+
+    The returned model is re-estimated on everything. Where all that `explain` accepts would leave a larger error than the model
+    as it was leaves, nothing joins (`refused` names it). Values that the model fixes stay, but for those named in `free`. The
+    verdict is that of `compare` on the returned model: `adequate` where its error is not structured.
 
     Raises
     ------
@@ -110,27 +114,33 @@ def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
 
 def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> _Attempt:
     tell(0.0, "estimating the model as it is")
-    begun = explained(model, parts, how, tell) if how.add is None else asked_for(model, records, parts, how, how.add)
-    explanation, experiments, finer = begun.explanation, begun.experiments, 1
-    if explanation is not None:
-        if explanation.by_share and (shared := _improved_by_share(model, records, explanation, how, tell)) is not None:
-            return _Attempt(shared, False)
-        finer = explanation.finer
+    said = named(model, records, parts, how, tell) if how.add is None else None
+    if said is not None and said.on_blocks is not None:
+        return _Attempt(_improved_on_blocks(model, records, said, said.on_blocks, how, tell), False)
+    if said is not None and said.exact is not None:
+        begun, finer = begun_exactly(model, parts, how, said, said.exact), said.exact.finer
+    else:
+        begun, finer = asked_for(model, records, parts, how, how.add or ()), 1
+    experiments = begun.experiments
     judge = HeldOutError(parts, experiments, begun.base, how.mapping, finer)
-    history = [Step(None, judge.error(begun.as_it_was))]
-    history += [Step(f"{name} freed", judge.error(begun.base)) for name in how.free]
+    history = [judge.step(None, begun.as_it_was)]
+    history += [judge.step(f"{name} freed", begun.base) for name in how.free]
     kept, refused = all_joined(begun, judge, history, tell)
     strange = refused or bool(np.any(judge.errors(kept) > STRANGE * kept.rmse))
     tell(0.8, "estimating on everything")
     kept, simulates_better = _slimmed(kept, experiments, judge, history, may_drop=how.add is None)
+    worse: tuple[str, ...] = ()
+    if how.add is None and history[-1].error > history[0].error:
+        worse = tuple(use.id for use in kept.model.effects if any(step.added == use.id for step in history))
+        kept, history, simulates_better = begun.as_it_was, history[:1], False
     final = on_everything(kept, records, how.mapping, finer, least_error=simulates_better)
-    for use in vanished(final, history, [] if explanation is None else explanation.search.timing):
+    for use in vanished(final, history, [] if said is None else said.timing):
         final = replace(final, model=final.model.without_effect(use.label))
         history.append(Step(f"-{use.id}", history[-1].error))
-    improved = uninformed(with_provenance(final.model, doubts_of(final), records, history, judge.output, judge.unit), model)
+    improved = without_idle(with_provenance(final.model, doubts_of(final), records, history, judge.output, judge.unit), model)
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if how.add is not None else _verdict(improved, records, how.mapping)
-    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, explanation, parts.aside), strange)
+    return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, said, parts.aside, worse), strange)
 
 
 def _slimmed(
@@ -149,28 +159,16 @@ def _slimmed(
     return kept, True
 
 
-def _improved_by_share(
-    model: PhysicalModel, records: Sequence[Record], explanation: Explanation, how: Request, tell: Tell
-) -> Improvement | None:
-    """The model with what is real on blocks kept aside of all records; None where no blocks can be cut."""
-    tell(0.6, "judging what was found on all records")
-    knowing = with_inputs_of(freed(model, how.free), explanation.search.base.model)
-    whole = match(knowing, records, how.mapping)[1]
-    named = sorted({c.effect for c in explanation.candidates})
-    began, joined = time.perf_counter(), None
-    for ids in [named, how.effects] if named else [how.effects]:  # all that fit, where those named on a part do not hold on all
-        left = None if how.seconds is None else how.seconds - (time.perf_counter() - began)
-        joined = joined_by_share(knowing, whole, ids, learned=how.learned, seconds=left)
-        if joined is None or joined.added:
-            break
-    if joined is None:
-        return None
-    history = [Step(id, error) for id, error in zip([None, *joined.added], joined.errors, strict=True)]
+def _improved_on_blocks(
+    model: PhysicalModel, records: Sequence[Record], said: Explanation, found: Search, how: Request, tell: Tell
+) -> Improvement:
+    """The model with what is real on unseen blocks; without values that only `explain` frees."""
+    joined = joined_on_blocks(with_inputs_of(freed(model, how.free), found.court.data.model), records, found, how, tell)
     unit = joined.model.outputs[joined.output].unit
-    improved = with_provenance(joined.model, joined.std, records, history, joined.output, unit)
-    improved = uninformed(improved, model)
+    improved = with_provenance(joined.model, joined.std, records, joined.history, joined.output, unit)
+    improved = without_idle(improved, model)
     verdict = _verdict(improved, records, how.mapping)
-    return Improvement(improved, tuple(history), verdict, joined.output, unit, explanation, ASIDE)
+    return Improvement(improved, tuple(joined.history), verdict, joined.output, unit, said, ASIDE, tuple(joined.refused))
 
 
 def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:

@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from residuum.identification.discrepancy.candidate import Candidate, Quantity
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.physics import EffectUse, PhysicalModel
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
+from residuum.identification.unseen_blocks.remaining import Remaining
 from residuum.identification.work import Work
 
 _ERROR_AFTER, _STD = "error_after", "std_"
@@ -21,7 +22,8 @@ _ERROR_AFTER, _STD = "error_after", "std_"
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the history: what was added (None: the model as it was, `-id`: dropped) and the held-out error after it.
+    """One line of the history: what was added (None: the model as it was, `-id`: dropped), the held-out error after it, and what
+    remains on unseen blocks then, where it was asked.
 
     Effects that lower it only `together` share the error that they have together.
     """
@@ -29,13 +31,15 @@ class Step:
     added: str | None
     error: float
     together: bool = False
+    remaining: Remaining | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Improvement:
     """The improved model with provenance, and how its error on held-out data (`aside`) fell, in `error_unit` of `output`.
 
-    `work` is what it took, and what was not tried.
+    `refused` are effects that `explain` names, and that did not join since the error would have risen; where none joined, nothing
+    is to be written. `work` is what it took, and what was not tried.
     """
 
     model: PhysicalModel
@@ -45,7 +49,13 @@ class Improvement:
     error_unit: str
     explanation: Explanation | None
     aside: str
+    refused: tuple[str, ...] = ()
     work: Work = field(default_factory=Work)
+
+    @property
+    def helps(self) -> bool:
+        """Whether it is worth writing: not where all that was named would make the model worse."""
+        return not self.refused or len(self.history) > 1
 
     @property
     def added(self) -> list[EffectUse]:

@@ -8,12 +8,13 @@ from itertools import islice, product
 import numpy as np
 
 from residuum.identification.discrepancy.begin_improving import Beginning
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.held_out_error import HeldOutError
 from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE, KEPT_SHIFT, MOST_TOGETHER
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.search import Tell
+from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structure_fits import fit_structure, in_likelier_order
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
@@ -22,16 +23,16 @@ from residuum.identification.physics import Experiment, Key
 
 def all_joined(begun: Beginning, judge: HeldOutError, history: list[Step], tell: Tell) -> tuple[Structure, bool]:
     """The base with the chosen effects that do not raise the held-out error, and whether one was refused (shifts apart)."""
-    explanation, experiments, chosen = begun.explanation, begun.experiments, begun.chosen
+    exact, experiments, chosen = begun.exact, begun.experiments, begun.chosen
     kept, waiting, tried = begun.base, chosen, len(chosen) + 1
     before = list(history)
     while len(waiting) < tried:  # what does not help alone may help beside what joined after it
         tried = len(waiting)
-        kept, waiting = _joined(kept, waiting, experiments, judge, history, explanation, tell)
-    shifts = [] if explanation is None else explanation.search.timing
+        kept, waiting = _joined(kept, waiting, experiments, judge, history, exact, tell)
+    shifts = [] if exact is None else exact.found.timing
     refused = any(key not in shifts for key in waiting)
-    if explanation is not None and refused and len(chosen) > 1:
-        together, steps = _joined_together(begun.base, chosen, experiments, judge, history[-1].error, explanation)
+    if exact is not None and refused and len(chosen) > 1:
+        together, steps = _joined_together(begun.base, chosen, experiments, judge, history[-1].error, exact.found)
         if together is not None:
             history[:] = [*before, *steps]
             return together, False
@@ -61,7 +62,7 @@ def _joined(
     experiments: Sequence[Experiment],
     judge: HeldOutError,
     history: list[Step],
-    explanation: Explanation | None,
+    exact: Exact | None,
     tell: Tell,
 ) -> tuple[Structure, list[Key]]:
     """The structure with those effects that do not raise the held-out error, each told in the history; and those that did.
@@ -71,20 +72,21 @@ def _joined(
     refused = []
     for index, key in enumerate(chosen):
         tell(0.6 + 0.2 * index / len(chosen), f"adding {key[0]} to {key[1]}")
-        if explanation is None:
+        if exact is None:
             better = added(kept, experiments, key)
             if better is None:
                 raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
             kept = better
-            history.append(Step(key[0], judge.error(better)))
+            history.append(judge.step(key[0], better))
             continue
-        found, highest = explanation.search, history[-1].error * (KEPT_SHIFT if key in explanation.search.timing else KEPT_RISE)
+        found = exact.found
+        highest = history[-1].error * (KEPT_SHIFT if key in found.timing else KEPT_RISE)
         for each in found.alike(key):
             better = added(kept, experiments, each, found.values_of(each))
             error = judge.error(better) if better is not None else np.inf
             if better is not None and error <= highest:
                 kept = better
-                history.append(Step(each[0], error))
+                history.append(judge.step(each[0], better))
                 break
         else:
             refused.append(key)
@@ -97,19 +99,18 @@ def _joined_together(
     experiments: Sequence[Experiment],
     judge: HeldOutError,
     error: float,
-    explanation: Explanation,
+    found: Search,
 ) -> tuple[Structure | None, list[Step]]:
     """The base with all the effects at once, of which some raise the held-out `error` alone, if they do not together; and how.
 
     A drag without the rolling friction beside it is a better model of a van under way, and a worse one of a van that coasts.
     Where the training data cannot tell an effect from others, those kept aside may.
     """
-    found = explanation.search
     for keys in islice(product(*(found.alike(key) for key in chosen)), MOST_TOGETHER):
         all_: Structure | None = base
         for key in keys:
             all_ = None if all_ is None else added(all_, experiments, key, found.values_of(key))
         left = np.inf if all_ is None else judge.error(all_)
         if all_ is not None and left <= error * KEPT_RISE:
-            return all_, [Step(id, left, together=True) for id, _ in keys]
+            return all_, [judge.step(id, all_, together=True) for id, _ in keys]
     return None, []

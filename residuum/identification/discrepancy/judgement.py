@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.candidate import Candidate, Quantity
 from residuum.identification.discrepancy.completeness import explains_a_part, times_the_noise_left
 from residuum.identification.discrepancy.evidence import relative_evidence
 from residuum.identification.discrepancy.free_term import FreeTerm, scaled_power
@@ -28,6 +27,7 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
 from residuum.identification.residual_analysis.policy.noise import NOTHING_LEFT
+from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.candidate import Candidate
 from residuum.identification.discrepancy.policy.answers import DISTINCTION_LEVEL, MOST_PROPOSALS, SENSOR_NOISE, WORTH_SEPARATING
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, Key, Simulator
+from residuum.identification.unseen_blocks.advice import NextExperiment
+from residuum.identification.unseen_blocks.candidate import Candidate
 
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """Something to do, the candidates it separates, and the power with which it does."""
-
-    do: str
-    separates: tuple[str, ...]
-    power: float
-
-
-def next_experiments(found: Search, candidates: Sequence[Candidate], experiments: Sequence[Experiment]) -> tuple[Proposal, ...]:
+def next_experiments(
+    found: Search, candidates: Sequence[Candidate], experiments: Sequence[Experiment]
+) -> tuple[NextExperiment, ...]:
     """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
 
     Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can
@@ -42,11 +36,11 @@ def next_experiments(found: Search, candidates: Sequence[Candidate], experiments
     proposals = []
     sensors = _sensors(a, b, experiments)
     for name, seen in sensors.items():
-        proposals.append(Proposal(f"also record {name}", names, seen))
+        proposals.append(NextExperiment(f"also record {name}", names, seen))
     for do, profile in _profiles(experiments).items():
         power = _power(_difference(a, b, profile))
         if power is not None:
-            proposals.append(Proposal(do, names, power))
+            proposals.append(NextExperiment(do, names, power))
     return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS])
 
 

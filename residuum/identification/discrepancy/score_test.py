@@ -15,13 +15,14 @@ from residuum.identification.discrepancy.policy.likelihood import FAR_BEHIND
 from residuum.identification.discrepancy.policy.trials import FRACTIONS_OF_A_START, MOST_STARTS
 from residuum.identification.discrepancy.start_values import clipped_step, inside_bounds
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
-from residuum.identification.discrepancy.track import regressed, track
+from residuum.identification.discrepancy.track import track
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Experiment, Key, PhysicalModel, conditions_at
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
 from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.following import regressed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -122,7 +123,7 @@ class Screen:
         """The effect at the sizes and the start that explain most of what its balance lacked along the track, and that share."""
         if not any(map(np.any, self.track.missing.values())):
             return None
-        tried = [regressed(self.origin, id, target, start, self.track) for start in self.starts(id, target)]
+        tried = [regressed(Key(id, target), start, self.track) for start in self.starts(id, target)]
         return max((found for found in tried if found is not None), key=lambda found: found[0], default=None)
 
     def best(self, id: str, target: str) -> Screened | None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.policy.answers import FORMULA_TERMS
+from residuum.identification.unseen_blocks.free_term import BlockTerm
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class Suggestion:
     share: float
 
 
-def suggestion(free: FreeTerm) -> Suggestion | None:
+def suggestion(free: FreeTerm | BlockTerm) -> Suggestion | None:
     """The formula that comes nearest to the free term's curve; None for a curve without any spread."""
     return nearest_formula(np.asarray(free.at), np.asarray(free.value))
 

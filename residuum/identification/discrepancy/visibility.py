@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from residuum.identification.discrepancy.policy.acceptance import ACCEPT
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.physics.model import find_effect
-
-
-@dataclass(frozen=True)
-class Undetectable:
-    """Smallest size of an effect's leading parameter that would have been accepted, in `unit`."""
-
-    effect: str
-    balance: str
-    smallest_visible: dict[str, float]
-    unit: str
+from residuum.identification.unseen_blocks.advice import Undetectable
 
 
 def undetectable(found: Search) -> tuple[Undetectable, ...]:

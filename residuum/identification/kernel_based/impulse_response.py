@@ -28,6 +28,7 @@ from residuum.identification.kernel_based.marginal_likelihood import (
     Posterior,
     marginal_likelihood,
 )
+from residuum.identification.kernel_based.outlasting import Longer, longer_response
 from residuum.identification.linear_models.excitation import excitation_order
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
@@ -63,6 +64,7 @@ def identify_impulse_response(
     offset: bool = True,
     tail: int | None = None,
     hyper_uncertainty: bool = True,
+    cover_cut: bool = True,
 ) -> IdentifiedModel:
     """Identify the impulse response from `input` to `output`.
 
@@ -89,6 +91,9 @@ def identify_impulse_response(
         does not act as noise. None: half the order, at most one in a hundred samples; 0: the textbook problem.
     hyper_uncertainty : bool
         Whether the covariance also holds what the unknown hyper-parameters add (first order); False: (A.17c) alone.
+    cover_cut : bool
+        Whether a response that outlasts the order gets a longer one beside it (`longer_response`), which random models and
+        bounds on the error are drawn from; False: they know nothing of what the order cuts off.
 
     Returns
     -------
@@ -125,6 +130,13 @@ def identify_impulse_response(
         tail = min(order // 2, sum(record.n for record in experiments) // 100)
     data = lagged_data(experiments, [input], output, order + tail, delay, offset=offset)
     fit = fit_impulse_response(data.sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty)
+
+    def refit(length: int) -> tuple[FloatArray, FloatArray]:
+        sums = lagged_data(experiments, [input], output, length, delay, offset=offset).sums
+        again = fit_impulse_response(sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty)
+        return again.mean, again.covariance
+
+    longer = longer_response((fit.mean, fit.covariance), order, data.sums.rows, refit) if cover_cut else None
     return IdentifiedModel(
         method=f"kernel-{kernel}",
         sample_time=data.sample_time,
@@ -139,8 +151,10 @@ def identify_impulse_response(
         offset=data.offset(fit.mean),
         hyper_parameters=fit.hyper_parameters[0],
         negative_log_likelihood=fit.negative_log_likelihood,
-        warnings=fit.warnings,
+        warnings=(*fit.warnings, *_uncovered(longer, delay)),
         provenance={**provenance(data, noise_variance, started), "tail": tail},
+        longer_response=None if longer is None else longer.mean,
+        longer_covariance=None if longer is None else longer.covariance,
         bands=None if fit.bands is None else PointwiseBands(fit.bands, slice(0, order)),
     )
 
@@ -282,6 +296,15 @@ def _warnings(likelihood: MarginalLikelihood, posterior: Posterior, value: float
         if len(g) > 1 and left > 0.05:
             found.append(f"the response has not decayed within {len(g)} samples: {100 * left:.0f} % of its largest value is left")
     return found
+
+
+def _uncovered(longer: Longer | None, delay: int) -> list[str]:
+    if longer is None or longer.negligible:
+        return []
+    return [
+        f"bounds on the model's error do not cover what lies beyond lag {delay + len(longer.mean) - 1}, for the response lasts "
+        "longer than the records can tell: record longer, or identify with arx or oe"
+    ]
 
 
 def check_settings(kernel: str, order: int, delay: int, noise_variance: NoiseVariance) -> None:

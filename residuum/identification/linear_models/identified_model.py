@@ -28,6 +28,8 @@ _ARRAYS = (
     "noise_numerator",
     "noise_denominator",
     "pointwise_std",
+    "longer_response",
+    "longer_covariance",
 )
 
 
@@ -73,6 +75,9 @@ class IdentifiedModel:
         Monic H in descending powers of z, of equal length; None = white output noise, H = 1.
     pointwise_std : array or None, shape (m,)
         Standard deviations of single coefficients that hold more than `covariance` does (hyper-parameters marginalised).
+    longer_response, longer_covariance : array or None, shapes (M,) and (M, M), M ≥ m
+        Estimate of a response of which g is cut off too early to say how far the plant may be from it: random models are drawn
+        from this one, so that a bound on the error of g holds what g leaves out.
     bands : Bands or None
         What computes `pointwise_std` when it is first asked for; not kept in a file.
     hyper_parameters : mapping of name to float
@@ -116,6 +121,8 @@ class IdentifiedModel:
     noise_numerator: FloatArray | None = None
     noise_denominator: FloatArray | None = None
     pointwise_std: FloatArray | None = None
+    longer_response: FloatArray | None = None
+    longer_covariance: FloatArray | None = None
     bands: Bands | None = field(default=None, repr=False)
     hyper_parameters: Mapping[str, float] = field(default_factory=dict)
     negative_log_likelihood: float = float("nan")
@@ -136,12 +143,21 @@ class IdentifiedModel:
         if self.pointwise_std is not None:
             known = self.pointwise_std.shape == (m,) and bool((self.pointwise_std >= 0).all())
             _rule(known, "pointwise_std", f"must be {m} numbers ≥ 0")
+        self._check_longer_response(m)
         _rule(self.delay >= 0, "delay", f"is {self.delay}; must be a number of samples ≥ 0")
         _rule(np.isfinite(self.offset), "offset", "must be finite")
         self._check_parametric_part()
         object.__setattr__(self, "hyper_parameters", MappingProxyType(dict(self.hyper_parameters)))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
         object.__setattr__(self, "warnings", tuple(self.warnings))
+
+    def _check_longer_response(self, m: int) -> None:
+        both = self.longer_response, self.longer_covariance
+        _rule((both[0] is None) == (both[1] is None), "longer_response", "comes together with longer_covariance")
+        if self.longer_response is not None and self.longer_covariance is not None:
+            _rule(self.longer_response.ndim == 1 and len(self.longer_response) >= m, "longer_response", f"must have at least {m}")
+            M = len(self.longer_response)
+            _rule(self.longer_covariance.shape == (M, M), "longer_covariance", f"must have shape ({M}, {M})")
 
     def _check_parametric_part(self) -> None:
         _rule((self.numerator is None) == (self.denominator is None), "numerator", "comes together with denominator")
@@ -168,6 +184,11 @@ class IdentifiedModel:
     def order(self) -> int:
         """Length m of the impulse response."""
         return len(self.impulse_response)
+
+    @property
+    def reach(self) -> int:
+        """Length of the impulse responses that `sample_longer` draws."""
+        return self.order if self.longer_response is None else len(self.longer_response)
 
     @property
     def std(self) -> FloatArray:
@@ -237,11 +258,18 @@ class IdentifiedModel:
         systems = (TransferFunction(numerator, denominator, self.sample_time) for numerator, denominator in drawn)
         return np.array([system.simulate(impulse)[self.delay :] for system in systems]).reshape(n, self.order)
 
+    def sample_longer(self, n: int, seed: int | np.random.Generator) -> FloatArray:
+        """`n` impulse responses as long as the data can tell, shape (n, `reach`); the same as `sample` where g has decayed."""
+        if self.longer_response is None or self.longer_covariance is None:
+            return self.sample(n, seed)
+        rng = np.random.default_rng(seed)
+        return self.longer_response + rng.standard_normal((n, self.reach)) @ _square_root(self.longer_covariance).T
+
     def sample_frequency_responses(self, n: int, omega: npt.ArrayLike, seed: int | np.random.Generator) -> ComplexArray:
-        """Frequency responses at ω [rad/s] of `n` random models, shape (n, len(omega))."""
+        """Frequency responses at ω [rad/s] of `n` random models of `sample_longer`, shape (n, len(omega))."""
         omega, rng = np.atleast_1d(np.asarray(omega, dtype=float)), np.random.default_rng(seed)
         if self.parameter_covariance is None:
-            return np.asarray(self.sample(n, rng) @ self._lag_phasors(omega).T)
+            return np.asarray(self.sample_longer(n, rng) @ self._lag_phasors(omega, self.reach).T)
         z = np.exp(1j * omega * self.sample_time)
         numerators, denominators = self._sample_parameters(n, rng)
         return np.asarray(
@@ -256,10 +284,10 @@ class IdentifiedModel:
         return np.r_[np.zeros(lag), self.numerator][None], self.denominator[None]
 
     def sample_polynomials(self, n: int, seed: int | np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """The same of `n` random models, shapes (n, p) and (n, q), or (1, q) where all share the denominator."""
+        """The same of `n` random models of `sample_longer`, shapes (n, p) and (n, q) or (1, q)."""
         rng = np.random.default_rng(seed)
         if self.parameter_covariance is None:
-            return np.hstack([np.zeros((n, self.delay)), self.sample(n, rng)]), np.ones((1, 1))
+            return np.hstack([np.zeros((n, self.delay)), self.sample_longer(n, rng)]), np.ones((1, 1))
         numerators, denominators = self._sample_parameters(n, rng)
         return np.hstack([np.zeros((n, denominators.shape[1] - numerators.shape[1])), numerators]), denominators
 
@@ -299,8 +327,8 @@ class IdentifiedModel:
             return simulated
         return np.asarray(y - signal.lfilter(self.noise_denominator, self.noise_numerator, y - simulated))
 
-    def _lag_phasors(self, omega: FloatArray) -> ComplexArray:
-        lags = self.delay + np.arange(self.order)
+    def _lag_phasors(self, omega: FloatArray, length: int | None = None) -> ComplexArray:
+        lags = self.delay + np.arange(self.order if length is None else length)
         return np.exp(-1j * self.sample_time * np.multiply.outer(omega, lags))
 
     def _frequency_gradient(self, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:

@@ -92,7 +92,7 @@ def _typed(name: str, value: Any) -> Any:
 
 
 def _refuse_indefinite(model: IdentifiedModel, path: Path) -> None:
-    for name in ("covariance", "parameter_covariance"):
+    for name in ("covariance", "parameter_covariance", "longer_covariance"):
         matrix = getattr(model, name)
         if matrix is None:
             continue

@@ -163,7 +163,7 @@ def _whitened_fit(model: IdentifiedModel, residuals: Sequence[Record], order: in
     for _ in range(_PASSES):
         A = _joint_autoregression([record[model.output_name] for record in remainders])
         filtered = [replace(record, channels={name: whitened(record[name], A) for name in channels}) for record in residuals]
-        error = identify_impulse_response(filtered, *channels, kernel=kernel, order=order, delay=model.delay)
+        error = identify_impulse_response(filtered, *channels, kernel=kernel, order=order, delay=model.delay, cover_cut=False)
         remainders = [residual_record(error, record) for record in residuals]
     return error
 

@@ -171,7 +171,7 @@ def _lags(model: IdentifiedModel) -> int:
     if model.is_parametric:
         transfer = model.transfer_function()
         return max(len(transfer.num), len(transfer.den)) * _LAGS_A_POLE
-    return model.order + model.delay
+    return model.reach + model.delay
 
 
 def drawn_errors(

@@ -47,13 +47,14 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 
 def _is_ours(content: bytes) -> bool:
-    """Whether the first line that is no note begins with `time [s],`, without quotes: nothing has to be guessed then.
+    """Whether the first line that is no note begins with `time [s],`, and neither it nor the next has quotes: nothing is guessed.
 
     A first line that is too long for any header is left to the reader that says so.
     """
     start = content[: 3 * _LONGEST_HEADER].removeprefix(b"\xef\xbb\xbf")
-    head = next((line for line in start.splitlines() if line.strip() and not line.startswith(b"#")), b"")
-    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head)
+    lines = (line for line in start.splitlines() if line.strip() and not line.startswith(b"#"))
+    head, first = next(lines, b""), next(lines, b"")
+    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head + first)
 
 
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
@@ -121,7 +122,7 @@ def table_record(
             row = first_row + int(np.argmax(infinite))
             raise BadRecord(f"{source}, row {row}, column {name!r}: infinite value; must be finite or empty (missing)")
     told: list[str] = []
-    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told)
+    step, columns = even_columns(columns, source, resample=options.resample, first_row=first_row, told=told, names=names[1:])
     options.settle_sample_time(step, source)
     return Record(
         dict(zip(names[1:], columns[1:], strict=True)),

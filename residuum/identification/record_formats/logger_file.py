@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.even_time import on_grid
+from residuum.identification.record_formats.first_rows import first_rows
 from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
 from residuum.identification.record_formats.logger_text import (
@@ -26,15 +27,15 @@ from residuum.identification.record_formats.logger_text import (
     number,
     with_unit,
 )
-from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, UNITS, number_form, stamp_form
+from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, number_form, seconds_of, stamp_form
 
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
 )
 _AXIS = re.compile(r"(?i)x|x[-_ ]?(axis|value|achse)|abscissa|source")
 """Names of a first column that is the time where it has a unit of time."""
-_SHOWN = 3
-"""Rows as read that are told."""
+_LOOKED_AT = 50
+"""Rows, evenly spread, that tell which columns may have a unit behind every number."""
 _MOSTLY = 0.9
 """Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
 _SIGNAL_NAME = re.compile(
@@ -104,7 +105,8 @@ def understand(
 def _without_units(rows: list[list[str]]) -> tuple[list[list[str]], dict[int, str]]:
     """The rows without the unit that stands behind every number of a column, and that unit by column."""
     suffixes: dict[int, str] = {}
-    for column in range(max(map(len, rows), default=0)):
+    some = rows[:: max(1, len(rows) // _LOOKED_AT)]
+    for column in sorted({k for row in some for k, cell in enumerate(row) if with_unit(cell) is not None}):
         cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING]
         found = Counter(pair[1] for cell in cells if (pair := with_unit(cell)) is not None)
         if found and found.total() >= _MOSTLY * len(cells) and found.total() > 1:
@@ -142,7 +144,9 @@ def _heads(
     rows: list[list[str]], first: int, width: int, guesses: dict[str, tuple[str, str]], source: str
 ) -> tuple[list[str], list[str]]:
     above = [
-        (k, row) for k, row in enumerate(rows[: first - 1], start=1) if len(row) == width and sum(map(bool, row)) > width / 2
+        (k, row)
+        for k, row in enumerate(rows[: first - 1], start=1)
+        if len(row) == width and (sum(map(bool, row)) > width / 2 or _holds_units_only(row))
     ]
     if not above:
         raise BadRecord(f"{source}, row {first}: no line of {width} column names stands above it; write one")
@@ -181,12 +185,22 @@ def _distinct(names: list[str], where: str) -> list[str]:
 
 def _unit_line(line: list[str], above: list[str]) -> list[str] | None:
     """The units of a line that holds nothing else, or half units below a line without any; None for any other line."""
-    bare = [unit_word(cell.strip().strip("[]()").strip()) for cell in line]
+    bare = [_bare_unit(cell) for cell in line]
     filled = [cell for cell in bare if cell and not is_stampish(cell)]
     certain = sum(map(is_unit, filled))
     if certain == len(filled) or (2 * certain >= len(filled) and not any(map(is_unit, above))):
         return ["" if is_stampish(cell) else cell for cell in bare]
     return None
+
+
+def _bare_unit(cell: str) -> str:
+    return unit_word(cell.strip().strip("[]()").strip())
+
+
+def _holds_units_only(line: list[str]) -> bool:
+    """Whether all cells that are filled are units: few of them are enough where most columns have none."""
+    filled = [_bare_unit(cell) for cell in line if cell]
+    return bool(filled) and all(map(is_unit, filled))
 
 
 def is_stampish(cell: str) -> bool:
@@ -253,9 +267,9 @@ def _rises_evenly(body: list[list[str]], column: int, decimal: str) -> bool:
 
 
 def _is_named_time(k: int, name: str, units: list[str]) -> bool:
-    if not (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and units[k].lower() in UNITS)):
+    if not (_TIME_NAME.fullmatch(name) or (k == 0 and _AXIS.fullmatch(name) and seconds_of(units[k]) is not None)):
         return False
-    return k == 0 or units[k].lower() in UNITS
+    return k == 0 or seconds_of(units[k]) is not None
 
 
 def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
@@ -345,11 +359,6 @@ def _or_zero(cell: str, decimal: str) -> float:
         return 0.0
 
 
-def _row(stamps: npt.NDArray[np.int64], values: npt.NDArray[np.float64], k: int) -> list[float | None]:
-    """Time [s] and values of a row as read, None for what is missing."""
-    return [float(stamps[k]) / 1e9, *(None if np.isnan(value) else float(value) for value in values[:, k])]
-
-
 def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[str, str]], source: str) -> LoggerFile:
     stamps, values, rows = table(text, mapping, source)
     steps = np.diff(stamps)
@@ -374,7 +383,11 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         )
     forward: npt.NDArray[np.float64] = np.diff(np.unique(stamps)).astype(np.float64) / 1e9
     if not len(forward):
-        raise BadRecord(f"{source}: all rows have one time stamp")
+        stamp = " ".join(cells_of(text, mapping.delimiter)[rows[0] - 1][column - 1] for column in mapping.time)
+        raise BadRecord(
+            f"{source}: all rows have one time stamp, {stamp[:40]!r}; export the times with more digits, or write the seconds "
+            "since the start into a column 'time [s]'"
+        )
     step = float(np.median(forward))
     gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
     samples = {
@@ -386,7 +399,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
-        "first_rows": [_row(stamps, values, k) for k in range(min(_SHOWN, len(rows)))],
+        "first_rows": first_rows(stamps / 1e9, values),
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }
     return LoggerFile(mapping, guesses, samples)

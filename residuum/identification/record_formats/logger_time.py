@@ -47,9 +47,19 @@ _DATENUM_1970 = 719_529
 _DAY = 86_400 * 10**9
 _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.ASCII)
 _CLOCK = re.compile(
-    r"(\d+):(\d\d)(?::(\d\d)(?:[.,:](\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
+    r"(\d+):(\d\d)(?::(\d\d)(?:([.,:])(\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
 )
 _EPOCHS = (("epoch s", 1e9, 2.2e9), ("epoch ms", 1e12, 2.2e12), ("epoch us", 1e15, 2.2e15), ("epoch ns", 1e18, 2.2e18))
+
+
+def seconds_of(unit: str) -> float | None:
+    """Seconds of one unit of a time, as it is spelled; None for what is no unit of time.
+
+    >>> seconds_of("ms"), seconds_of("Minutes"), seconds_of("V")
+    (0.001, 60.0, None)
+    """
+    name = UNITS.get(unit.lower())
+    return None if name is None else float(PER_SECOND[name])
 
 
 def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[str, str] | None:
@@ -190,14 +200,16 @@ def _clock(text: str) -> int:
     match = _CLOCK.fullmatch(text.strip())
     if not match:
         raise ValueError(text)
-    hours, minutes, seconds, fraction, half, zone = match.groups()
+    hours, minutes, seconds, sign, fraction, half, zone = match.groups()
     hour = int(hours)
     if half:
         if not 1 <= hour <= 12:
             raise ValueError(text)
         hour = hour % 12 + (12 if half.lower() == "pm" else 0)
-    if int(minutes) > 59 or int(seconds or 0) > 60:
+    if int(minutes) > 59 or int(seconds or 0) > 60 or (sign == ":" and len(fraction) > 3):
         raise ValueError(text)
+    if sign == ":":  # milliseconds as a number, which some write without leading noughts
+        fraction = fraction.zfill(3)
     whole = hour * 3600 + int(minutes) * 60 + int(seconds or 0) - _offset(zone)
     return whole * 10**9 + int((fraction or "0")[:9].ljust(9, "0"))
 

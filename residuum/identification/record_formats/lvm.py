@@ -16,6 +16,9 @@ from residuum.identification.record_formats.time_bases import NOT_READ, TimedCha
 
 _FIRST = b"LabVIEW Measurement"
 _END = "***End_of_Header***"
+LONGEST_HEAD = 1 << 20
+"""Bytes within which both heads end."""
+_X_COLUMNS = ("no", "one", "multi")
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 
@@ -37,8 +40,9 @@ def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 
 def has_head(content: bytes) -> bool:
-    """Whether a file has both of LabVIEW's heads: they say how it is read."""
-    return content.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and content.count(_END.encode()) >= 2
+    """Whether a file has both of LabVIEW's heads, which say how it is read; its first `LONGEST_HEAD` bytes are enough."""
+    start = content[:LONGEST_HEAD]
+    return start.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and start.count(_END.encode()) >= 2
 
 
 def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
@@ -48,7 +52,9 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
     if len(ends) != 2:
         raise BadRecord(f"{source}: has {max(0, len(ends) - 1)} segments; one is read, save one file a segment")
     general = _keys(lines[: ends[0]], None)
-    cut = _SEPARATORS.get(general.get("Separator", ["tab"])[0].lower().strip("\t,; "), "\t")
+    separator = general.get("Separator", ["tab"])[0].strip("\t,; ")
+    if (cut := _SEPARATORS.get(separator.lower())) is None:
+        raise BadRecord(f"{source}: its head says the separator {separator!r}; it must be one of {', '.join(_SEPARATORS)}")
     decimal = general.get("Decimal_Separator", ["."])[0][:1] or "."
     if decimal not in (".", ","):
         raise BadRecord(f"{source}: its head says the decimal sign {decimal!r}; it must be a point or a comma")
@@ -64,11 +70,11 @@ def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions())
         name, unit = unit_of_head((heads[at_y] if at_y < len(heads) else "") or f"channel {k + 1}")
         labels = segment.get("Y_Unit_Label", [])
         own = unit_word(labels[k]) if k < len(labels) and labels[k] else unit
-        start, step = (_said(segment, key, k, decimal) for key in ("X0", "Delta_X"))
         times = table[:, at_x]
         if np.isnan(times).all():
+            start, step = (_said(segment, key, k, decimal, source) for key in ("X0", "Delta_X"))
             if not step > 0:
-                raise BadRecord(f"{source}: says neither times nor Delta_X; give --sample-time")
+                raise BadRecord(f"{source}: says neither times nor a Delta_X above 0; write one into its head")
             times = start + step * np.arange(len(table))
         known = ~np.isnan(times)
         channels.append(TimedChannel(name, own, times[known], table[known, at_y]))
@@ -90,6 +96,8 @@ def _places(x_columns: str, n: int, source: str) -> list[tuple[int, int]]:
     """Column of the times and of the values of each channel."""
     if n < 1 or n > 1000:
         raise BadRecord(f"{source}: its head says {n} channels; 1 to 1000 are read")
+    if x_columns not in _X_COLUMNS:
+        raise BadRecord(f"{source}: its head says X_Columns {x_columns!r}; it must be one of {', '.join(_X_COLUMNS)}")
     return [(2 * k, 2 * k + 1) for k in range(n)] if x_columns == "multi" else [(0, k + 1) for k in range(n)]
 
 
@@ -110,9 +118,12 @@ def _table(lines: Sequence[str], cut: str, decimal: str, width: int, first_row: 
     return np.array(rows)
 
 
-def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str) -> float:
+def _said(segment: dict[str, list[str]], key: str, k: int, decimal: str, source: str) -> float:
+    """What the head says of channel k; 0 where it says nothing."""
     values = segment.get(key, [])
+    cell = values[k] if k < len(values) else ""
     try:
-        return number(values[k], decimal) if k < len(values) and values[k] else 0.0
+        return number(cell, decimal) if cell else 0.0
     except ValueError:
-        return 0.0
+        what = f"{key} of channel {k + 1} is {cell[:40]!r}, no number with decimal sign {decimal!r}"
+        raise BadRecord(f"{source}: {what}; mend the head") from None

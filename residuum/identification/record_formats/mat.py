@@ -10,7 +10,7 @@ import scipy
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import FloatArray, on_grid
-from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
+from residuum.identification.record_formats.logger_time import seconds_of
 from residuum.identification.record_formats.mat_variables import SHORTEST, MatVariables, variables_of
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
@@ -44,7 +44,7 @@ def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     length = max(map(len, found.vectors.values()))
     channels = {name: vector.astype(float) for name, vector in found.vectors.items() if len(vector) == length}
     units = {name: _unit(found, name, options) for name in channels}
-    step = options.settle_sample_time(_scalar_step(found), str(path))
+    step = options.settle_sample_time(_scalar_step(found, str(path)), str(path))
     return Record(channels, units, step, notes=_left_out(found, [*channels]), source=str(path))
 
 
@@ -63,9 +63,7 @@ def _times(found: MatVariables, source: str, options: ReadOptions) -> dict[str, 
 def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables, source: str, options: ReadOptions) -> FloatArray:
     unit = found.texts.get(f"units_{name}", "") or found.texts.get("TimeUnit", "") or ending
     if unit:
-        if unit.lower() not in UNITS:
-            raise BadRecord(f"{source}: {name!r} is in {unit!r}, which is no unit of time")
-        return vector * float(PER_SECOND[UNITS[unit.lower()]])
+        return vector * _seconds(unit, name, source)
     step = float(np.median(np.diff(vector)))
     if step < 1:
         return vector
@@ -76,6 +74,12 @@ def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables,
             "or say --sample-time"
         )
     return vector * (options.sample_time / step)
+
+
+def _seconds(unit: str, name: str, source: str) -> float:
+    if (seconds := seconds_of(unit)) is None:
+        raise BadRecord(f"{source}: {name!r} is in {unit!r}, which is no unit of time; save it in seconds")
+    return seconds
 
 
 def _timed_record(found: MatVariables, times: dict[str, FloatArray], source: str, options: ReadOptions) -> Record:
@@ -94,7 +98,7 @@ def _timed_record(found: MatVariables, times: dict[str, FloatArray], source: str
     if not channels:
         there = "".join(f"; {name} has {len(vector)} values" for name, vector in found.vectors.items())
         raise BadRecord(f"{source}: holds time ({', '.join(times)}) but no channel of its length{there}")
-    said = _scalar_step(found)
+    said = _scalar_step(found, source)
     record = on_one_base(channels, source, options, _left_out(found, read))
     if said is not None and len(times) == 1 and options.sample_time is None and abs(said - record.sample_time) > 0.01 * said:
         raise BadRecord(
@@ -185,10 +189,16 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
     return found
 
 
-def _scalar_step(found: MatVariables) -> float | None:
-    """The sample time [s] that a scalar says; `iddata` counts its `Ts` in its `TimeUnit`."""
-    unit = float(PER_SECOND[UNITS.get(found.texts.get("TimeUnit", "s").lower(), "seconds")])
-    for name in _STEP:
-        if found.numbers.get(name, 0.0) > 0:
-            return found.numbers[name] * unit
-    return next((1.0 / found.numbers[name] for name in _RATE if found.numbers.get(name, 0.0) > 0), None)
+def _scalar_step(found: MatVariables, source: str) -> float | None:
+    """The sample time [s] that scalars say; `iddata` counts its `Ts` in its `TimeUnit`.
+
+    Raises BadRecord for a unit that is none of time, and for scalars that contradict each other.
+    """
+    unit = found.texts.get("TimeUnit", "s")
+    steps = {name: found.numbers[name] for name in _STEP if found.numbers.get(name, 0.0) > 0}
+    said = {name: step * _seconds(unit, name, source) for name, step in steps.items()}
+    said |= {name: 1.0 / found.numbers[name] for name in _RATE if found.numbers.get(name, 0.0) > 0}
+    if said and max(said.values()) > 1.01 * min(said.values()):
+        both = ", ".join(f"{name} {step:.6g} s" for name, step in said.items())
+        raise BadRecord(f"{source}: its scalars say several sample times ({both}); save one of them")
+    return next(iter(said.values()), None)

@@ -8,7 +8,7 @@ import numpy as np
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.logger_time import PER_SECOND, UNITS
+from residuum.identification.record_formats.logger_time import seconds_of
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base
@@ -66,8 +66,8 @@ def _clock(channels: list[Any], source: str) -> Any:
 def _tells_time(channel: Any) -> bool:
     if channel.dtype.kind == "M":
         return True
-    unit = _unit(channel).lower()
-    return channel.dtype.kind in "fiu" and bool(_TIME_NAME.fullmatch(channel.name)) and (not unit or unit in UNITS)
+    unit = _unit(channel)
+    return channel.dtype.kind in "fiu" and bool(_TIME_NAME.fullmatch(channel.name)) and (not unit or seconds_of(unit) is not None)
 
 
 def _times(channel: Any, clock: Any, options: ReadOptions, source: str) -> np.ndarray:
@@ -89,13 +89,13 @@ def _instants(clock: Any, source: str) -> np.ndarray:
     values = np.asarray(clock[:])
     if values.dtype.kind == "M":
         return (values - values[0]) / np.timedelta64(1, "ns") * 1e-9
-    if not (unit := _unit(clock)):
+    if (seconds := seconds_of(_unit(clock))) is None:
         values = values.astype(float)
         step = float(np.median(np.diff(values)))
         if step >= 1 or values[0] > 1e9:
             raise BadRecord(f"{source}: nothing says the unit of channel {clock.name!r} of times; give --sample-time without it")
         return values
-    return values.astype(float) * float(PER_SECOND[UNITS[unit.lower()]])
+    return values.astype(float) * seconds
 
 
 def _unit(channel: Any) -> str:

@@ -41,16 +41,21 @@ def at_likelier_timing(
     first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
     if isinstance(first, NotIdentifiable):
         raise first
-    return first if isinstance(other, NotIdentifiable) or _innovations(first[1]) <= _innovations(other[1]) else other
+    return (
+        first
+        if isinstance(other, NotIdentifiable) or innovations_of(first[1].residuals) <= innovations_of(other[1].residuals)
+        else other
+    )
 
 
-def _innovations(found: Estimate) -> float:
-    """Logarithm of the innovations' variance, summed over the outputs that were measured."""
-    logarithms = [np.log(max(_innovation_variance([r[:, o] for r in found.residuals]), 1e-300)) for o in range(len(found.rmse))]
+def innovations_of(residuals: Sequence[FloatArray]) -> float:
+    """Logarithm of the variance of residuals' innovations, summed over the outputs that were measured."""
+    outputs = range(residuals[0].shape[1])
+    logarithms = [np.log(max(innovation_variance([r[:, o] for r in residuals]), 1e-300)) for o in outputs]
     return float(np.nansum(logarithms))
 
 
-def _innovation_variance(residuals: Sequence[FloatArray]) -> float:
+def innovation_variance(residuals: Sequence[FloatArray]) -> float:
     """Of one output's residuals; their own where they are too few to tell a colour, NaN where they were not measured."""
     try:
         return lasting_noise(residuals, NOISE_ORDER).innovation_variance

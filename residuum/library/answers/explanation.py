@@ -6,14 +6,14 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
-from residuum.identification.discrepancy.candidate import Candidate
-from residuum.identification.discrepancy.explain import Explanation
+from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.held_values import HeldValue
-from residuum.identification.discrepancy.remaining import Remaining
-from residuum.identification.discrepancy.share_judgement import because
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.residual_analysis.policy.noise import SLOW
+from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.free_term import BlockTerm
+from residuum.identification.unseen_blocks.held_value import HeldValue
+from residuum.identification.unseen_blocks.remaining import Remaining
 from residuum.identification.work import Work
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text
@@ -50,8 +50,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
         "held_values": [asdict(held) for held in explanation.held],
-        "timing": [{"effect": effect, "at": target} for effect, target in explanation.search.timing],
-        "drifting": explanation.search.drifting,
+        "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
+        "drifting": explanation.drifting,
         "by_share": explanation.by_share,
         "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
         "work": work_json(explanation.work),
@@ -72,7 +72,7 @@ def work_text(work: Work) -> list[str]:
     return [f"  not tried, for {why}: {', '.join(work.not_tried)}"]
 
 
-def free_term_json(free: FreeTerm) -> dict[str, Any]:
+def free_term_json(free: FreeTerm | BlockTerm) -> dict[str, Any]:
     """The shape of what the catalogue leaves unexplained."""
     formula = suggestion(free)
     return {
@@ -100,8 +100,17 @@ def _candidate_json(candidate: Candidate) -> dict[str, Any]:
         "held_out": candidate.held_out,
         "within_bounds": candidate.within_bounds,
         "share": None if candidate.share is None else {"value": candidate.share.value, "std": candidate.share.std},
-        "because": because(candidate),
+        "because": _because(candidate),
     } | tied_json(candidate.effect, candidate.balance, candidate.parameters)
+
+
+def _because(candidate: Candidate) -> str:
+    """One sentence for the candidate: how much it takes away, of what, and what may stand for it."""
+    if candidate.share is None:
+        return f"{candidate.effect} at {candidate.balance} makes the records more likely than the model without it"
+    share = f"{100 * candidate.share.value:.0f} ± {100 * candidate.share.std:.0f} %"
+    alike = f"; {' or '.join(candidate.indistinguishable_from)} would do as well" if candidate.indistinguishable_from else ""
+    return f"{candidate.effect} at {candidate.balance} takes away {share} of the error's power on blocks kept aside{alike}"
 
 
 def remaining_json(remaining: Remaining) -> dict[str, Any]:
@@ -159,10 +168,10 @@ def _rest_text(explanation: Explanation) -> list[str]:
         for output, (rms, unit, times) in explanation.left.items()
         if times > from_
     ]
-    if explanation.search.drifting:
+    if explanation.drifting:
         lines.append("  an unknown load or offset drifts with time; it explains more than any effect would")
     return lines + [
-        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.search.timing
+        f"  {effect} at {target} by less than a sample: how the record was taken" for effect, target in explanation.timing
     ]
 
 

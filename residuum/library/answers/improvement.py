@@ -17,7 +17,9 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
     remaining = None if improvement.explanation is None else improvement.explanation.remaining
     return {
         "history": [
-            {"added": step.added, "error": step.error} | ({"together": True} if step.together else {})
+            {"added": step.added, "error": step.error}
+            | ({"together": True} if step.together else {})
+            | {"remaining": None if step.remaining is None else remaining_json(step.remaining)}
             for step in improvement.history
         ],
         "verdict": improvement.verdict,
@@ -26,6 +28,7 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
         "error_unit": improvement.error_unit,
         "held_out": True,
         "kept_aside": improvement.aside,
+        "refused": list(improvement.refused),
         "held_values": [] if improvement.explanation is None else [asdict(held) for held in improvement.explanation.held],
         "remaining": None if remaining is None else remaining_json(remaining),
         "work": work_json(improvement.work),
@@ -54,9 +57,15 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)
+    if improvement.refused:
+        lines.append(f"  not added, for the error on held-out data would rise: {', '.join(improvement.refused)}")
     lines += work_text(improvement.work)
     lines.append(f"verdict: {improvement.verdict}")
-    return "\n".join([*lines, f"model file (estimated on everything): {file}"] if file else lines)
+    if file:
+        lines.append(f"model file (estimated on everything): {file}")
+    elif not improvement.helps:
+        lines.append("nothing is written: what is missing by name would make the model worse")
+    return "\n".join(lines)
 
 
 def _effect_text(use: EffectUse, improvement: Improvement) -> str:

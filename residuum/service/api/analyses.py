@@ -191,7 +191,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         found = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
-        if asked.save_as is None:
+        if asked.save_as is None or (found["refused"] and len(found["history"]) == 1):  # nothing that would not make it worse
             return found
         added = [step["added"] for step in found["history"] if step["added"]]
         note = f"improved: {', '.join(added)}" if added else "improved: parameters estimated, no effect added"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from starlette.datastructures import QueryParams
@@ -10,6 +12,7 @@ from starlette.datastructures import QueryParams
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.logger_time import FORMS
+from residuum.service.bad_bodies import BadBody
 
 _OF_THE_FILE = {
     "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",
@@ -20,6 +23,18 @@ _OF_THE_FILE = {
 }
 READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
 """Key and meaning of what may be said of a body that is a file; several of `unit` and `map` are taken."""
+_KEYS = {
+    "sample-time": ("sample_time", "SECONDS"),
+    "resample": ("resample", "true"),
+    "decimal": ("decimal", "SIGN"),
+    "time": ("time_form", "FORM"),
+    "unit": ("unit", "CHANNEL=UNIT"),
+    "map": ("map", "NAME=COLUMN"),
+}
+"""Option of the command line → key of the query, and what stands for its value."""
+_OPTION = re.compile(rf"--({'|'.join(_KEYS)})\b(?![-\w])( [\w]+=[^\s,;)]+|(?<=--time) (?:'[^']+'|seconds\b))?")
+_COMMAND = re.compile(r"(`[^`]*`)")
+_BESIDE = re.compile(r" \(`residuum inspect FILE` with it [^)]*\)$")
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -49,10 +64,37 @@ def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) 
     columns = _pairs("map", maps)
     options = dict(said)
     if "time" in columns:
+        if options.get("time_column") is not None:
+            raise BadBody("query: time=COLUMN and map=time=COLUMN are one option; give one of them")
         options["time_column"] = columns.pop("time")
     if told := {columns.get(name, name): unit for name, unit in _pairs("unit", units).items()}:
         options["units"] = told
     return Reading(options, {column: name for name, column in columns.items()})
+
+
+@contextmanager
+def remedies_in_query() -> Iterator[None]:
+    """Let refusals name the keys of the query where readers name the options of the command line."""
+    try:
+        yield
+    except BadInput as error:
+        error.args = (_in_query(str(error)),)
+        raise
+
+
+def _in_query(says: str) -> str:
+    """A refusal whose options are keys of the query; what is said of a command stays, but not that a file beside settles it.
+
+    >>> _in_query("say --time 'day first' or --time 'month first'")
+    "say ?time_form='day first' or ?time_form='month first'"
+    """
+    says = _BESIDE.sub("", says)
+    return "".join(part if part.startswith("`") else _OPTION.sub(_key, part) for part in _COMMAND.split(says))
+
+
+def _key(match: re.Match[str]) -> str:
+    key, example = _KEYS[match[1]]
+    return f"?{key}={match[2].strip() if match[2] else example}"
 
 
 def only_of_files(query: QueryParams, kind: str) -> None:

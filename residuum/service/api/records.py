@@ -11,15 +11,15 @@ from starlette.concurrency import run_in_threadpool
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import CAN_LOGS, LOGGERS, READERS
+from residuum.identification.record_formats import CAN_LOGS, LOGGERS, OLDER, READERS
 from residuum.identification.record_formats.logger_time import FORMS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
-from residuum.service.api.reading_options import READING_OPTIONS, reading
+from residuum.service.api.reading_options import READING_OPTIONS, reading, remedies_in_query
 from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
-from residuum.service.bad_bodies import UnsupportedBody
+from residuum.service.bad_bodies import BadBody, UnsupportedBody
 from residuum.service.machines.known_dbc import known_dbc
 from residuum.service.services import Running
 from residuum.service.settings import Settings
@@ -77,12 +77,15 @@ async def add_record(
 
     A logger's text file is understood by its own text; what that leaves open is refused, and said with these parameters.
     """
+    if time is not None and time_column is not None:
+        raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
     said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column or time}
-    how = reading(said | {"sample_time": sample_time}, map or (), unit or ())
-    content = await body_of(request)
-    bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
-    record = await running.reading(_read, filename, content, running.settings, how.options, bus)
-    record = how.renamed(record)
+    with remedies_in_query():
+        how = reading(said | {"sample_time": sample_time}, map or (), unit or ())
+        content = await body_of(request)
+        bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
+        record = await running.reading(_read, filename, content, running.settings, how.options, bus)
+        record = how.renamed(record)
     number = await run_in_threadpool(running.store.add_record, filename, record)
     stored = await run_in_threadpool(running.store.record, number)
     return Json(stored.to_json(), 201, {"Location": f"/api/v1/records/{number}"})
@@ -126,7 +129,7 @@ def get_record_signal(
 
 def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object], bus: Path | None) -> Record:
     """The record of an uploaded file, whose name on disk is ours (its ending one of the known)."""
-    endings = [*READERS, *LOGGERS, *CAN_LOGS]
+    endings = [*READERS, *OLDER, *LOGGERS, *CAN_LOGS]
     ending = next((known for known in endings if filename.lower().endswith(known)), None)
     if ending is None:
         raise UnsupportedBody(f"filename {filename[:60]!r}: the ending must be one of {', '.join(endings)}")

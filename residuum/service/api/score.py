@@ -14,6 +14,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
+from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, query_parameter, record_of
 from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
@@ -56,9 +57,10 @@ async def score(request: Request) -> Response:
     if len(query_string) <= _LONGEST_KEPT:
         request._query_params = _query(query_string)  # a client asks with the same query again and again
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
-    record = await record_of(request, judge.channels)
-    small = judge.quick and record.n * len(record.names) <= _SCORED_AT_ONCE
-    finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
+    with remedies_in_query():
+        record = await record_of(request, judge.channels)
+        small = judge.quick and record.n * len(record.names) <= _SCORED_AT_ONCE
+        finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
     return finding_json(finding)
 
 

@@ -17,8 +17,10 @@ from starlette.datastructures import QueryParams
 
 from residuum.diagnosis.diagnosers.base import Channel
 from residuum.identification.record import Record
+from residuum.identification.record_formats import CAN_LOGS
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
+from residuum.service.machines.known_dbc import known_dbc
 from residuum.service.services import Services
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
@@ -33,6 +35,7 @@ _APART_UNPACKED = 8 * 2**20
 _PACKED = "application/zip"
 _ARRAY = "application/octet-stream"
 _KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)
+_OF_LOGS = {"dbc", "filename"}
 _ENDINGS = {"text/csv": ".csv", _PACKED: ".npz"}
 _HEAD = re.compile(r"^(?P<name>[^\[\]]{1,200}?)\s*\[(?P<unit>[^\[\]]{0,80})\]$")
 
@@ -52,6 +55,8 @@ SIGNAL_QUERY = [
         query_parameter(name, "string", f"CSV, NPZ: {says}" if name != "map" else says, repeated=name in ("map", "unit"))
         for name, says in READING_OPTIONS.items()
     ),
+    query_parameter("dbc", "string", f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)})."),
+    query_parameter("filename", "string", "Name of that log; its ending says the format."),
 ]
 """What may be said of a body of signals in the query."""
 
@@ -101,10 +106,35 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
     Raises BadBody, BadRecord, BadUnit, TooLarge or UnsupportedBody, each with one line.
     """
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
+    if _tells_log(request.scope["query_string"]):
+        return await _can_log(request)
     if kind not in _KINDS:
         raise UnsupportedBody(f"Content-Type {kind[:60]!r}: is not one of {', '.join(_KINDS)}")
     reading = _reading(request.scope["query_string"], kind)
     return reading.renamed(await _read(request, kind, reading, expected))
+
+
+@lru_cache(maxsize=256)
+def _tells_log(query_string: bytes) -> bool:
+    return bool(_OF_LOGS & QueryParams(query_string).keys())
+
+
+async def _can_log(request: Request) -> Record:
+    """A CAN log, whose format its name says, by a DBC file that the service knows."""
+    services: Services = request.app.state.services
+    name, bus = (request.query_params.get(key, "") for key in ("filename", "dbc"))
+    ending = next((known for known in CAN_LOGS if name.lower().endswith(known)), None)
+    if ending is None or not bus:
+        logs = ", ".join(CAN_LOGS)
+        raise BadBody(
+            f"query: filename (a CAN log, {logs}) and dbc (the DBC file of its bus) go together for a body that is a log"
+        )
+    reading, settings = reading_of(request.query_params), services.settings
+    body, dbc = await body_of(request), await run_in_threadpool(known_dbc, settings, services.store, bus)
+    within: dict[str, Any] = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
+    return reading.renamed(
+        await services.reading(read_upload, body, ending, name[:200], **within, options=reading.options, dbc=dbc)
+    )
 
 
 async def _read(request: Request, kind: str, reading: Reading, expected: Sequence[Channel]) -> Record:

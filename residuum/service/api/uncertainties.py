@@ -75,11 +75,9 @@ def get_uncertainty(
         identified, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, form=form, order=order
     )
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
-    lags = np.arange(identified.order)
-    nominal = identified.impulse_response
-    turn = np.exp(-1j * np.outer(omega * identified.sample_time, lags))
-    drawn = identified.sample(shown, 0) @ turn.T
-    centre = turn @ nominal
+    turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
+    drawn = identified.sample_longer(shown, 0) @ turn.T
+    centre = turn[:, : identified.order] @ identified.impulse_response
     below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[form]
     errors = np.abs(drawn - centre) / np.maximum(np.abs(below), 1e-300)
     critical = made.critical_frequency

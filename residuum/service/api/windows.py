@@ -18,6 +18,7 @@ from residuum.identification.record_formats import write_record
 from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
 from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
+from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.signal_body import AT_ONCE, SIGNAL_BODY, body_of, record_of
 from residuum.service.machines.deciding_method import deciding_method
 from residuum.service.machines.stored_baselines import newest_baseline
@@ -60,8 +61,9 @@ async def add_window(
         deciding = await run_in_threadpool(deciding_method, running.store, asset, judge.name)
     judge = judge if deciding is None else judge.with_settings(method=deciding)
     digest = await _digest(request.url.query.encode(), await body_of(request))
-    record = await record_of(request, judge.channels)
-    return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
+    with remedies_in_query():
+        record = await record_of(request, judge.channels)
+        return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
 
 
 @router.get("", response_model=PageOf[WindowAnswer])

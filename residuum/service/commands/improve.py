@@ -76,9 +76,10 @@ def improve_command(
         seconds=seconds,
         progress=told,
     )
-    improvement.model.save(out)
-    result = improvement.to_dict() | {"model_file": str(out)}
-    report(result, improvement_text(improvement.found, str(out)), as_json=as_json)
+    file = str(out) if improvement.found.helps else None
+    if file:
+        improvement.model.save(out)
+    report(improvement.to_dict() | {"model_file": file}, improvement_text(improvement.found, file), as_json=as_json)
 
 
 def names_of(texts: Sequence[str] | None) -> list[str]:

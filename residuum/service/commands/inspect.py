@@ -8,10 +8,11 @@ import typer
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS
-from residuum.identification.record_formats.logger_file import LoggerFile, understand
-from residuum.identification.record_formats.lvm import has_head
+from residuum.identification.record_formats.logger_file import understand
+from residuum.identification.record_formats.lvm import LONGEST_HEAD, has_head
 from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.record_inspection import of_logger_file, of_record_file
 from residuum.service.commands.records import DbcFile, is_can_log
 from residuum.service.commands.report import AsJson, report
 
@@ -43,7 +44,7 @@ def inspect_command(
     elif dbc is not None or is_can_log(Path(file)):
         report(*_log(Path(file), dbc), as_json=as_json)
     elif _says_itself(Path(file)):
-        report(*import_module("residuum.service.commands.record_inspection").inspect_record(Path(file)), as_json=as_json)
+        report(*of_record_file(Path(file)), as_json=as_json)
     else:
         _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
 
@@ -62,10 +63,15 @@ def _says_itself(file: Path) -> bool:
     """Whether a file's format says how it is read, so that there is nothing to guess and no mapping to write."""
     ending = file.suffix.lower()
     if ending == ".lvm":
-        return file.is_file() and has_head(file.read_bytes())
+        return file.is_file() and has_head(_start(file))
     if ending == ".csv":
-        return file.is_file() and is_scope_csv(file.read_bytes())
+        return file.is_file() and is_scope_csv(_start(file))
     return ending in READERS | OLDER
+
+
+def _start(file: Path) -> bytes:
+    with file.open("rb") as content:
+        return content.read(LONGEST_HEAD)
 
 
 def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
@@ -87,36 +93,4 @@ def _logger_file(
     found = understand(content, str(file), decimal=decimal, time_form=time, missing=missing)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
-    report(_plain(file, found), _human(file, found), as_json=as_json)
-
-
-def _plain(file: Path, found: LoggerFile) -> dict[str, Any]:
-    mapping = found.mapping
-    return {
-        "file": str(file),
-        "guesses": [{"what": what, "value": value, "reason": reason} for what, (value, reason) in found.guesses.items()],
-        "columns": [
-            {"column": column, "name": name, "unit": mapping.units.get(column, ""), "missing": found.samples["missing"][name]}
-            for column, name in mapping.names.items()
-        ],
-        "samples": {key: value for key, value in found.samples.items() if key != "missing"},
-        "without_unit": [name for column, name in mapping.names.items() if not mapping.units.get(column)],
-        "mapping": mapping.to_yaml(),
-    }
-
-
-def _human(file: Path, found: LoggerFile) -> str:
-    samples, mapping = found.samples, found.mapping
-    lines = [f"{file}: {samples['rows']} rows, {len(mapping.names)} channels, {samples['rate']:.6g} Hz"]
-    lines += [f"  {what}: {value!r} ({reason})" for what, (value, reason) in found.guesses.items()]
-    for column, name in mapping.names.items():
-        lines.append(f"  column {column}: {name} [{mapping.units.get(column, '')}], {samples['missing'][name]} missing")
-    if bare := [name for column, name in mapping.names.items() if not mapping.units.get(column)]:
-        lines.append(f"  without a unit: {', '.join(bare)}; --unit COLUMN=UNIT, or the mapping, says it")
-    lines += ["  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row) for row in samples["first_rows"]]
-    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
-    if samples["gap_count"] > len(samples["gaps"]):
-        lines.append(f"  {samples['gap_count']} gaps in all")
-    if not samples["even"]:
-        lines.append("  steps are uneven: the commands take it with --resample")
-    return "\n".join(lines)
+    report(*of_logger_file(file, found), as_json=as_json)

@@ -1,53 +1,69 @@
-"""What is understood of a record file that says itself how it is read: channels, units, rate, what is left out, first rows."""
+"""What `inspect` shows of a file, of one shape for every format: guesses, channels, rate, what has no unit, the first rows."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from residuum.identification.record import Record
 from residuum.identification.record_formats import read_record
+from residuum.identification.record_formats.first_rows import first_rows
+from residuum.identification.record_formats.logger_file import LoggerFile
 
-SHOWN = 3
-"""Rows as read that are shown."""
+_Column = tuple[int, str, str, int]
+"""Its number, name and unit, and how many of its samples are missing."""
 
 
-def inspect_record(file: Path) -> tuple[dict[str, Any], str]:
-    """(JSON object, text for people) of a record file; the reader's refusal where it is not read."""
+def of_record_file(file: Path) -> tuple[dict[str, Any], str]:
+    """(JSON object, text for people) of a file whose format says how it is read; the reader's refusal where it is not."""
     record = read_record(file)
-    return _plain(file, record), _human(file, record)
+    columns = [(k, name, record.units[name], int(record.missing(name).sum())) for k, name in enumerate(record.names, start=1)]
+    samples: dict[str, Any] = {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True}
+    samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
+    rows = first_rows(record.time, np.stack([record[name] for name in record.names]))
+    shown = _shown(file, columns, samples, rows) | {"notes": list(record.notes)}
+    return shown, _text(shown)
 
 
-def first_rows(record: Record) -> list[list[float | None]]:
-    """Time and values of the first samples, None for what is missing."""
-    columns = [record.time, *record.channels.values()]
-    rows = [[float(column[k]) for column in columns] for k in range(min(SHOWN, record.n))]
-    return [[None if np.isnan(value) else value for value in row] for row in rows]
+def of_logger_file(file: Path, found: LoggerFile) -> tuple[dict[str, Any], str]:
+    """(JSON object, text for people) of a logger's text file, as it is understood."""
+    mapping, samples = found.mapping, dict(found.samples)
+    missing, rows = samples.pop("missing"), samples.pop("first_rows")
+    columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]
+    shown = _shown(file, columns, samples, rows)
+    shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
+    shown["mapping"] = mapping.to_yaml()
+    return shown, _text(shown)
 
 
-def _plain(file: Path, record: Record) -> dict[str, Any]:
+def _shown(file: Path, columns: Sequence[_Column], samples: dict[str, Any], rows: list[list[float | None]]) -> dict[str, Any]:
     return {
         "file": str(file),
         "guesses": [],
-        "columns": [
-            {"column": k, "name": name, "unit": record.units[name], "missing": int(record.missing(name).sum())}
-            for k, name in enumerate(record.names, start=1)
-        ],
-        "samples": {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True},
-        "notes": list(record.notes),
-        "first_rows": first_rows(record),
+        "columns": [dict(zip(("column", "name", "unit", "missing"), column, strict=True)) for column in columns],
+        "samples": samples,
+        "without_unit": [name for _, name, unit, _ in columns if not unit],
+        "first_rows": rows,
+        "notes": [],
+        "mapping": None,
     }
 
 
-def _human(file: Path, record: Record) -> str:
-    lines = [
-        f"{file}: {record.n} samples of {record.sample_time:.6g} s, {len(record.names)} channels, {record.sampling_rate:.6g} Hz"
-    ]
-    lines += [f"  {note}" for note in record.notes]
-    for name in record.names:
-        lines.append(f"  {name} [{record.units[name]}], {int(record.missing(name).sum())} missing")
-    if bare := [name for name in record.names if not record.units[name]]:
-        lines.append(f"  without a unit: {', '.join(bare)}; --unit COLUMN=UNIT says it to the commands")
-    for row in first_rows(record):
+def _text(shown: dict[str, Any]) -> str:
+    samples, columns = shown["samples"], shown["columns"]
+    lines = [f"{shown['file']}: {samples['rows']} rows of {samples['sample_time']:.6g} s, {len(columns)} channels"]
+    lines[0] += f", {samples['rate']:.6g} Hz"
+    lines += [f"  {guess['what']}: {guess['value']!r} ({guess['reason']})" for guess in shown["guesses"]]
+    lines += [f"  {note}" for note in shown["notes"]]
+    lines += [f"  column {c['column']}: {c['name']} [{c['unit']}], {c['missing']} missing" for c in columns]
+    if bare := shown["without_unit"]:
+        how = "--unit COLUMN=UNIT" + (", or the mapping, says it" if shown["mapping"] else " says it to the commands")
+        lines.append(f"  without a unit: {', '.join(bare)}; {how}")
+    for row in shown["first_rows"]:
         lines.append("  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row))
+    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
+    if samples["gap_count"] > len(samples["gaps"]):
+        lines.append(f"  {samples['gap_count']} gaps in all")
+    if not samples["even"]:
+        lines.append("  steps are uneven: the commands take it with --resample")
     return "\n".join(lines)

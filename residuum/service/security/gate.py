@@ -121,6 +121,8 @@ class Gate:
             return problem(
                 413, f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken", "too-large", _CLOSE
             )
+        if (wrapped := _wrapped(headers)) is not None:
+            return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
         host = headers.get(b"host", b"").decode("latin-1")
         if self.local and not is_loopback(_host_name(host)):
             return problem(421, f"Host {host[:100]!r}: this service answers to its own machine's names only", "wrong-host")
@@ -181,6 +183,18 @@ class Gate:
             return message
 
         return limited
+
+
+def _wrapped(headers: dict[bytes, bytes]) -> str | None:
+    """Why a body that is compressed or part of a message cannot be read; None for one that is sent as it is."""
+    encoding = headers.get(b"content-encoding", b"").decode("latin-1").strip()
+    if encoding.lower() not in ("", "identity"):
+        return f"Content-Encoding {encoding[:60]!r}: bodies are read as they are; send it uncompressed, without this header"
+    kind = headers.get(b"content-type", b"").decode("latin-1").strip().lower()
+    if kind.startswith("multipart/"):
+        shown = kind.split(";")[0][:60]
+        return f"Content-Type {shown!r}: send the file's bytes themselves as the body (curl --data-binary @FILE), not as a form"
+    return None
 
 
 def _host_name(host: str) -> str:

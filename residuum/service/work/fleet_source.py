@@ -15,11 +15,12 @@ from sqlalchemy import select
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import READERS, read_record
+from residuum.identification.record_formats import OLDER, READERS, read_record
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows
 
+_ENDINGS = READERS | OLDER
 _DATABASES = ("sqlite", "postgresql")
 
 
@@ -48,7 +49,7 @@ class Folder:
 
     def items(self) -> list[str]:
         """Paths of the files, sorted; BadInput for one that no line of results could name."""
-        found = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in READERS)
+        found = sorted(str(file) for file in Path(self.folder).rglob("*") if file.suffix.lower() in _ENDINGS)
         if nameless := next((file for file in found if _is_no_text(file)), None):
             raise BadInput(f"{os.fsencode(nameless)!r}: is a file name that is not UTF-8; rename the file")
         return found
@@ -79,7 +80,7 @@ class Bucket:
             raise
         except Exception as error:  # a protocol's library has errors of its own
             raise BadInput(f"{self.url}: cannot be listed: {type(error).__name__} {error}") from None
-        return sorted(str(key) for key in found if PurePosixPath(key).suffix.lower() in READERS)
+        return sorted(str(key) for key in found if PurePosixPath(key).suffix.lower() in _ENDINGS)
 
     def read(self, item: str) -> Record:
         """The record of a file, copied here first because readers want files."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import tempfile
 import zipfile
@@ -25,6 +26,7 @@ from residuum.service.work.npy import read_header
 MOST_CHANNELS = 256
 _DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, EOFError, OSError, RuntimeError, ValueError)
 """What reading an archive raises that is none, or is damaged."""
+_NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
 _NUMBERS = (int, float, type(None))
 _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
@@ -36,7 +38,7 @@ def from_json(body: bytes, _unpacked: int) -> Record:
     except orjson.JSONDecodeError as error:
         if "memory" in error.msg:
             raise MemoryError from None
-        raise BadBody(f"body: is not JSON: {error}") from None
+        raise BadBody(f"body: is not JSON: {error}{_no_number(body, error.pos)}") from None
     if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
         raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
     if unknown := set(content) - _JSON_KEYS:
@@ -50,6 +52,12 @@ def from_json(body: bytes, _unpacked: int) -> Record:
         notes=_notes(content.get("notes", [])),
         source="http",
     )
+
+
+def _no_number(body: bytes, at: int) -> str:
+    """What to write instead of the words that some programs write for numbers JSON does not have."""
+    found = _NO_NUMBER.match(body.decode("utf-8", "replace"), at)
+    return "; JSON has neither NaN nor Infinity, a missing sample is null" if found else ""
 
 
 def from_csv(body: bytes, _unpacked: int) -> Record:

@@ -6,7 +6,8 @@ import pytest
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.vibration.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.shaft_speed import is_turning, turns_per_minute, usual_speed
+from residuum.diagnosis.vibration.moving_lines import moving_line
+from residuum.diagnosis.vibration.shaft_speed import is_turning, speed_channel, turns_per_minute, usual_speed
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
@@ -50,7 +51,8 @@ def test_of_two_speeds_the_shaft_s_must_be_named():
     two = {"motor_speed": (3000.0, "rpm"), "shaft_speed": (SHAFT, "Hz")}
     with pytest.raises(BadInput, match=r"several speeds.*'motor_speed' 3000 rpm, 'shaft_speed' 1797 rpm.*--map speed=CHANNEL"):
         Bearing(orders=ORDERS).score(inner_race(**two))
-    assert usual_speed(inner_race(**two).rename({"shaft_speed": "speed"})) == pytest.approx(60 * SHAFT)
+    named = inner_race(**two).rename({"shaft_speed": "speed"})
+    assert usual_speed(named, speed_channel(named)) == pytest.approx(60 * SHAFT)
     assert Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(inner_race(**two)).fault_class == "inner-race"
     hertz = {name: order * SHAFT for name, order in ORDERS.items()}
     assert Bearing(hertz=hertz).score(inner_race(**two)).fault_class == "inner-race"
@@ -97,3 +99,56 @@ def test_what_is_said_of_a_changing_speed_must_agree_with_its_channel():
     assert Bearing(orders=ORDERS, speed_rpm=1650).score(record).fault_class == "outer-race"
     in_hertz = Bearing(hertz={name: 27.5 * order for name, order in ORDERS.items()}).score(record)
     assert in_hertz.verdict is Verdict.NOT_ASSESSABLE and "give orders" in in_hertz.reason
+
+
+def without_speed(record):
+    return Record({"a": record["a"]}, {"a": "m/s²"}, record.sample_time)
+
+
+@pytest.mark.parametrize(("first", "last"), [(20, 35), (35, 20), (23, 32), (28, 29.5)])
+def test_a_run_up_that_no_channel_tells_cannot_be_judged(first, last):
+    record = without_speed(run_up(first, last))
+    for bearing in (Bearing(orders=ORDERS, speed_rpm=1650), Bearing(hertz={name: 27.5 * o for name, o in ORDERS.items()})):
+        judged = bearing.score(record)
+        assert judged.verdict is Verdict.NOT_ASSESSABLE, judged
+        assert "a line of the envelope goes from" in judged.reason and "record the speed beside the vibration" in judged.reason
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_healthy_bearing_and_a_steady_fault_show_no_moving_line(seed):
+    lines = {name: SHAFT * order for name, order in ORDERS.items() if name != "ftf"}
+    for fault in (None, "bpfi", "bpfo", "bsf", "ftf"):
+        x = faulty_bearing(4 * RATE, RATE, SHAFT, ORDERS, fault, snr_db=-3 * (seed % 2), seed=seed)
+        assert moving_line(x, RATE, lines) is None, fault
+
+
+def test_the_sweep_is_measured():
+    line = moving_line(run_up(20, 35)["a"], 12800, {"bpfo": ORDERS["bpfo"] * 27.5})
+    begun = 20 * ORDERS["bpfo"]
+    assert begun < line.first < line.last < 35 * ORDERS["bpfo"]
+    assert (line.last - line.first) / line.seconds == pytest.approx(15 / 6 * ORDERS["bpfo"], rel=0.1)
+
+
+def test_a_part_is_named_only_where_its_lines_stand_out_against_its_neighbours():
+    alike = ORDERS | {"bpfo": 5.35}
+    judged = Bearing(orders=alike, speed_rpm=60 * SHAFT).score(without_speed(steady_inner_race()))
+    assert judged.verdict is Verdict.FAULTY and judged.fault_class == "unknown"
+    assert set(judged.evidence["likely"]) == {"inner-race", "outer-race"} and "are alike" in judged.reason
+    apart = Bearing(orders=ORDERS, speed_rpm=60 * SHAFT).score(without_speed(steady_inner_race()))
+    assert apart.fault_class == "inner-race" and "likely" not in apart.evidence
+
+
+def steady_inner_race():
+    return inner_race().rename({"housing": "a"})
+
+
+def test_each_healthy_record_is_learnt_at_its_own_speed():
+    """What modulates a healthy rig at 3.5848 orders of the second record's speed must not pass for healthy at the first's."""
+    rig = [at_speed(shaft) for shaft in (20.0, 33.0)]
+    learnt = [Bearing(orders=ORDERS).fit(records)._baseline.lines["bpfo"] for records in (rig, rig[::-1])]
+    assert learnt[0] == pytest.approx(learnt[1]) and learnt[0] > 8
+
+
+def at_speed(shaft):
+    x = faulty_bearing(4 * RATE, RATE, shaft, ORDERS, "bpfo" if shaft > 30 else None, snr_db=0, seed=3)
+    return Record({"a": x, "speed": np.full(x.shape[0], shaft)}, {"a": "m/s²", "speed": "Hz"}, 1 / RATE)

@@ -40,7 +40,7 @@ def test_a_load_that_changes_slowly_is_no_effect():
     """Constant within a window, it passed for whatever has a mean there: a spring, a friction with a long travel, a weight."""
     slow = 8.0 * np.sin(2 * np.pi * np.arange(4000) * SAMPLE_TIME / 11.0)
     found = explained(axis(slow), ["constant-load", "linear-spring", "coulomb-friction", "hysteresis"])
-    assert found.search.drifting
+    assert found.drifting
     assert found.verdict == "unknown-effect"
     assert all(c.probability < 0.5 for c in found.candidates)
 
@@ -48,7 +48,7 @@ def test_a_load_that_changes_slowly_is_no_effect():
 def test_friction_is_found_though_a_load_drifts():
     slow = 8.0 * np.sin(2 * np.pi * np.arange(4000) * SAMPLE_TIME / 11.0)
     found = explained(axis(slow, friction=12.0), ["constant-load", "linear-spring", "coulomb-friction"])
-    assert found.search.drifting
+    assert found.drifting
     friction = found.candidates[0]
     assert friction.effect == "coulomb-friction"
     assert friction.parameters["tau_c"].value == pytest.approx(12.0, rel=0.1)
@@ -56,8 +56,8 @@ def test_friction_is_found_though_a_load_drifts():
 
 def test_a_weight_needs_no_load_of_every_window():
     found = explained(axis(np.full(4000, 15.0)), ["constant-load", "linear-spring", "coulomb-friction"])
-    assert not found.search.drifting
-    assert found.search.accepted == [("constant-load", "slide")]
+    assert not found.drifting
+    assert list(found.accepted) == [("constant-load", "slide")]
 
 
 def test_no_model_file_may_hold_a_load_that_only_judges():

@@ -6,11 +6,11 @@ import pytest
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.held_out import split
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.discrepancy.linear_response import linear_response
 from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
 from residuum.identification.physics.model import missing_name
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.linear_response import linear_response
 from residuum.simulation import MACHINES
 
 TANK = """
@@ -110,7 +110,7 @@ def test_a_constant_load_is_told_from_one_that_walks():
 def test_a_friction_with_three_parameters_is_followed_to_its_optimum():
     """Stopped half-way, its remaining error would invite a second effect that is not there."""
     explanation = explain(load_model("gate-drive"), [drive({"stribeck-friction": "medium"}, rate=500.0, seed=1)])
-    assert explanation.search.accepted == [("stribeck-friction", "shaft")]
+    assert list(explanation.accepted) == [("stribeck-friction", "shaft")]
     found = explanation.candidates[0].parameters
     assert found["tau_c"].value == pytest.approx(0.02, rel=0.05)
     assert found["tau_s"].value == pytest.approx(0.03, rel=0.2)
@@ -136,7 +136,7 @@ def test_play_that_nothing_leads_to_is_reached_from_the_spring_that_fits_best():
 def test_a_stop_that_nothing_leads_to_is_reached_where_the_measured_speed_says_that_the_gate_was():
     stopped = explain(load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)])
     assert stopped.candidates[0].effect == "end-stop"
-    assert stopped.search.best.rmse[0] == pytest.approx(0.3, rel=0.1)  # the noise alone; it was a hundred times that
+    assert stopped.exact.found.best.rmse[0] == pytest.approx(0.3, rel=0.1)  # the noise alone; it was a hundred times that
 
 
 def oven(effect):
@@ -148,10 +148,10 @@ def oven(effect):
 def test_a_second_store_and_a_power_law_are_found_behind_a_lagging_sensor():
     """The thermocouple's lag is less than a sample: it is timing, however much likelihood it wins."""
     store = explain(load_model("oven"), [oven("second-heat-store")])
-    assert store.search.accepted == [("second-heat-store", "chamber")]
+    assert list(store.accepted) == [("second-heat-store", "chamber")]
     assert store.candidates[0].parameters["C_2"].value == pytest.approx(6e4, rel=0.2)
     law = explain(load_model("oven"), [oven("heater-nonlinearity")])
-    assert law.search.accepted == [("heater-nonlinearity", "chamber")]
+    assert list(law.accepted) == [("heater-nonlinearity", "chamber")]
     assert law.candidates[0].parameters["gamma"].value == pytest.approx(0.3, abs=0.05)
 
 
@@ -271,6 +271,6 @@ def test_what_a_coarse_reading_hides_at_a_few_speeds_is_blamed_on_no_effect():
 def test_friction_in_one_direction_alone_is_one_effect():
     """Not Coulomb friction and a constant load, which do the same together."""
     found = explain(load_model("gate-drive"), [drive({"directional-friction": {"tau_c": 0.02, "asymmetry": 0.04}})])
-    assert found.search.accepted == [("directional-friction", "shaft")]
+    assert list(found.accepted) == [("directional-friction", "shaft")]
     assert found.candidates[0].parameters["tau_plus"].value == pytest.approx(0.04, abs=5e-4)
     assert found.candidates[0].parameters["tau_minus"].value < 5e-4

@@ -12,8 +12,8 @@ from residuum.simulation import MACHINES
 CUT = """
 import sys
 from importlib import import_module
-for name in ("explain", "improve_by_share"):
-    for bound in ("EXACT_WORK", "SHARE_WORK"):
+for name in ("exact_structure", "on_blocks"):
+    for bound in ("EXACT_WORK", "MOST_EFFORT"):
         if hasattr(module := import_module(f"residuum.identification.discrepancy.{name}"), bound):
             setattr(module, bound, 2_000_000)
 from residuum.service.cli import main

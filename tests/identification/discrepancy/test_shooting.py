@@ -62,8 +62,8 @@ def test_explain_names_both_with_their_sizes(record):
     beside = "coulomb-friction tooth-ripple quadratic-drag position-load input-dead-zone hysteresis"
     found = explain(read_model(MIXER), [record], effects=beside.split())
     assert found.verdict == "missing-effect"
-    assert {id for id, _ in found.search.accepted} == {"coulomb-friction", "tooth-ripple"}
-    values = found.search.best.model.values
+    assert {id for id, _ in found.accepted} == {"coulomb-friction", "tooth-ripple"}
+    values = found.exact.found.best.model.values
     assert values["tooth-ripple@shaft.n"] == pytest.approx(TEETH, rel=1e-3)
     assert np.hypot(values["tooth-ripple@shaft.a"], values["tooth-ripple@shaft.b"]) == pytest.approx(COG, rel=0.02)
     assert values["coulomb-friction@shaft.tau_c"] == pytest.approx(FRICTION, rel=0.01)

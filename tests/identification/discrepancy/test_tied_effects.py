@@ -7,11 +7,12 @@ import pytest
 
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
-from residuum.identification.discrepancy.share_search import search_by_share
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import candidates, estimate, match, read_model, write_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.search import Wanted
 
 TANK = """
 name: tank
@@ -142,10 +143,10 @@ def test_a_curve_is_learned_where_no_effect_has_a_name():
 
 def test_the_search_learns_only_when_asked():
     model = read_model(AXIS)
-    experiments = match(model, [strange_axis_record(n=3000)])[1]
-    plain, learned = (search_by_share(model, experiments, ["output-offset"], learned=yes) for yes in (False, True))
-    assert plain.accepted == []
-    assert learned.accepted[0] == ("learned", "axis(v)")
+    record = strange_axis_record(n=3000)
+    plain, learned = (searched(model, [record], None, Wanted(("output-offset",), yes, held=False)) for yes in (False, True))
+    assert plain.best.keys == ()
+    assert ("learned", "axis(v)") in learned.best.keys
 
 
 @pytest.mark.parametrize(

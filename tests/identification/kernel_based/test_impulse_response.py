@@ -10,6 +10,7 @@ from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.kernel_based.kernels import KERNELS
+from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 
 NUMERATOR, DENOMINATOR = [0, 0, 0, 0.28261, 0.50666], [1, -1.41833, 1.58939, -1.31608, 0.88642]  # (2.38)
@@ -227,3 +228,37 @@ def test_a_prior_of_rank_one_is_not_believed():
     settings = {"kernel": "dc", "order": 40, "hyper_uncertainty": False}
     naive = [covers(identify_impulse_response(record, "u", "y", **settings)) for record in records]
     assert np.mean(naive) < 0.75
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_bound_covers_what_the_order_cuts_off(seed):
+    """Two resonances that outlast 60 coefficients: drawn from those alone, the bound lies below the true error."""
+    omega = np.linspace(1e-3, np.pi, 4001)
+    z = np.exp(1j * omega)
+    truth = np.polyval(NUMERATOR[3:], z) / np.polyval(DENOMINATOR, z)
+    over = {}
+    for covered in (True, False):
+        model = identify_impulse_response(resonant_record(5000, seed), "u", "y", order=60, offset=False, cover_cut=covered)
+        made = design_uncertainty_weight(model, order=2, seed=seed)
+        error = np.abs(truth / model.frequency_response(omega / model.sample_time) - 1)
+        over[covered] = float(np.max(error / np.abs(made.weight.frequency_response(omega / model.sample_time))))
+    assert over[True] < 1.0 < over[False]
+
+
+def test_a_response_longer_than_the_records_can_tell_is_said_to_be_uncovered():
+    u = np.random.default_rng(0).standard_normal(600)
+    model = identify_impulse_response(Record({"u": u, "y": np.cumsum(u)}, UNITS, 1.0), "u", "y", order=40)
+    assert any("do not cover what lies beyond lag" in text for text in model.warnings)
+
+
+def test_random_models_of_a_cut_response_are_those_of_the_longer_one():
+    model = identify_impulse_response(resonant_record(5000, 1), "u", "y", order=60, offset=False)
+    omega, drawn = np.array([20.0, 150.0]), model.sample_longer(50, seed=3)
+    lags = model.delay + np.arange(model.reach)
+    expected = drawn @ np.exp(-1j * model.sample_time * np.outer(lags, omega))
+    np.testing.assert_allclose(model.sample_frequency_responses(50, omega, seed=3), expected, rtol=1e-10)
+    assert model.reach > model.order == 60
+
+
+def test_a_decayed_response_needs_no_longer_one():
+    assert identify_impulse_response(first_order_record(), "u", "y", order=40).longer_response is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats import ReadOptions
+from residuum.identification.record_formats import ReadOptions, read_record
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_mapping import read_logger_file, read_mapping
 
@@ -164,3 +164,16 @@ def test_bad_mapping_is_refused(tmp_path, change, says):
     file.write_text("\n".join([*(line for line in lines if not line.startswith(f"{key}:")), change]), encoding="utf-8")
     with pytest.raises(BadRecord, match=says):
         read_mapping(file)
+
+
+def test_a_unit_line_counts_where_most_columns_have_no_unit(tmp_path):
+    rows = "\n".join(f"{k},{k}.5,{k}.25,10:00:{k:02d}" for k in range(30))
+    found, record = read(tmp_path, f"p1,p2,state,Time\n(bar),,,\n{rows}\n")
+    assert dict(record.units) == {"p1": "bar", "p2": "", "state": ""}
+    assert found.guesses["unit line"][0] == "row 2"
+
+
+def test_quoted_cells_below_a_plain_head_are_read(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_text("time [s],U [V]\n" + "\n".join(f'"{k}","{k}.5"' for k in range(9)) + "\n")
+    np.testing.assert_array_equal(read_record(file)["U"], np.arange(9) + 0.5)

@@ -62,6 +62,13 @@ def test_uneven_times_are_refused_and_resampled_on_request(tmp_path):
         (lambda text: text + text, r"has 3 segments; one is read, save one file a segment"),
         (lambda text: text.replace("Channels\t2", "Channels\t9"), r"row 17: 3 cells; its head says 10"),
         (lambda text: text.replace("\t-1,000000", "\tlost", 1), r"holds a cell that is no number with decimal sign ','"),
+        (
+            lambda text: text.replace("X0\t0,500000", "X0\tabout 0"),
+            r"X0 of channel 1 is 'about 0', no number with decimal sign ','",
+        ),
+        (lambda text: text.replace("Delta_X\t0,001000", "Delta_X\t1 ms"), r"Delta_X of channel 1 is '1 ms', no number"),
+        (lambda text: text.replace("Separator\tTab", "Separator\tPipe", 1), r"separator 'Pipe'; it must be one of tab, comma"),
+        (lambda text: text.replace("X_Columns\tNo", "X_Columns\tTwo"), r"X_Columns 'two'; it must be one of no, one, multi"),
     ],
 )
 def test_what_contradicts_the_head_is_refused(tmp_path, change, says):

@@ -90,6 +90,19 @@ def test_identification_data_count_in_their_unit(tmp_path, unit, step):
     assert read_record(saved(tmp_path, z=data)).sample_time == pytest.approx(step)
 
 
+@pytest.mark.parametrize("unit", ["fortnights", "samples"])
+def test_a_sample_time_in_no_unit_of_time_is_refused(tmp_path, unit):
+    file = saved(tmp_path, z={"OutputData": column(Y), "InputData": column(U), "Ts": 0.5, "TimeUnit": unit})
+    with pytest.raises(BadRecord, match=rf"'Ts' is in '{unit}', which is no unit of time; save it in seconds"):
+        read_record(file)
+
+
+def test_scalars_that_contradict_each_other_are_refused(tmp_path):
+    with pytest.raises(BadRecord, match=r"its scalars say several sample times \(dt 0\.01 s, fs 0\.001 s\); save one of them"):
+        read_record(saved(tmp_path, y=column(Y), dt=0.01, fs=1000.0))
+    assert read_record(saved(tmp_path, y=column(Y), dt=0.01, fs=100.0)).sample_time == pytest.approx(0.01)
+
+
 def test_simulink_logs_are_read_by_their_labels(tmp_path):
     both = {"values": np.c_[U, Y], "dimensions": 2.0, "label": "<u>,<y>"}
     workspace = read_record(saved(tmp_path, simout={"time": column(TIME), "signals": both, "blockName": "model/To Workspace"}))

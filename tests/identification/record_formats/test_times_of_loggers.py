@@ -143,3 +143,13 @@ def test_a_unit_behind_every_number_is_the_unit_of_the_column():
     assert found.mapping.suffixes == {2: "°C", 3: "W"}
     with pytest.raises(BadRecord, match=r"row 22, column 'P': '1520,0 kW' is not a number"):
         read(content.replace(b"1520,0 W", b"1520,0 kW"))
+
+
+def test_milliseconds_behind_a_colon_are_a_number():
+    stamps = [f"09:58:{30 + k // 20:02d}:{50 * (k % 20)}" for k in range(N)]
+    assert read(text(stamps))[1].sample_time == pytest.approx(0.05)
+
+
+def test_times_with_too_few_digits_are_refused_with_the_way_on():
+    with pytest.raises(BadRecord, match=r"all rows have one time stamp, '1\.71015E\+09'; export the times with more digits"):
+        read(text([f"{1710151110 + k:.5E}" for k in range(N)], head="time,p [bar]"))

@@ -1,5 +1,7 @@
 """What a query says is heeded or refused, never passed over; files over HTTP are read with the options of the command line."""
 
+import gzip
+
 import httpx
 import numpy as np
 import pytest
@@ -72,7 +74,7 @@ def test_a_record_s_units_names_and_time_are_said_in_the_query(client):
 def test_uneven_stamps_are_accepted_when_asked_for(client, refused):
     content = table(["time [s]", "a [V]"], [["0", "1"], ["1", "2"], ["2.5", "3"], ["3.5", "3"], ["4.5", "3"]])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
-    assert status == 422 and "resample" in detail
+    assert status == 422 and "resample (?resample=true) to accept it" in detail
     assert client.post("/api/v1/records?filename=a.csv&resample=true", content=content).status_code == 201
 
 
@@ -81,7 +83,7 @@ def test_a_sample_time_is_taken_from_the_query(client, refused):
     file = io.BytesIO()
     sio.savemat(file, {"x": np.arange(50.0)[:, None]})
     status, detail = refused("POST", "/api/v1/records?filename=a.mat", content=file.getvalue())
-    assert status == 422 and "sample" in detail
+    assert status == 422 and detail == "a.mat: does not say its sample time; give it with ?sample_time=SECONDS"
     answer = client.post("/api/v1/records?filename=a.mat&sample_time=0.01&unit=x=V", content=file.getvalue())
     assert answer.status_code == 201 and answer.json()["sample_time"] == pytest.approx(0.01)
 
@@ -98,3 +100,47 @@ def test_a_scored_file_is_read_with_the_same_options(client, refused):
     assert status == 422 and "map 'housing': must be NAME=COLUMN" in detail
     status, detail = refused("POST", "/api/v1/score/bearing?resample=perhaps", content=content, headers=headers)
     assert status == 422 and "neither true nor false" in detail
+
+
+def test_the_column_of_times_is_said_once(refused):
+    content = table(["Stempel", "Zeit", "n [V]"], [[f"{k}", f"{2 * k}", "1"] for k in range(9)])
+    for both in ("time=Stempel&time_column=Zeit", "time=Stempel&map=time=Zeit"):
+        status, detail = refused("POST", f"/api/v1/records?filename=a.csv&{both}", content=content)
+        assert status == 400 and "are one option" in detail and "give one of them" in detail
+
+
+def test_refusals_name_the_key_that_helps(client, refused):
+    either = table(["Time", "n [V]"], [[f"00:{k:02d}", "1"] for k in range(20)])
+    status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=either)
+    assert status == 422 and detail.endswith("say ?time_form='hh:mm' or ?time_form='mm:ss'")
+    assert client.post("/api/v1/records?filename=a.csv&time_form=mm:ss", content=either).status_code == 201
+    content = table(
+        ["time [s]", "vib [m/s**2]", "speed"], [[f"{k / RATE:.9f}", f"{v:.6f}", "1797"] for k, v in enumerate(SIGNAL)]
+    )
+    headers = {"content-type": "text/csv"}
+    status, detail = refused("POST", f"/api/v1/score/bearing?orders={TOLD}", content=content, headers=headers)
+    assert status == 422 and "?unit=speed=rpm" in detail and "--" not in detail
+
+
+def test_a_file_of_an_older_format_is_taken(client, refused):
+    status, detail = refused("POST", "/api/v1/records?filename=old.mdf", content=b"nothing")
+    assert status == 422 and "is not an MDF file" in detail
+
+
+def test_wrapped_bodies_and_words_for_no_number_are_refused_with_the_way_on(refused):
+    scored, headers = "/api/v1/score/bearing", {"content-type": "application/json"}
+    for path in (scored, "/api/v1/records?filename=a.csv", "/api/v1/identify"):
+        status, detail = refused("POST", path, content=gzip.compress(b"{}"), headers=headers | {"content-encoding": "gzip"})
+        assert status == 415 and "send it uncompressed" in detail
+        status, detail = refused("POST", path, files={"file": ("a.csv", b"time [s],a [V]\n0,1\n1,2\n")})
+        assert status == 415 and "not as a form" in detail
+    for word in ("NaN", "Infinity", "-Infinity"):
+        content = '{"sample_time":0.1,"units":{"a":"V"},"channels":{"a":[1,µ]}}'.replace("µ", word)
+        status, detail = refused("POST", scored, content=content, headers=headers)
+        assert status == 400 and "JSON has neither NaN nor Infinity, a missing sample is null" in detail
+
+
+def test_a_resampled_channel_is_told_by_its_name(client):
+    content = table(["time [s]", "a [V]"], [["0", "1"], ["1", "2"], ["2.5", "3"], ["3.5", "3"], ["4.5", "3"]])
+    notes = client.post("/api/v1/records?filename=a.csv&resample=true", content=content).json()["notes"]
+    assert notes[0].startswith("a resampled to 1 s")

@@ -204,5 +204,10 @@ def test_a_can_log_is_a_record_by_a_dbc_file_that_the_service_knows(client, refu
     ):
         status, detail = refused("POST", f"/api/v1/records?{query}", content=log)
         assert status == 422 and says in detail
+    of_log = {"filename": "drive.blf", "dbc": "gate_actuator.dbc", "speed_rpm": 1797, "orders": "bpfo=3.5848"}
+    status, detail = refused("POST", "/api/v1/score/bearing", params=of_log, content=log)
+    assert status == 422 and "has no channel with a unit of acceleration" in detail and "'speed': 'rad/s'" in detail
+    status, detail = refused("POST", "/api/v1/score/bearing?dbc=gate_actuator.dbc", content=log)
+    assert status == 400 and "go together for a body that is a log" in detail
     status, detail = refused("POST", "/api/v1/records?filename=x.blf&dbc=gate_actuator.dbc", content=b"LOGG nonsense")
     assert status == 422 and detail.startswith("x.blf: cannot be read as a CAN log")

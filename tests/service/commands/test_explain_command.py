@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from residuum.identification.discrepancy.candidate import Quantity
-from residuum.identification.discrepancy.held_values import HeldValue
+from residuum.identification.unseen_blocks.candidate import Quantity
+from residuum.identification.unseen_blocks.held_value import HeldValue
 from residuum.identification.work import Work
 from residuum.library.answers.explanation import explanation_text
 from residuum.library.answers.quantities import sizes_text
@@ -19,7 +19,8 @@ def explanation(verdict, times, held=()):
         probability_unknown=0.0,
         free=None,
         left={"angle": (0.014, "rad", times), "speed": (0.02, "rad/s", 1.1)},
-        search=SimpleNamespace(drifting=False, timing=[]),
+        drifting=False,
+        timing=(),
         next_experiment=(),
         held=held,
         work=Work(),

@@ -33,7 +33,7 @@ def test_a_loggers_file_shows_its_first_rows_and_what_has_no_unit(tmp_path, caps
     )
     assert run(["inspect", str(file), "--json"]) == DONE
     shown = json.loads(capsys.readouterr().out)
-    assert shown["samples"]["first_rows"] == [[0.0, 0.0, 7.0], [1.0, 0.25, None], [2.0, 0.5, 7.0]]
+    assert shown["first_rows"] == [[0.0, 0.0, 7.0], [1.0, 0.25, None], [2.0, 0.5, 7.0]]
     assert shown["without_unit"] == ["duty"]
 
 
@@ -45,3 +45,16 @@ def test_a_cell_is_said_to_mean_no_value_for_every_command(tmp_path, capsys):
     mapping = tmp_path / "r.csv.mapping.yaml"
     assert run(["inspect", str(file), "--missing", "OL", "--out", str(mapping)]) == DONE
     assert "- ol" in mapping.read_text()
+
+
+def test_every_format_is_shown_in_one_shape(tmp_path, capsys):
+    logger, told = tmp_path / "r.txt", tmp_path / "r.mat"
+    logger.write_text("t [s];duty\n" + "\n".join(f"{k};{k % 7}" for k in range(20)))
+    savemat(told, {"time": TIME[:, None], "duty": np.cos(TIME)[:, None]})
+    shapes = []
+    for file in (logger, told):
+        assert run(["inspect", str(file), "--json"]) == DONE
+        shown = json.loads(capsys.readouterr().out)
+        assert shown["without_unit"] == ["duty"] and len(shown["first_rows"]) == 3
+        shapes.append((sorted(shown), sorted(shown["samples"]), sorted(shown["columns"][0])))
+    assert shapes[0] == shapes[1]

@@ -310,3 +310,9 @@ def test_a_reidentified_model_is_the_identified_one(tmp_path):
     work = Reidentify("arx", Request("u", "y", 2, 1, "tc", "marginal", True))
     assert len(work(str(tmp_path / "a.csv"))["model"]["impulse_response"]) > 5
     assert "refused" in work(str(tmp_path / "absent.csv"))
+
+
+def test_files_of_an_older_format_are_records_of_a_folder(tmp_path):
+    for name in ("new.mf4", "OLD.MDF", "notes.md"):
+        (tmp_path / name).write_bytes(b"")
+    assert [Path(item).name for item in fleet_source.Folder(str(tmp_path)).items()] == ["OLD.MDF", "new.mf4"]

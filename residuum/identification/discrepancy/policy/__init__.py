@@ -5,7 +5,6 @@
 | `likelihood` | How far is a structure climbed, and which structures are too far behind? |
 | `trials` | Which effects are tried, and from where? |
 | `acceptance` | Does an effect join? |
-| `blocks` | What does an effect take away on blocks kept aside, and is it real? |
 | `answers` | What is said? |
 
 Each number has its unit in brackets (none: a plain ratio or count), its meaning, and what set it: a calibration, a source, or

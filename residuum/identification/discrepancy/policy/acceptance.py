@@ -33,8 +33,6 @@ EXCHANGES = 3
 DRIFT_SHARE = 0.2
 """Share of the error that is left by what was found to which an unknown load has to take it to be believed. Chosen."""
 
-HELD_REACH = 0.3
-"""Part of a held value by which it may be wrong: what lies farther off is another machine, or another effect. Chosen."""
 HELD_STANDARD_DEVIATIONS = 5.0
 """By which it has to be. Chosen."""
 MOST_HELD = 2

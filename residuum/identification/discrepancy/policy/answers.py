@@ -23,12 +23,6 @@ OWN_SIGNALS_LEVEL = 1e-4
 OWN_SIGNALS_SHARE = 0.2
 """And share of the error's power. Chosen."""
 
-MOST_OF_A_GROUP = 4
-"""Members of a group that are estimated in full. Chosen."""
-UNDECIDED = 0.8
-"""Probability of something else, where no effect is real. Chosen."""
-LEFT_OVER = 0.05
-"""Probability that remains for what the catalogue does not hold, once an effect is real. Chosen."""
 
 SENSOR_NOISE = 0.01
 """[of its signal's RMS] Plausible noise of a sensor that is not there yet. Chosen."""

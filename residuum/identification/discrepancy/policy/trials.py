@@ -29,8 +29,6 @@ STARTS_WITH_STATES = 2
 """Starts of an effect with states of its own that are glimpsed. Chosen."""
 GENERALISED_SHARE = 0.01
 """Share of the likeliest effect's gain from which on an effect fits well enough to be generalised. Chosen."""
-TRACK_ROWS = 4000
-"""[samples] Of the track on which effects are regressed. Chosen."""
 
 NEAR = 3.0
 """Factor from its nominal value within which a parameter is near. Chosen."""
@@ -63,16 +61,3 @@ SHOT_TOLERANCE = 1e-2
 """Relative fall of the cost at which a shot ends. Chosen."""
 SHOT_BASE_STEPS, SHOT_TRIAL_STEPS, SHOT_FOLLOWING_STEPS = 8, 4, 15
 """Steps of the model without an effect, of each trial, and of what is followed. Chosen."""
-
-RESEMBLES = 0.05
-"""Part of what a balance lacks that a signal has to explain along the track to be tried as a forgotten input. Chosen."""
-TOLD_BY_OUTPUTS = 0.98
-"""Part of a column that the outputs, the states and their slopes explain, from which on it is no signal of its own. Chosen."""
-MOST_FORGOTTEN_INPUTS = 3
-"""Columns that are tried. Chosen."""
-MOST_CURVES = 3
-"""Learned curves that are tried. Chosen."""
-CURVE_KNOTS = 9
-"""Of the curve by which they are chosen. Chosen."""
-BLOCK_STARTS = 4
-"""Starts of an effect that are looked at on blocks. Chosen."""

@@ -25,6 +25,10 @@ class ConveyorLoad(HeatLoss):
             *self.surroundings(site),
         )
 
+    def recorded(self, site: Site) -> bool:
+        """Where there is a conveyor signal: else it is an ambient loss by another name."""
+        return "conveyor" in site.units
+
     def contribution(self, scene: Scene) -> Contribution:
         running = scene.variables.get("conveyor", sp.S.One)
         return Contribution(term=-scene.p["G"] * (scene["temperature"] - self.ambient(scene)) * running)

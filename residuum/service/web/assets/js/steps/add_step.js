@@ -26,13 +26,15 @@ export async function addStep(place, bench) {
     required: true,
     "data-key": "save-as",
   });
-  const done = (result) =>
+  const done = (result) => {
+    if (!result.stored) return drawRefused(body, bench, result, shown);
     bench.go("add", {
       base: bench.base ?? key(bench.model, bench.version),
       model: result.stored.model,
       version: result.stored.version,
       shown: { ...shown, before: key(bench.model, bench.version), ...(result.verdict ? { ended: result.verdict } : {}) },
     });
+  };
   const begin = (event) => {
     event.preventDefault();
     const asked = { ...bench.asked, save_as: name.value };
@@ -50,7 +52,7 @@ export async function addStep(place, bench) {
         body,
         "Adding what is missing until the model is adequate",
         bench.address("improve"),
-        { ...asked, auto: true },
+        { ...asked, auto: true, ...(shown.learned ? { learned: true } : {}) },
         done,
         bench.leaving,
       );
@@ -82,6 +84,19 @@ export async function addStep(place, bench) {
           h("button", { type: "button", class: "quiet", onclick: () => bench.go("why", { shown }) }, "Back"),
         ),
       ),
+    ),
+  );
+}
+
+// Nothing was stored: all that has a name would make the model worse.
+function drawRefused(body, bench, result, shown) {
+  show(
+    body,
+    panel(
+      "Nothing was added",
+      `the error on data kept aside is ${quantity(result.history[0].error, result.error_unit)}`,
+      h("p", {}, `${result.refused.join(", ")} would raise it. The model stays as it was, and no version was stored.`),
+      h("button", { type: "button", "data-key": "back", onclick: () => bench.go("why", { shown }) }, "Back"),
     ),
   );
 }

@@ -25,7 +25,8 @@ export function whyStep(place, bench) {
     const titles = new Map((await call("/effects", { signal })).items.map((each) => [each.effect, each]));
     drawExplanation(body, bench, explanation, titles);
   };
-  return runIn(body, "Finding out what is missing", bench.address("explain"), bench.asked, work, bench.leaving);
+  const asked = { ...bench.asked, ...(bench.shown.learned ? { learned: true } : {}) };
+  return runIn(body, "Finding out what is missing", bench.address("explain"), asked, work, bench.leaving);
 }
 
 // `0.0602 ± 0.0004 N*m`: the value to the digit that its deviation leaves.
@@ -72,6 +73,19 @@ function drawExplanation(body, bench, explanation, effects) {
               onclick: () => bench.go("add", { shown: { ...bench.shown, auto: true } }),
             },
             "Add automatically",
+          )
+        : null,
+      explanation.verdict === "unknown-effect" && !bench.shown.learned
+        ? h(
+            "button",
+            {
+              type: "button",
+              class: "quiet",
+              "data-key": "learn",
+              title: "Search again, with curves that are learned over one signal among the candidates",
+              onclick: () => bench.go("why", { shown: { ...bench.shown, learned: true } }),
+            },
+            "Try learned curves",
           )
         : null,
     ),

@@ -1,0 +1,79 @@
+"""The answer where a structure of the catalogue is exact, or nothing better was found."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from residuum.identification.discrepancy.completeness import is_incomplete
+from residuum.identification.discrepancy.exact_structure import Exact
+from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.free_term import FreeTerm, free_term
+from residuum.identification.discrepancy.held_values import held_values
+from residuum.identification.discrepancy.judgement import Judgement, judge
+from residuum.identification.discrepancy.next_experiment import next_experiments
+from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.discrepancy.structures import times_each_its_innovations
+from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, share, unseen
+from residuum.identification.discrepancy.visibility import undetectable
+from residuum.identification.physics import PhysicalModel
+from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
+from residuum.identification.work import begun
+
+
+def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured: bool, began: float) -> Explanation:
+    """The answer by the likelihood of structures; `searched`: whether the search came to its end, `structured`: whether `compare`
+    finds structure in what it leaves.
+    """
+    found, experiments = exact.found, exact.experiments
+    blocks, free = blocks_of(experiments), free_term(found.best, experiments)
+    if searched:
+        judgement = _judged(exact, free, blocks, structured=structured)
+    else:
+        judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
+    return Explanation(
+        verdict=judgement.verdict,
+        candidates=judgement.candidates,
+        probability_none=judgement.none,
+        probability_unknown=judgement.unknown,
+        unexplained_share=judgement.unexplained_share,
+        free=free,
+        undetectable=undetectable(found),
+        next_experiment=next_experiments(found, judgement.candidates, experiments),
+        accepted=tuple(found.accepted),
+        timing=tuple(found.timing),
+        drifting=found.drifting,
+        left=_left(found),
+        held=held_values(model, exact.doubted, found.best),
+        remaining=None if blocks is None else remaining_of(found.base, found.best, blocks),
+        work=begun(),
+        seconds=time.perf_counter() - began,
+        exact=exact,
+    )
+
+
+def _judged(exact: Exact, free: FreeTerm | None, blocks: Blocks | None, *, structured: bool) -> Judgement:
+    """The judgement on an exact structure, with shares; never `adequate` where `compare` finds what is left `structured`."""
+    judgement = judge(exact.found, free, incomplete=is_incomplete(exact.found, exact.experiments))
+    if blocks is not None:
+        judgement = replace(judgement, candidates=tuple(_with_share(c, exact.found, blocks) for c in judgement.candidates))
+    if judgement.verdict == "adequate" and structured:
+        judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
+    return judgement
+
+
+def _with_share(candidate: Candidate, found: Search, blocks: Blocks) -> Candidate:
+    """The candidate with the share of the error's power that it takes away on unseen blocks."""
+    step, key = candidate.step, candidate.key
+    if step >= len(found.alternatives) or key not in found.alternatives[step]:
+        return candidate
+    before, after = unseen(found.before[step], blocks), unseen(found.alternatives[step][key], blocks)
+    return replace(candidate, share=Quantity(*share(before, after), ""))
+
+
+def _left(found: Search) -> dict[str, tuple[float, str, float]]:
+    best = found.best
+    each = zip(best.model.outputs.values(), best.rmse, times_each_its_innovations(best), strict=True)
+    return {o.name: (float(rms), o.unit, float(times)) for o, rms, times in each if np.isfinite(rms)}

@@ -1,0 +1,82 @@
+"""The search for an exact structure: one that leaves nothing but noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from residuum.identification.discrepancy.completeness import at_the_noise
+from residuum.identification.discrepancy.experiments_to_blame import searched
+from residuum.identification.discrepancy.held_values import wrongly_held
+from residuum.identification.discrepancy.judged_experiments import experiments_and_base
+from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
+from residuum.identification.discrepancy.search import Tell
+from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.unseen_blocks.held_value import freed
+from residuum.identification.work import OutOfWork, at_most, left_out
+
+
+@dataclass(frozen=True, eq=False)
+class Exact:
+    """What was found, the experiments, how many times shorter than usual their windows are, and the fixed values that are
+    doubted.
+    """
+
+    found: Search
+    experiments: list[Experiment]
+    finer: int
+    doubted: list[list[str]]
+
+
+def exact_in_bounds(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str] | None,
+    seconds: float | None,
+    tell: Tell,
+) -> Exact | None:
+    """What the search for an exact structure found with its part of the work; None where it is not done by then."""
+    try:
+        with at_most(EXACT_WORK, None if seconds is None else EXACT_TIME * seconds):
+            return _exact(model, records, mapping, wanted, tell)
+    except OutOfWork:
+        left_out("the search for an exact structure, to its end")
+        tell(0.5, "no exact structure was found with the work for it")
+        return None
+
+
+def nothing_found(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None
+) -> Exact:
+    """The model as it is, where no search came to an end."""
+    experiments, base = experiments_and_base(model, records, mapping)
+    return Exact(Search(base, base, len(candidates(model, wanted))), experiments, 1, [])
+
+
+def is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> bool:
+    """Whether `compare` finds structure in what is left, where nothing was found that is missing, and nothing that drifts."""
+    return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
+
+
+def leaves_more_than_noise(found: Search) -> bool:
+    """Whether a search for an exact structure ended without one.
+
+    What drifts has a mean in every neighbouring block, and an effect would stand for it: then nothing is named.
+    """
+    return not found.drifting and not at_the_noise(found.best)
+
+
+def _exact(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None, tell: Tell
+) -> Exact:
+    doubted: list[list[str]] = []
+    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
+    while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
+        doubted.append(names)
+        again = freed(model, [names[0] for names in doubted])
+        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
+    return Exact(found, experiments, finer, doubted)

@@ -1,0 +1,79 @@
+"""What `explain` answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from residuum.identification.discrepancy.exact_structure import Exact
+from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.physics import Key
+from residuum.identification.unseen_blocks.advice import NextExperiment, Undetectable
+from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.free_term import BlockTerm
+from residuum.identification.unseen_blocks.held_value import HeldValue
+from residuum.identification.unseen_blocks.remaining import Remaining
+from residuum.identification.unseen_blocks.search import Search
+from residuum.identification.work import Work
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The answer.
+
+    Attributes
+    ----------
+    verdict : str
+        `missing-effect`, `adequate` or `unknown-effect`.
+    candidates : tuple of Candidate
+        The accepted effects first, the verdict's before all; probabilities of one step sum with those of "nothing" and
+        "unknown" to at most one.
+    probability_none, probability_unknown : float
+    unexplained_share : float
+        Part of what could be explained that no candidate explains.
+    free : FreeTerm or None
+        The smooth term that best explains the rest.
+    undetectable, next_experiment
+        What this experiment cannot show, and what would.
+    accepted, timing : tuple of Key
+        The effects that joined, and shifts in time by less than a sample: how the record was taken.
+    drifting : bool
+        Whether an unknown load or offset that drifts is taken to be there, whatever else is.
+    left : mapping of output
+        What the model with the accepted effects leaves of each measured output: RMS error, its unit, and how often that is what
+        its own past cannot predict (`SLOW` and more: something slow is missing, or drifts).
+    held : tuple of HeldValue
+        Parameters that the model holds fixed and that were freed, for another value does more than any effect.
+    remaining : Remaining or None
+        What that model leaves on unseen blocks; None where the records are too short for any.
+    work : Work
+        Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
+    exact : Exact or None
+        The search for an exact structure, where that is the answer.
+    on_blocks : Search or None
+        The search by what effects take away on unseen blocks, where that is the answer.
+    """
+
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    probability_none: float
+    probability_unknown: float
+    unexplained_share: float
+    free: FreeTerm | BlockTerm | None
+    undetectable: tuple[Undetectable, ...]
+    next_experiment: tuple[NextExperiment, ...]
+    accepted: tuple[Key, ...]
+    timing: tuple[Key, ...]
+    drifting: bool
+    left: Mapping[str, tuple[float, str, float]]
+    held: tuple[HeldValue, ...]
+    remaining: Remaining | None
+    work: Work
+    seconds: float
+    exact: Exact | None = None
+    on_blocks: Search | None = None
+
+    @property
+    def by_share(self) -> bool:
+        """Whether the effects were named by what they take away on unseen blocks, for no structure of the catalogue is exact."""
+        return self.on_blocks is not None

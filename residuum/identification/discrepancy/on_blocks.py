@@ -1,0 +1,123 @@
+"""The answer where no structure of the catalogue is exact: what takes away most on blocks that no fit has seen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.search import Tell
+from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.physics import PhysicalModel, with_coloured_noise
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.residual_analysis.input_timing import innovation_variance
+from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
+from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
+from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT
+from residuum.identification.unseen_blocks.remaining import remaining
+from residuum.identification.unseen_blocks.search import Search, Wanted
+from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.verdict import UNKNOWN_LEADS, Step, is_timing, steps_of, verdict_on
+from residuum.identification.work import OutOfWork, at_most, begun, left_out
+
+
+def search_on_blocks(
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Wanted,
+    seconds: float | None,
+    tell: Tell,
+) -> Search | None:
+    """The search; None where the records are too short for blocks, the model diverges on them, or the work is over before
+    anything is known.
+    """
+    try:
+        with at_most(MOST_EFFORT, seconds):
+            return searched(model, records, mapping, wanted, lambda share, doing: tell(0.5 + 0.4 * share, doing))
+    except (BadRecord, NotIdentifiable):
+        return None
+    except OutOfWork:
+        left_out("what takes away most on blocks kept aside")
+        return None
+
+
+def does_better(found: Search, model: PhysicalModel) -> bool:
+    """Whether something was found that leaves less on unseen blocks than another model does."""
+    if not found.best.keys:
+        return False
+    other = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5)
+    return other is None or found.best.cost < other.cost
+
+
+def answer_on_blocks(
+    found: Search, wanted: Wanted, records: Sequence[Record], mapping: Mapping[str, str] | None, began: float
+) -> Explanation:
+    """The answer by errors on unseen blocks."""
+    best, stds, steps = found.best, doubts_of(found), steps_of(found)
+    free = free_terms(found.base, found.court)
+    adequate = not compare(best.model, records, mapping).present
+    verdict = verdict_on(found, free, stds, adequate=adequate)
+    rest = free_terms(best, found.court) if best.keys else free
+    return Explanation(
+        verdict=verdict.verdict,
+        candidates=verdict.candidates,
+        probability_none=verdict.none,
+        probability_unknown=verdict.unknown,
+        unexplained_share=_unexplained(found, rest),
+        free=next(iter(rest), None),
+        undetectable=undetectable(found, wanted, found.along),
+        next_experiment=next_experiments(found, verdict.candidates),
+        accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
+        timing=tuple(s.key for s in steps if is_timing(s.key, found)),
+        drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
+        left=_left(found),
+        held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
+        remaining=remaining(found.base, best, found.court),
+        work=begun(),
+        seconds=time.perf_counter() - began,
+        on_blocks=found,
+    )
+
+
+def doubts_of(found: Search) -> dict[str, float]:
+    """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
+    last, best = found.court.last, found.best
+    states = best.structure.states[last.windows]
+    estimate = fitted(best.model, last.parts, states, found.court.scale, steps=1, tolerance=1e-3)
+    if estimate is None:
+        return {}
+    std = np.sqrt(np.maximum(np.diag(with_coloured_noise(estimate, last.parts).covariance), 0.0))
+    return dict(zip(estimate.parameters, std.tolist(), strict=True))
+
+
+def _unexplained(found: Search, rest: Sequence[BlockTerm]) -> float:
+    """Part of what could be explained that only the best free term explains."""
+    if not rest:
+        return 0.0
+    named = max(found.base.cost - found.best.cost, 0.0)
+    more = max(found.best.cost - rest[0].cost, 0.0)
+    return more / (more + named) if more > 0.0 else 0.0
+
+
+def _left(found: Search) -> dict[str, tuple[float, str, float]]:
+    best, parts = found.best, np.split(found.best.errors, found.court.last.starts[1:-1])
+    told = {}
+    for o, output in enumerate(best.model.outputs.values()):
+        if found.court.data.measured[o]:
+            errors = [p[:, o] for p in parts]
+            rms = float(np.sqrt(np.nanmean(np.concatenate(errors) ** 2)))
+            told[output.name] = (rms, output.unit, rms / max(float(np.sqrt(innovation_variance(errors))), 1e-300))
+    return told
+
+
+def _held(step: Step, found: Search, stds: Mapping[str, float]) -> HeldValue:
+    name = step.key.target
+    before, now = found.court.data.model.parameters[name], found.best.model.parameters[name]
+    alike = [k.target for one in step.group for k in one.keys if k.effect == HELD and k.target != name]
+    return HeldValue(name, before.value, now.value, float(stds.get(name, 0.0)), now.unit, tuple(dict.fromkeys(alike)))

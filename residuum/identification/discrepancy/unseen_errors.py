@@ -1,0 +1,104 @@
+"""Errors of a fitted structure on blocks that it has not seen, by deletion from its own equations: nothing is simulated again.
+
+The structure is at the top of its likelihood. Without a fold of blocks its values move by
+
+    δθ = (Σ H_rest + d·diag Σ H)⁻¹ Σ g_rest,
+
+with the whitened slopes' H and g of each fold, first states projected out (`unseen_blocks.judged`), and its errors by −J δθ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.physics import Experiment
+from residuum.identification.physics.estimation.least_squares import solve_scaled
+from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, folds_of
+from residuum.identification.unseen_blocks.judged import moved
+from residuum.identification.unseen_blocks.remaining import Remaining
+
+FloatArray = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of experiments: that of each row (rows,), the fold of each, how many measured samples (blocks, outputs) they have,
+    and their begins and ends [s].
+    """
+
+    row: Integers
+    fold: Integers
+    count: FloatArray
+    times: list[tuple[float, float]]
+
+
+def blocks_of(experiments: Sequence[Experiment]) -> Blocks | None:
+    """The blocks; None where the records are too short for any."""
+    lengths = [len(e.means(e.Y)) for e in experiments]
+    if min(lengths) < FEWEST_SAMPLES and sum(lengths) < FEWEST_SAMPLES * len(lengths):
+        return None
+    each, fold = folds_of(len(experiments))
+    row = np.concatenate([np.arange(n) * each // n + k * each for k, n in enumerate(lengths)])
+    known = np.isfinite(np.concatenate([e.means(e.Y) for e in experiments])).astype(float)
+    count = np.column_stack([np.bincount(row, weights=c, minlength=len(fold)) for c in known.T])
+    edges = np.arange(each + 1) / each
+    times = [e.t0 + e.sample_time * np.ceil(e.n * edges) for e in experiments]
+    return Blocks(row, fold, np.asarray(count, dtype=float), [(float(t[k]), float(t[k + 1])) for t in times for k in range(each)])
+
+
+def unseen(structure: Structure, blocks: Blocks) -> FloatArray:
+    """Sums of squared errors on unseen blocks, shape (blocks, outputs), in the outputs' units."""
+    raw = np.concatenate(structure.residuals)
+    known = np.isfinite(raw)
+    white, slopes, plain = [], [], []
+    for r, J, X in zip(structure.residuals, structure.by_parameters, structure.by_states, strict=True):
+        w, S = _whitened(structure, np.concatenate([r[..., None], J, X], axis=2))
+        q = J.shape[2]
+        x, t = S[..., q:].reshape(-1, X.shape[2]), S[..., :q].reshape(-1, q)
+        beside = solve_scaled(x.T @ x, x.T @ t, 1e-12) if X.shape[2] and q else np.zeros((X.shape[2], q))
+        white.append(w)
+        slopes.append(S[..., :q] - S[..., q:] @ beside)
+        plain.append(J - X @ beside)
+    T, e = np.concatenate(slopes), np.concatenate(white)
+    left = np.where(known, raw, 0.0)
+    if T.shape[2]:
+        in_fold = blocks.fold[blocks.row]
+        J = np.concatenate(plain)
+        for k, step in moved(T, e, in_fold).items():
+            rows = in_fold == k
+            left[rows] -= np.where(known[rows], J[rows] @ step, 0.0)
+    return np.column_stack([np.bincount(blocks.row, weights=c, minlength=len(blocks.fold)) for c in (left**2).T])
+
+
+def _whitened(structure: Structure, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n, outputs) and slopes (n, outputs, m) in units of the innovations; 0 where nothing is known."""
+    out = np.zeros_like(values)
+    for o, noise in enumerate(structure.noises):
+        if noise is not None:
+            out[:, o] = np.nan_to_num(noise.innovations(values[:, o]) / np.sqrt(noise.innovation_variance))
+    return out[..., 0], out[..., 1:]
+
+
+def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
+    """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
+    total = before.sum(axis=0)
+    each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
+    return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
+
+
+def remaining_of(base: Structure, best: Structure, blocks: Blocks) -> Remaining:
+    """What `best` leaves on unseen blocks of what `base` left."""
+    before, after = unseen(base, blocks), unseen(best, blocks)
+    noise = np.array([np.nan if n is None else np.sqrt(n.innovation_variance) for n in best.noises])
+    seen = (blocks.count.sum(axis=0) > 0.0) & (noise > 0.0)
+    times = np.sqrt(after[:, seen].sum(axis=0) / blocks.count[:, seen].sum(axis=0)) / noise[seen]
+    largest = float(times.max()) if times.size else float("inf")
+    total = before.sum(axis=0)
+    where = int(np.argmax((after[:, total > 0.0] / total[total > 0.0]).sum(axis=1)))
+    return Remaining(1.0 - share(before, after)[0], largest, blocks.times[where])

@@ -1,0 +1,73 @@
+"""What an impulse response of finite length cuts off, and the longer one that a bound on the error must be drawn from.
+
+A response of m coefficients says nothing of those after them. Where it has not decayed by then, its posterior knows neither the
+part that is missing nor how the missing part moved the rest, and a bound that is drawn from it alone lies below the true error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+NEGLIGIBLE = 0.5
+"""What the last fifth may add to a frequency response, in standard deviations of that response."""
+_GROWTH = 1.5
+_LONGEST, _ROWS_A_COEFFICIENT = 600, 3
+_LAST = 5
+Posterior = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Longer:
+    """Mean (M,) and covariance (M, M) of a longer response, and whether what it still cuts off is negligible."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    negligible: bool
+
+
+def outlasting(mean: FloatArray, covariance: FloatArray) -> float:
+    """max_ω L(ω)/s(ω): L = |Σ_k g_k e^{−jωk}| over the last fifth of the coefficients, s² = φᴴ Σ φ of all of them.
+
+    A response that decays has a last fifth larger than what follows it, so a small ratio says that what was cut off is lost in
+    what is uncertain anyway. Fails for a response that begins anew after the last coefficient.
+
+    >>> g = 0.5 ** np.arange(40)
+    >>> outlasting(g, 1e-4 * np.eye(40)) < 1e-3, outlasting(np.ones(40), 1e-4 * np.eye(40)) > 100
+    (True, True)
+    """
+    m = len(mean)
+    points = 1 << (4 * m).bit_length()
+    last = np.fft.rfft(mean[m - max(1, m // _LAST) :], points)
+    apart = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
+    diagonals = np.bincount(apart.ravel(), weights=covariance.ravel(), minlength=m)
+    variance = np.fft.rfft(diagonals, points).real
+    return float(np.max(np.abs(last) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))))
+
+
+def longer_response(first: Posterior, order: int, rows: int, fit: Callable[[int], Posterior]) -> Longer | None:
+    """The response by which what `order` cuts off is negligible; None when nothing is left at `order` itself.
+
+    Parameters
+    ----------
+    first : mean (p,) and covariance (p, p)
+        The fit at hand, p ≥ order coefficients.
+    rows : int
+        Rows of the regression: a third as many coefficients, and 600, are the most that are tried.
+    fit : callable
+        Number of coefficients → their mean and covariance.
+    """
+    mean, covariance = first
+    if outlasting(mean[:order], covariance[:order, :order]) <= NEGLIGIBLE:
+        return None
+    most = min(rows // _ROWS_A_COEFFICIENT, _LONGEST)
+    while outlasting(mean, covariance) > NEGLIGIBLE:
+        length = min(round(_GROWTH * len(mean)), most)
+        if length <= len(mean):
+            return Longer(mean, covariance, negligible=False)
+        mean, covariance = fit(length)
+    return Longer(mean, covariance, negligible=True)

@@ -1,0 +1,200 @@
+"""Advice: how large an effect would have had to be to be seen, and which experiment tells apart what this one cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
+from residuum.identification.physics.model import find_effect
+from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.following import Track
+from residuum.identification.unseen_blocks.held_value import HELD
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import TIE
+from residuum.identification.unseen_blocks.proposals import beginnings, proposed
+from residuum.identification.unseen_blocks.scale import Scale, of_noise
+from residuum.identification.unseen_blocks.search import Search, Wanted
+
+Array = npt.NDArray[np.float64]
+SENSOR_NOISE = 0.01
+"""[of its signal's RMS] Plausible noise of a sensor that is not there yet."""
+LEVEL = 0.01
+"""Of the test that a proposed experiment is to pass."""
+WORTH_SEPARATING = 0.02
+"""Probability from which on a candidate is worth an experiment against the leading one."""
+MOST = 4
+"""Experiments that are proposed."""
+
+
+@dataclass(frozen=True)
+class Undetectable:
+    """Smallest size of an effect's leading parameter that would have been accepted, in `unit`."""
+
+    effect: str
+    balance: str
+    smallest_visible: dict[str, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """Something to do, the candidates it separates, and the power with which it does."""
+
+    do: str
+    separates: tuple[str, ...]
+    power: float
+
+
+def noise_of(one: Judged, found: Search) -> Scale:
+    """Nats of the noise that a structure leaves."""
+    last = found.court.last
+    return of_noise(np.split(one.errors, last.starts[1:-1]), last, found.court.data.measured)
+
+
+def undetectable(found: Search, wanted: Wanted, along: Track | None) -> tuple[Undetectable, ...]:
+    """For every effect with a size that did not join: the size s whose ½·I·s² nats would be enough.
+
+    I is the information on the size beside the free parameters, in the noise that the best structure leaves.
+    """
+    if along is None:
+        return ()
+    keys = [k for k in proposed(found.best.model, wanted.effects, None, learned=False, held=False) if find_effect(k.effect).sizes]
+    scale = noise_of(found.best, found)
+    each = side_by_side(lambda key: _smallest(key, found, scale, along, len(keys)), keys)
+    return tuple(one for one in each if one is not None)
+
+
+def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -> Undetectable | None:
+    effect = find_effect(key.effect)
+    first = beginnings(key, along)
+    if not first:
+        return None
+    use = next(use for use in first[-1].effects if use.key == key)
+    size = effect.sizes[0]
+    start = {n: p.value for n, p in use.parameters.items()}
+    try:
+        model = found.best.model.with_effect(*key, effect.at_rest(start))
+        at = model.effects[-1]
+        information = _information(model, f"{at.label}.{size}", found, scale)
+    except (BadInput, NotImplementedError):
+        return None
+    if not information > 0.0:
+        return None
+    needed = np.log(max(count, 1)) + TIE + scale.price * sum(not p.fixed for p in at.parameters.values())
+    return Undetectable(key.effect, key.target, {size: float(np.sqrt(2.0 * needed / information))}, at.parameters[size].unit)
+
+
+def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -> float:
+    """On one parameter, the free ones of the best structure projected out."""
+    last, simulator = found.court.last, Simulator(model)
+    states = found.best.structure.states[last.windows]
+    initial = [simulator.x0({n: v for n, v in s.items() if n in simulator.states}) for s in states]
+    steps = found.best.structure.steps[last.windows]
+    columns = [name, *found.best.model.free]
+    runs = simulator.run_each(last.parts, initial, simulator.p(), slopes=columns, substeps=steps)
+    if runs.dY is None or not runs.bounded:
+        return 0.0
+    J = scale.whitened(runs.dY * scale.weights[:, None], last.starts.tolist())
+    J = J[:, scale.weights > 0.0].reshape(-1, len(columns))
+    size = np.linalg.norm(J[:, 1:], axis=0)
+    Q, R = np.linalg.qr(J[:, 1:][:, size > 0.0] / size[size > 0.0])
+    Q = Q[:, np.abs(np.diag(R)) > 1e-9]
+    rest = J[:, 0] - Q @ (Q.T @ J[:, 0])
+    return float(rest @ rest)
+
+
+def next_experiments(found: Search, candidates: Sequence[Candidate]) -> tuple[NextExperiment, ...]:
+    """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
+
+    Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can absorb
+    taken out, is the non-centrality of a χ² test at `LEVEL` that tells them apart.
+    """
+    pair = _rivals(found, candidates)
+    if pair is None:
+        return ()
+    (key, first), (other, second) = pair
+    names, scale = (key.effect, other.effect), noise_of(first, found)
+    experiments = found.court.data.experiments
+    proposals = []
+    for o, (name, output) in enumerate(first.model.outputs.items()):
+        power = None if found.court.data.measured[o] else _power(first, second, experiments, scale, only=o)
+        if power is not None:
+            proposals.append(NextExperiment(f"also record {name} [{output.unit}]", names, power))
+    for do, profile in _profiles(experiments).items():
+        power = _power(first, second, profile, scale)
+        if power is not None:
+            proposals.append(NextExperiment(do, names, power))
+    return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST])
+
+
+def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, Judged], tuple[Key, Judged]] | None:
+    if not candidates:
+        return None
+    first = candidates[0]
+    others = [
+        c
+        for c in candidates[1:]
+        if c.step == 0 and (c.effect in first.indistinguishable_from or c.probability > WORTH_SEPARATING)
+    ]
+    alone = {key: one for (key, *more), one in ((k, o) for k, o in found.every.items() if k) if not more}
+    rival = next((c for c in others if c.key in alone and c.key != first.key), None)
+    if rival is None or first.key not in alone or rival.key.effect == HELD:
+        return None
+    return (first.key, alone[first.key]), (rival.key, alone[rival.key])
+
+
+def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale, only: int | None = None) -> float | None:
+    """Power of the test on what the second structure's parameters cannot absorb; None when it could not be simulated."""
+    one, two = Simulator(a.model), Simulator(b.model)
+    rows, slopes = [], []
+    for e in experiments:
+        x = one.run_vectors(e, one.x0(_first(a)), one.p()).Y
+        run = two.run_vectors(e, two.x0(_first(b)), two.p(), slopes=b.model.free)
+        if run.dY is None or not (np.all(np.isfinite(x)) and run.finite):
+            return None
+        weights = scale.weights.copy()
+        if only is not None:
+            weights[only] = 1.0 / (SENSOR_NOISE * max(float(np.sqrt(np.mean(x[:, only] ** 2))), 1e-300))
+        rows.append(scale.whitened((x - run.Y) * weights, [0, e.n]).ravel())
+        slopes.append(scale.whitened(run.dY * weights[:, None], [0, e.n]).reshape(-1, run.dY.shape[2]))
+    r, J = np.concatenate(rows), np.concatenate(slopes)
+    size = np.linalg.norm(J, axis=0)
+    u, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
+    u = u[:, s > 1e-9 * s.max(initial=0.0)]
+    rest = r - u @ (u.T @ r)
+    return _exceeds(NormalDist().inv_cdf(1.0 - LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+
+
+def _first(one: Judged) -> dict[str, float]:
+    """First states of the first window on the last rung; those that it fixes stay."""
+    states = one.structure.states[min(one.structure.states)]
+    return dict(states[0])
+
+
+def _exceeds(threshold: float, shift: float) -> float:
+    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
+    normal = NormalDist()
+    return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
+
+
+def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
+    """The records' duration driven otherwise, within the range of the inputs on record."""
+    e = max(experiments, key=lambda e: e.n)
+    low, high = e.U.min(axis=0), e.U.max(axis=0)
+    phase = np.linspace(0.0, 1.0, e.n)[:, None]
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    cycles = {
+        "drive slow triangles over the range of the input": middle
+        + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0),
+        "drive steps of many levels over the range of the input": middle
+        + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0),
+        "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
+    }
+    return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}

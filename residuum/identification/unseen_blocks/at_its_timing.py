@@ -1,0 +1,50 @@
+"""The search at the input timing that suits what it finds: the timing of the data was chosen before anything was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from residuum.identification.physics import PhysicalModel
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
+from residuum.identification.unseen_blocks.data import data_of, matched
+from residuum.identification.unseen_blocks.search import Search, Tell, Wanted, search, untold
+from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.work import OutOfWork, left_out
+
+
+def searched(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted, tell: Tell = untold
+) -> Search:
+    """The search, at the input timing that suits what it found.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model, records too short for blocks.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    found = search(matched(model, records, mapping), wanted, tell)
+    try:
+        return _at_its_timing(found, wanted, tell)
+    except OutOfWork:
+        left_out("the other input timing")
+        return found
+
+
+def _at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
+    """The search at the other input timing, where what was found fits better there: the timing was chosen without it."""
+    court, best = found.court, found.best
+    if not best.keys:
+        return found
+    other = data_of(court.data.model, turned_timing(court.data.experiments))
+    rung = other.rung(court.last.windows)
+    states = best.structure.states[court.last.windows]
+    turned = fitted(best.model, rung.parts, states, court.scale, steps=10, tolerance=1e-4)
+    here = innovations_of(np.split(best.errors, court.last.starts[1:-1]))
+    if turned is None or innovations_of(turned.residuals) >= here:
+        return found
+    return search(other, wanted, tell, turn=False)

@@ -1,0 +1,135 @@
+"""Which of two structures: paired by block, in the unit of the scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import (
+    BEAM,
+    EVERYWHERE,
+    MERITLESS,
+    REAL,
+    SHORTEST_WINDOW,
+    SMALL,
+    TIE,
+    WORTH,
+)
+from residuum.identification.unseen_blocks.scale import Scale
+
+Array = npt.NDArray[np.float64]
+_RESAMPLED = 400
+
+
+class OnBlocks(Protocol):
+    """What has a power on unseen blocks, and a cost."""
+
+    @property
+    def power(self) -> Array:
+        """Sums of squares in the scale, shape (blocks, measured outputs)."""
+
+    @property
+    def cost(self) -> float:
+        """Of the power and the parameters, in the scale."""
+
+
+def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
+    """Mean over blocks of the logarithm by which the new one's error is smaller, and its standard error."""
+    p, q = scale.by_block(new.power), scale.by_block(old.power)
+    floor = MERITLESS * min(float(p.mean()), float(q.mean())) + 1e-300
+    d = 0.5 * np.log((q + floor) / (p + floor))
+    return float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d)))
+
+
+def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
+    """Standard errors by which the new one's error is smaller: of the paired logarithms, or of the ratio of totals where a few
+    blocks hold most of the error (a machine that stands still in the others).
+    """
+    mean, std = paired(new, old, scale)
+    p, q = scale.by_block(new.power), scale.by_block(old.power)
+    pick = np.random.default_rng(0).integers(0, len(p), (_RESAMPLED, len(p)))
+    ratios = 0.5 * np.log((q[pick].sum(axis=1) + 1e-300) / (p[pick].sum(axis=1) + 1e-300))
+    total = 0.5 * np.log((q.sum() + 1e-300) / (p.sum() + 1e-300))
+    return max(mean / max(std, 1e-12), float(total / max(ratios.std(), 1e-12)))
+
+
+def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
+    """Log odds for the new one: nats gained on unseen blocks, or half the square of the standard errors that it is ahead."""
+    if scale.nats:
+        return old.cost - new.cost
+    t = ahead(new, old, scale)
+    return 0.5 * t * abs(t)
+
+
+def corrected(new: Judged, old: Judged) -> float:
+    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors, summed over
+    pieces as long as those remember (self-normalised: an effect may show in few places, not in one alone).
+    """
+    rows = (old.left * (old.left - new.left)).sum(axis=1)
+    e = old.left.sum(axis=1)
+    e = e - e.mean()
+    rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * len(e))) ** 2)[: max(len(e) // 20, 2)]
+    rho = rho / max(float(rho[0]), 1e-300)
+    until = int(np.argmax(rho < 0.05)) or len(rho)
+    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), SHORTEST_WINDOW, max(len(e) // 20, SHORTEST_WINDOW)))
+    s = np.add.reduceat(rows, np.arange(0, len(rows), length))
+    return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
+
+
+def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
+    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it."""
+    gain = old.cost - new.cost
+    if scale.nats:
+        return gain > np.log(max(tried, 1)) + TIE and corrected(new, old) > EVERYWHERE
+    left = max(old.cost - scale.floor, 1e-9)
+    return gain > WORTH * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
+
+
+def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
+    """Whether what is left is so small a part of the first error that nothing is sought in it."""
+    return not scale.nats and left.cost - scale.floor < SMALL * (base.cost - scale.floor)
+
+
+def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
+    """The fewest parameters among those that the best does not stand before."""
+    lead = min(ranked, key=lambda one: one.cost)
+    if scale.nats:
+        near = [one for one in ranked if one.cost < lead.cost + TIE]
+    else:
+        near = [one for one in ranked if one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
+    return min(near, key=lambda one: (one.parameters, one.cost))
+
+
+def _beside(one: Judged, lead: Judged, scale: Scale) -> bool:
+    mean, std = paired(lead, one, scale)
+    return mean < std and one.cost < 1.4 * lead.cost
+
+
+def is_alike(other: Judged, chosen: Judged, before: Judged | None, scale: Scale) -> bool:
+    """Whether the data cannot tell another structure from the chosen one, both in the place of `before`."""
+    if not scale.nats:
+        mean, std = paired(chosen, other, scale)
+        return mean <= 2.0 * std and other.cost < 1.5 * chosen.cost
+    # deletion has a scatter of its own: alike where seen or unseen blocks say so
+    difference = 0.5 * (other.power - chosen.power).sum(axis=1)
+    doubt = float(difference.std(ddof=1) * np.sqrt(len(difference)))
+    most = np.inf if before is None else 0.2 * (before.cost - chosen.cost)
+    return min(other.cost - chosen.cost, other.seen - chosen.seen) < max(TIE, min(doubt, most))
+
+
+def going_on(ranked: Sequence[Judged], scale: Scale) -> list[Judged]:
+    """Those that a next effect is tried beside: ties have to travel."""
+    lead = ranked[0]
+    if scale.nats:
+        return [one for one in ranked if one.cost < lead.cost + TIE][:BEAM]
+    near = [one for one in ranked if one is lead or one.cost < 1.2 * lead.cost or _within_three(one, lead, scale)]
+    return near[:BEAM]
+
+
+def _within_three(one: Judged, lead: Judged, scale: Scale) -> bool:
+    mean, std = paired(lead, one, scale)
+    return mean < 3.0 * std

@@ -1,0 +1,146 @@
+"""Records matched once: experiments at the likelier input timing, blocks, and windows from short to the whole record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.physics import Experiment, PhysicalModel, match, windows
+from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.policy import BLOCKS, FOLDS, LADDER, SHORTEST_WINDOW
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+FEWEST_SAMPLES = FOLDS * SHORTEST_WINDOW
+"""[samples] Of a record of which parts can be kept aside."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """All records in so many `windows` each; `block` (rows,) is each row's block, `experiment` (parts,) where a part lies."""
+
+    windows: int
+    parts: list[Experiment]
+    block: Integers
+    experiment: Integers
+
+    @property
+    def starts(self) -> Integers:
+        """First row of each part, and the end of the last one."""
+        return np.cumsum([0, *(part.n for part in self.parts)])
+
+    def thinned(self, samples: int) -> tuple[list[Experiment], slice]:
+        """Evenly so many samples of the parts, and which parts those are."""
+        every = slice(None, None, max(1, round(sum(part.n for part in self.parts) / samples)))
+        return self.parts[every], every
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Records in a model's terms.
+
+    Attributes
+    ----------
+    model : PhysicalModel
+        With the optional inputs that the records lack marked absent.
+    experiments : list of Experiment
+    measured : array, shape (outputs,)
+    spread : array, shape (outputs,)
+        Standard deviation of each output; 1 where it was not measured or stands still.
+    rungs : tuple of Rung
+        From the shortest windows to whole records.
+    fold : array, shape (blocks,)
+        Which blocks are left out together.
+    """
+
+    model: PhysicalModel
+    experiments: list[Experiment]
+    measured: npt.NDArray[np.bool_]
+    spread: Array
+    rungs: tuple[Rung, ...]
+    fold: Integers
+
+    @property
+    def blocks(self) -> int:
+        """How many there are."""
+        return len(self.fold)
+
+    def rung(self, windows: int) -> Rung:
+        """The rung with so many windows a record."""
+        return next(rung for rung in self.rungs if rung.windows == windows)
+
+    def times_of(self, block: int) -> tuple[float, float]:
+        """Begin and end of a block [s], in its record's time."""
+        each = self.blocks // len(self.experiments)
+        e, k = self.experiments[block // each], block % each
+        return tuple(e.t0 + e.sample_time * np.ceil(e.n * edge / each) for edge in (k, k + 1))
+
+    def rows(self, rung: Rung) -> Integers:
+        """Of each row of a rung the row among all experiments, one after the other."""
+        begins = np.cumsum([0, *(e.n for e in self.experiments)])
+        found = []
+        for part, number in zip(rung.parts, rung.experiment, strict=True):
+            e = self.experiments[number]
+            found.append(begins[number] + round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n))
+        return np.concatenate(found)
+
+
+def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+    """The records matched to the model.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Records that do not fit the model, in which nothing changes, or too short for blocks.
+    """
+    model, experiments = match(model, records, mapping)
+    if not any(map(_changes, experiments)):
+        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
+    for e in experiments:
+        if e.n < FEWEST_SAMPLES:
+            least = f"at least {FEWEST_SAMPLES} samples are needed"
+            raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
+    return data_of(model, experiments)
+
+
+def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
+    """Blocks and windows of experiments."""
+    Y = np.concatenate([e.Y for e in experiments])
+    measured = np.isfinite(Y).any(axis=0)
+    spread = np.ones(Y.shape[1])
+    spread[measured] = np.nanstd(Y[:, measured], axis=0)
+    spread[~(spread > 0.0)] = 1.0
+    each, fold = folds_of(len(experiments))
+    shortest = min(e.n for e in experiments)
+    rungs = tuple(_rung(experiments, k, each) for k in LADDER if shortest // k >= SHORTEST_WINDOW or k == LADDER[-1])
+    return Data(model, experiments, measured, spread, rungs, fold)
+
+
+def folds_of(count: int) -> tuple[int, Integers]:
+    """How many blocks each of so many experiments has, and which blocks are left out together (blocks,)."""
+    each = BLOCKS if count == 1 else max(FOLDS, FOLDS * -(-BLOCKS // (FOLDS * count)))
+    block = np.arange(each * count)
+    return each, (block // each if count >= FOLDS - 1 else block) % FOLDS  # whole records where there are several
+
+
+def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
+    parts: list[Experiment] = []
+    block, at = [], []
+    for number, e in enumerate(experiments):
+        shortest = -(-e.n // LADDER[0])  # so that every window begins where a shorter one does
+        for part in windows(e, shortest * (LADDER[0] // count)) if count > 1 else [replace(e, block=1)]:
+            row = round((part.t0 - e.t0) / e.sample_time) + np.arange(part.n)
+            block.append(np.minimum(row * blocks // e.n, blocks - 1) + number * blocks)
+            parts.append(part)
+            at.append(number)
+    return Rung(count, parts, np.concatenate(block), np.array(at))
+
+
+def _changes(experiment: Experiment) -> bool:
+    """Whether any signal of it does."""
+    signals = [*experiment.U.T, *experiment.Y[:, experiment.measured].T]
+    return any(np.nanmax(signal) > np.nanmin(signal) for signal in signals)

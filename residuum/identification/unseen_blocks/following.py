@@ -1,0 +1,152 @@
+"""Where the machine was and what its balances lacked, as the measurements show them; and effects regressed on that.
+
+A simulation that has gone astray (an arm without its weight, an axis that a cog holds) does not point to the effect. The Kalman
+filter stays with the machine: along its states, the term of an effect that is missing resembles the missing term of its
+balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
+from residuum.identification.physics.effects.base import Parameter
+from residuum.identification.physics.model import find_effect, place_of, term_name
+from residuum.identification.physics.simulate.experiment import Spare
+from residuum.identification.physics.simulate.kalman import Filter, first_noise
+from residuum.identification.unseen_blocks.data import Data, Rung
+
+Array = npt.NDArray[np.float64]
+ROWS = 4000
+"""[samples] Of the track on which effects are regressed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """All experiments, one after the other: `experiment` (inputs and outputs), states X (n, states), what each balance lacked.
+
+    `errors` (n, outputs) are those of the model's simulation, 0 where nothing is known of them; `longest` are the rows of the
+    longest experiment.
+    """
+
+    model: PhysicalModel
+    experiment: Experiment
+    X: Array
+    missing: Mapping[str, Array]
+    errors: Array
+    longest: slice
+
+    @property
+    def thinned(self) -> Track:
+        """At most about `ROWS` of its rows."""
+        every = slice(None, None, max(1, self.experiment.n // ROWS))
+        e = replace(self.experiment, U=self.experiment.U[every], Y=self.experiment.Y[every], spare={})
+        missing = {b: w[every] for b, w in self.missing.items()}
+        return replace(self, experiment=e, X=self.X[every], missing=missing, errors=self.errors[every])
+
+
+def followed(model: PhysicalModel, data: Data, errors: Array | None = None, rung: Rung | None = None) -> Track | None:
+    """The model's smoothed states in every experiment, and what its balances lacked; None where the filter diverges.
+
+    `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
+    """
+    kalman, simulator = Filter(model, first_noise(model, data.experiments)), Simulator(model)
+    found = [kalman.run(e, simulator.x0(e.known)) for e in data.experiments]
+    if not all(np.all(np.isfinite(s.X)) and all(np.all(np.isfinite(m.value)) for m in s.missing.values()) for s in found):
+        return None
+    lacks = [{b: s.missing[b].value if b in s.missing else np.zeros(len(s.X)) for b in model.balances} for s in found]
+    along = joined(model, data.experiments, [s.X for s in found], lacks)
+    if errors is not None and rung is not None:
+        along.errors[data.rows(rung)] = np.nan_to_num(errors)
+    return along
+
+
+def joined(
+    model: PhysicalModel, experiments: Sequence[Experiment], states: Sequence[Array], lacks: Sequence[Mapping[str, Array]]
+) -> Track:
+    """The track of all experiments, from the states in each and what each balance lacked there; no errors are known."""
+    lengths = [e.n for e in experiments]
+    longest = int(np.argmax(lengths))
+    begin, whole = sum(lengths[:longest]), _joined(experiments)
+    missing = {b: np.concatenate([w[b] for w in lacks]) for b in lacks[0]}
+    rows = slice(begin, begin + lengths[longest])
+    return Track(model, whole, np.concatenate(states), missing, np.zeros(whole.Y.shape), rows)
+
+
+def _joined(experiments: Sequence[Experiment]) -> Experiment:
+    first, *others = experiments
+    names = [n for n, s in first.spare.items() if all(n in e.spare and e.spare[n].unit == s.unit for e in others)]
+    spare: dict[str, Spare] = {
+        n: replace(first.spare[n], values=np.concatenate([e.spare[n].values for e in experiments])) for n in names
+    }
+    U, Y = np.concatenate([e.U for e in experiments]), np.concatenate([e.Y for e in experiments])
+    return replace(first, U=U, Y=Y, known={}, spare=spare)
+
+
+def regressed(key: Key, start: Mapping[str, float], along: Track) -> tuple[float, PhysicalModel] | None:
+    """The effect in the sizes that what its balance lacked asks for: (share of it that it explains, model).
+
+    Least squares of the missing term on the effect's term, each size by itself, beside the balance's own terms, whose
+    parameters may be off. None for an effect with states of its own, without sizes or with none inside its bounds.
+    """
+    effect, model = find_effect(key.effect), along.model
+    if effect.place != "balance" or not effect.sizes or effect.states(model.site(key.target, effect)):
+        return None
+    few, place = along.thinned, place_of(key.target)
+    own = own_terms(model, place, few)
+    rest = beside(own, few.missing[place])
+    sizes = {n: start[n] for n in effect.sizes if start.get(n)}
+    columns = {n: c for n in sizes if (c := _column(key, start, n, few)) is not None and np.any(c)}
+    columns = {n: beside(own, c) for n, c in columns.items()}
+    known = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
+    found, power = _inside_bounds(columns, rest, sizes, known), float(rest @ rest)
+    if found is None or not power > 0.0:
+        return None
+    values, left = found
+    return 1.0 - float(left @ left) / power, model.with_effect(*key, dict(start) | dict.fromkeys(sizes, 0.0) | values)
+
+
+def _inside_bounds(
+    columns: Mapping[str, Array], rest: Array, sizes: Mapping[str, float], known: Mapping[str, Parameter]
+) -> tuple[dict[str, float], Array] | None:
+    """Values whose columns come nearest to `rest`, without those that would lie outside their bounds, and what is left of it."""
+    while columns:
+        C = np.column_stack(list(columns.values()))
+        factors = np.linalg.lstsq(C, rest, rcond=None)[0]
+        values = {n: float(f * sizes[n]) for n, f in zip(columns, factors, strict=True)}
+        outside = [n for n, value in values.items() if not known[n].lower < value < known[n].upper]
+        if not outside:
+            return values, rest - C @ factors
+        columns = {n: c for n, c in columns.items() if n not in outside}
+    return None
+
+
+def own_terms(model: PhysicalModel, balance: str, along: Track) -> Array:
+    """Orthonormal basis of the balance's terms along the states."""
+    look = Simulator(model).look(along.experiment, along.X)
+    terms = [z for name, z in look.items() if name.startswith(f"{balance}.") and name != f"{balance}.missing" and np.any(z)]
+    if not terms or not np.all(np.isfinite(terms)):
+        return np.zeros((len(along.X), 0))
+    u, s, _ = np.linalg.svd(np.column_stack([z / np.linalg.norm(z) for z in terms]), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]])
+
+
+def beside(basis: Array, v: Array) -> Array:
+    """What is left of v beside an orthonormal basis."""
+    return np.asarray(v - basis @ (basis.T @ v))
+
+
+def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> Array | None:
+    """The effect's term with one of its sizes alone."""
+    alone = {n: 0.0 if n in find_effect(key.effect).sizes and n != size else value for n, value in start.items()}
+    try:
+        used = along.model.with_effect(*key, alone)
+        term = Simulator(used).look(along.experiment, along.X)[f"{place_of(key.target)}.{term_name(used.effects[-1])}"]
+    except (BadInput, NotImplementedError):
+        return None
+    return term if np.all(np.isfinite(term)) else None

@@ -1,0 +1,34 @@
+"""Inputs that a model may have forgotten: spare columns of the records, taken up before anything is searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import PhysicalModel, find_effect, match
+from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, data_of
+from residuum.identification.unseen_blocks.following import followed
+from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
+from residuum.identification.unseen_blocks.proposals import forgotten_columns
+from residuum.identification.unseen_blocks.search import Wanted
+
+
+def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted) -> PhysicalModel:
+    """The model with those spare columns as idle inputs that what a balance lacks resembles.
+
+    Nothing is known of that where the records are short, or where neither the model nor its filter follows them.
+    """
+    asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
+    matched, experiments = match(model, records, mapping)
+    if not (asked and any(e.spare for e in experiments)) or min(e.n for e in experiments) < FEWEST_SAMPLES:
+        return model
+    data = data_of(matched, experiments)
+    try:
+        along = followed(climb_at_likelier_timing(data).structure.model, data)
+    except NotIdentifiable:
+        return model
+    if along is not None:
+        for name in forgotten_columns(data.model, along):
+            model = model.with_input(name, experiments[0].spare[name].unit)
+    return model

@@ -1,0 +1,205 @@
+"""Errors on unseen blocks: one fit to everything, blocks deleted from its Gauss–Newton equations in closed form.
+
+With the errors e of the fit, their slopes T by the parameters (first states projected out window by window) and H_b = T_bᵀT_b,
+g_b = T_bᵀe_b of each block b, the fit without a fold of blocks moves by
+
+    δθ = (Σ H_rest + d·diag Σ H)⁻¹ Σ g_rest,    e_out → e_out − T_out δθ,
+
+so a refit costs nothing. The damping d refuses what only fits: a value that the rest leaves nearly undetermined would go
+anywhere.
+
+References
+----------
+R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2 (deletion); A. Vehtari, A. Gelman, J. Gabry, Stat.
+Comput. 27 (2017) 1413 (paired differences on data kept aside).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics import Estimate, Key, PhysicalModel, Simulator
+from residuum.identification.physics.estimation.least_squares import solve_scaled
+from residuum.identification.unseen_blocks.data import Data, Rung
+from residuum.identification.unseen_blocks.policy import DAMPING
+from residuum.identification.unseen_blocks.scale import Scale
+from residuum.identification.unseen_blocks.structure import Structure
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A structure and its errors on blocks that it has not seen.
+
+    Attributes
+    ----------
+    structure : Structure
+    parameters : int
+        How many its effects have that are estimated.
+    power : array, shape (blocks, measured outputs)
+        Sums of squares in the scale, clipped.
+    left : array, shape (rows, measured outputs)
+        The errors in the scale, clipped; 0 where nothing was measured.
+    cost : float
+        Of power; `seen` the same on the blocks that the fit has seen.
+    squares, count : arrays, shape (blocks, outputs)
+        Sums of squares in the outputs' units, and of how many samples.
+    errors : array, shape (rows, outputs)
+        Of the fit itself, in the outputs' units; NaN where nothing was measured.
+    """
+
+    structure: Structure
+    parameters: int
+    power: Array
+    left: Array
+    cost: float
+    seen: float
+    squares: Array
+    count: Array
+    errors: Array
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The effects."""
+        return self.structure.keys
+
+    @property
+    def model(self) -> PhysicalModel:
+        """With the values fitted to everything."""
+        return self.structure.model
+
+    @property
+    def rms(self) -> Array:
+        """Error of each output on unseen blocks; NaN where it was not measured, shape (outputs,)."""
+        count = self.count.sum(axis=0)
+        return np.sqrt(np.divide(self.squares.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Errors (rows, measured outputs) of a fit in a scale, their slopes by parameters with first states projected out, those by
+    first `states`, and the values with their bounds; `huber` weighs what is clipped, windows begin at `starts`.
+    """
+
+    errors: Array
+    known: npt.NDArray[np.bool_]
+    slopes: Array
+    states: Array
+    huber: Array
+    theta: Array
+    lower: Array
+    upper: Array
+    starts: tuple[int, ...]
+
+    def beside_states(self, columns: Array) -> Array:
+        """Columns (rows, outputs, m) of weighted slopes with what first states can do projected out, window by window."""
+        out = columns * self.huber[..., None]
+        if not (self.states.shape[2] and out.shape[2]):
+            return out
+        for a, b in pairwise(self.starts):
+            x, t = self.states[a:b].reshape(-1, self.states.shape[2]), out[a:b].reshape(-1, out.shape[2])
+            out[a:b] = (t - x @ solve_scaled(x.T @ x, x.T @ t, 1e-12)).reshape(out[a:b].shape)
+        return out
+
+    def step(self, extra: Array) -> Array:
+        """The least squares values of further terms, whose slopes beside first states are `extra`, fitted to everything."""
+        T = np.concatenate([self.slopes, extra], axis=2)
+        H = np.einsum("roi,roj->ij", T, T)
+        g = np.einsum("roi,ro->i", T, self.errors * self.huber)
+        return np.asarray(solve_scaled(H + DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[self.slopes.shape[2] :, 0])
+
+    def unseen(self, block: Integers, fold: Integers, extra: Array | None = None) -> Array:
+        """The errors of each row, the fold of its block left out of the fit; `extra` are slopes of further terms beside first
+        states.
+        """
+        T, theta, lower, upper = self.slopes, self.theta, self.lower, self.upper
+        if extra is not None:
+            T = np.concatenate([T, extra], axis=2)
+            none = np.zeros(extra.shape[2])
+            theta, lower, upper = (np.append(v, none + b) for v, b in ((theta, 0.0), (lower, -np.inf), (upper, np.inf)))
+        if not T.shape[2]:
+            return self.errors.copy()
+        row_fold, left = fold[block], self.errors.copy()
+        for k, step in moved(T, self.errors * self.huber, row_fold).items():
+            at, further = row_fold == k, np.clip(theta + step, lower, upper) - theta
+            left[at] -= (T[at] / self.huber[at][..., None]) @ further
+        return left
+
+
+def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
+    """How far the values move where a fold of rows is left out: by fold (q,), from weighted slopes T (rows, outputs, q) and
+    errors e (rows, outputs) of the fit to everything.
+    """
+    each = {int(k): row_fold == k for k in np.unique(row_fold)}
+    H = {k: np.einsum("roi,roj->ij", T[at], T[at]) for k, at in each.items()}
+    g = {k: np.einsum("roi,ro->i", T[at], e[at]) for k, at in each.items()}
+    all_H, all_g = sum(H.values(), np.zeros((T.shape[2],) * 2)), sum(g.values(), np.zeros(T.shape[2]))
+    ridge = DAMPING * np.diag(np.diag(all_H))
+    return {k: solve_scaled(all_H - H[k] + ridge, (all_g - g[k])[:, None], 1e-10)[:, 0] for k in each}
+
+
+def equations(model: PhysicalModel, found: Estimate, rung: Rung, scale: Scale) -> Equations | None:
+    """Errors and slopes of a fit; None where it diverges."""
+    simulator = Simulator(model)
+    names, free_states = list(model.free), [f"initial:{name}" for name in simulator.free_states]
+    columns = [*names, *free_states]
+    runs = simulator.run_each(rung.parts, found.initial, simulator.p(), slopes=columns, substeps=found.substeps)
+    if not runs.bounded:
+        return None
+    starts, measured = rung.starts.tolist(), scale.weights > 0.0
+    known = np.isfinite(runs.errors)
+    R = scale.whitened(np.where(known, runs.errors, 0.0) * scale.weights, starts)[:, measured]
+    dY = np.zeros((*runs.errors.shape, 0)) if runs.dY is None else runs.dY
+    J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[:, measured]
+    known = known[:, measured]
+    R[~known], J[~known] = 0.0, 0.0
+    huber = np.sqrt(np.minimum(1.0, scale.clip[measured] / np.maximum(np.abs(R), 1e-300)))
+    J *= huber[..., None]
+    values = model.all_parameters
+    theta, lower, upper = (np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper"))
+    T, X = J[..., : len(names)] / huber[..., None], J[..., len(names) :]
+    T[..., (theta <= lower) | (theta >= upper)] = 0.0
+    at = Equations(R, known, T, X, huber, theta, lower, upper, tuple(starts))
+    return replace(at, slopes=at.beside_states(T))
+
+
+def judged(structure: Structure, found: Estimate, rung: Rung, data: Data, scale: Scale) -> Judged | None:
+    """The structure's errors on unseen blocks, from its fit on a rung; None where it diverges."""
+    at = equations(structure.model, found, rung, scale)
+    if at is None:
+        return None
+    measured = scale.weights > 0.0
+    clip = scale.clip[measured]
+    plainly = at.unseen(rung.block, data.fold)
+    left = np.where(at.known, np.clip(plainly, -clip, clip), 0.0)
+    power = summed(left**2, rung, data.blocks)
+    if not np.all(np.isfinite(power)):
+        return None
+    parameters = sum(not p.fixed for use in structure.model.effects for p in use.parameters.values())
+    parameters += sum(not p.fixed for p in structure.model.parameters.values())
+    seen = summed(np.where(at.known, np.clip(at.errors, -clip, clip), 0.0) ** 2, rung, data.blocks)
+    squares, count = np.zeros((2, data.blocks, len(measured)))
+    squares[:, measured] = summed(np.where(at.known, _in_units(plainly, at, found, rung, scale), 0.0) ** 2, rung, data.blocks)
+    count[:, measured] = summed(at.known.astype(float), rung, data.blocks)
+    cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
+    return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, np.concatenate(found.residuals))
+
+
+def _in_units(unseen: Array, at: Equations, found: Estimate, rung: Rung, scale: Scale) -> Array:
+    """The unseen errors in the outputs' units: where the scale whitens, those that were seen, as much larger as in the scale."""
+    measured = scale.weights > 0.0
+    if scale.filters is None:
+        return unseen / scale.weights[measured]
+    seen, now = np.sum(at.errors**2, axis=0), np.sum(unseen**2, axis=0)
+    return np.concatenate(found.residuals)[:, measured] * np.sqrt(now / np.maximum(seen, 1e-300))
+
+
+def summed(values: Array, rung: Rung, blocks: int) -> Array:
+    """Sums over the rows of each block, shape (blocks, columns)."""
+    return np.column_stack([np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T])

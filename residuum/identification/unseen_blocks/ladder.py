@@ -1,0 +1,117 @@
+"""The first model on ever longer windows, each rung begun where the one before ended.
+
+Long simulations of oscillating or integrating machines lock in wrongly from a poor start. The last rung is the whole record,
+unless the model does not forget its first state within a window (a plant that integrates, a closed loop) and follows little
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Estimate, PhysicalModel, Simulator
+from residuum.identification.residual_analysis.feedback import feeds_back
+from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
+from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.data import Data, Rung, data_of
+from residuum.identification.unseen_blocks.policy import FOLLOWED
+from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
+from residuum.identification.unseen_blocks.structure import States, Structure, fitted
+
+FORGETS = 0.3
+"""Part of the peak effect of a first state that may be left at the end of a window."""
+
+
+@dataclass(frozen=True, eq=False)
+class Climbed:
+    """The model fitted on the `last` rung, where it was found, and the rung `middle` of short looks."""
+
+    data: Data
+    structure: Structure
+    found: Estimate
+    last: Rung
+    middle: Rung
+    scale: Scale
+
+
+def climb(data: Data) -> Climbed:
+    """Climb the ladder with the data's model.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges on every rung.
+    """
+    scale = plain(data)
+    structure, last, found = Structure((), data.model, {}, {}), None, None
+    for rung in data.rungs:
+        here = _fitted(structure, data.model, rung, last, scale)
+        if here is None or (last is not None and mean_error(here, scale) > FOLLOWED and not _forgets(here, rung)):
+            continue
+        structure, last, found = structure.at(rung, here), rung, here
+    if last is None or found is None:
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows of them")
+    ordered = [rung for rung in data.rungs if rung.windows in structure.states]
+    return Climbed(data, structure, found, last, ordered[min(1, len(ordered) - 1)], clipped(scale, found.residuals, last))
+
+
+def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung | None, scale: Scale) -> Estimate | None:
+    """The best fit from the values so far, with and without the states where shorter windows began, and from the first values."""
+    begins: list[tuple[PhysicalModel, States | None]] = [(first, None)]
+    if last is not None:
+        known = {
+            (number, part.t0): s
+            for number, part, s in zip(last.experiment, last.parts, structure.states[last.windows], strict=True)
+        }
+        states = [known.get((number, part.t0), {}) for number, part in zip(rung.experiment, rung.parts, strict=True)]
+        begins = [(structure.model, states), (structure.model, None), *begins]
+    each = [fitted(model, rung.parts, states, scale, steps=20, tolerance=1e-5) for model, states in begins]
+    return min((one for one in each if one is not None), key=lambda one: mean_error(one, scale), default=None)
+
+
+def mean_error(found: Estimate, scale: Scale) -> float:
+    """Mean square of a fit's errors in the scale, clipped."""
+    measured = scale.weights > 0.0
+    residuals = np.concatenate(found.residuals)
+    errors = scale.whitened(np.nan_to_num(residuals) * scale.weights, np.cumsum([0, *map(len, found.residuals)]).tolist())
+    known = np.isfinite(residuals)[:, measured]
+    square = np.minimum(np.abs(errors), scale.clip)[:, measured] ** 2
+    return float(square[known].mean()) if known.any() else np.inf
+
+
+def climb_at_likelier_timing(data: Data) -> Climbed:
+    """`climb` with inputs held over their samples or moving evenly between them, whichever leaves the smaller innovations.
+
+    The two differ by half a sample. A good record shows the wrong one as a structured error of its own, a delay or a lag. Where a
+    controller answers the noise, inputs were held.
+    """
+
+    def climbed(one: Data) -> Climbed | NotIdentifiable:
+        try:
+            return climb(one)
+        except NotIdentifiable as diverges:
+            return diverges
+
+    found = side_by_side(climbed, [data, data_of(data.model, turned_timing(data.experiments))])
+    known = [one for one in found if isinstance(one, Climbed)]
+    if not known:
+        raise next(one for one in found if isinstance(one, NotIdentifiable))
+    held = [one for one in known if not any(e.hold.any() for e in one.data.experiments)]
+    if len(known) > 1 and held and feeds_back(held[0].found.model, held[0].last.parts, held[0].found.residuals):
+        return held[0]
+    return min(known, key=lambda one: (one.last.windows, innovations_of(one.found.residuals)))
+
+
+def _forgets(found: Estimate, rung: Rung) -> bool:
+    """Whether first states are forgotten within a window."""
+    simulator = Simulator(found.model)
+    names = [f"initial:{name}" for name in simulator.free_states]
+    if not names:
+        return True
+    runs = simulator.run_each(rung.parts, found.initial, simulator.p(), slopes=names, substeps=found.substeps)
+    slopes = [np.abs(run.dY) for run in runs if run.dY is not None]
+    late, peak = np.array([s[-1].max(axis=0) for s in slopes]), np.array([s.max(axis=(0, 1)) for s in slopes])
+    return bool(np.median(late / np.maximum(peak, 1e-300), axis=0).max() < FORGETS)

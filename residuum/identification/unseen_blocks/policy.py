@@ -1,0 +1,54 @@
+"""Every number that missing physics is judged by: its unit in brackets (none: a ratio or a count), its meaning, and what set
+it.
+"""
+
+LADDER = (27, 9, 3, 1)
+"""Windows a record, from short horizons to the whole: long simulations lock in wrongly from a poor start. Chosen."""
+SHORTEST_WINDOW = 25
+"""[samples] Of a window, and of the pieces over which corrections are summed. Chosen."""
+FOLLOWED = 0.1
+"""[of the outputs' variance] Error up to which a rung of the ladder is followed. Chosen."""
+BLOCKS, FOLDS = 20, 4
+"""Blocks of all records, and of how many one is left out at a time. Chosen."""
+DAMPING = 0.003
+"""[of the curvature] Of the step to the values without the blocks left out: nearly undetermined values would go anywhere. Fitted
+to refits with masked blocks."""
+CLIPPED = 8.0
+"""[robust spreads] As which a larger error counts: an event that nobody recorded. Chosen."""
+
+BEAM, DEPTH = 5, 4
+"""Structures that go on to the next level, and effects at most. Chosen."""
+FITTED = 12
+"""Candidates of each look that are fitted fully at a level. Chosen."""
+GLANCED = 4000
+"""[samples] Of a look at short windows. Chosen."""
+KEPT = 20
+"""Candidates of the first level that are looked at again beside others. Chosen."""
+ABSURD = 100.0
+"""Times all its first values at which a value is refused; small ones go a hundred times further. Chosen."""
+
+WEAKEST = 0.1
+"""[of the largest] As what the error of an output counts at least: one that is followed well has a vote. Chosen."""
+MERITLESS = 0.02
+"""[of a block's mean power] That is no merit of any structure. Chosen."""
+SMALL, WORTH = 0.02, 0.1
+"""Shares of the first error that are nothing, and of what is left that an effect has to take away. Chosen."""
+REAL = 2.5
+"""[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
+
+NOISY, UNEVEN = 1.3, 7.0
+"""Times its own noise that an error may be, and times the scatter of noise that its blocks may have, to be noise. Chosen."""
+WHITENING = 12
+"""[coefficients] Of the whitening autoregression at most. Chosen."""
+TIE = 3.0
+"""[nat] That cannot tell two structures apart: odds of twenty. Chosen."""
+EVERYWHERE = 2.0
+"""[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
+
+DRAWS = 400
+"""Of the blocks, by which probabilities are counted."""
+MOST_EFFORT = 2_000_000_000
+"""[samples] Of a search. Chosen."""
+
+HELD_REACH = 0.3
+"""[of its value] Within which a held parameter is sought. Chosen."""

@@ -1,0 +1,217 @@
+"""What may be missing, and where each begins: effects of the catalogue, forgotten inputs, couplings, learned curves, held values.
+
+A proposal is a key and models to begin with; who judges them does not ask what they are. A forgotten input is a column of the
+records that the model does not use. It is proposed where what a balance lacks resembles it, beside the balance's own terms, and
+where it says something that the outputs do not: a reference, a filtered or differentiated output resembles whatever is missing
+in a loop, and acts on nothing. A held value is a parameter that the model fixes: a mass that is a tenth too large looks like an
+elasticity or a load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import zip_longest
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Key, PhysicalModel, candidates, conditions_at
+from residuum.identification.physics.effects import STRUCTURAL
+from residuum.identification.physics.effects.base import Conditions, Effect
+from residuum.identification.physics.model import find_effect, idle_inputs, place_of
+from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
+from residuum.identification.unseen_blocks.held_value import HELD, freed
+from residuum.identification.unseen_blocks.scale import innovations
+
+Array = npt.NDArray[np.float64]
+STARTS = 6
+"""First values of an effect that are looked at."""
+RESEMBLES, TOLD_BY_OUTPUTS, MOST_COLUMNS = 0.05, 0.98, 3
+"""Part of what a balance lacks that a column has to explain; of a column that the outputs explain, which makes it none of its
+own; and how many are tried.
+"""
+CURVE_KNOTS, MOST_CURVES = 9, 3
+"""Of the curves by which a signal is chosen, and how many are tried."""
+
+
+def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | None, *, learned: bool, held: bool) -> list[Key]:
+    """Everything that may join the model; `wanted` restricts the effects.
+
+    What acts at times that nobody recorded may have been something else: it is proposed only where it is asked for.
+    """
+    keys = candidates(model, wanted)
+    if wanted is None:
+        keys = [key for key in keys if _recorded(model, key)]
+    keys = [key for key in keys if not find_effect(key.effect).curve]
+    if learned and along is not None:
+        keys += _curves(model, along)
+    if held:
+        keys += [Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0]
+    return keys
+
+
+def _recorded(model: PhysicalModel, key: Key) -> bool:
+    effect = find_effect(key.effect)
+    return effect.recorded(model.site(key.target, effect))
+
+
+def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
+    """The track's model with what is proposed, at its own first values and regressed on what its balance lacked."""
+    if key.effect == HELD:
+        return [freed(along.model, [key.target])]
+    effect, models = find_effect(key.effect), []
+    for start in _starts(key, along):
+        try:
+            found = regressed(key, start, along)
+            if found is not None:
+                models.append(found[1])
+            if not effect.curve or found is None:
+                models.append(along.model.with_effect(*key, _flat(effect, start)))
+        except (BadInput, NotImplementedError):
+            continue
+    return [canonical(model) for model in models[:STARTS]]
+
+
+def grown(key: Key, special: Track) -> list[PhysicalModel]:
+    """Models with an effect in the place of one that it generalises, begun near where that one was found and followed."""
+    effect = find_effect(key.effect)
+    use = next(use for use in special.model.effects if use.key == Key(effect.generalises, key.target))
+    less = special.model.without_effect(use.label)
+    values = {name: p.value for name, p in use.parameters.items()}
+    try:
+        return [canonical(less.with_effect(*key, v)) for v in effect.grown(values, conditions_along(key, special))]
+    except (BadInput, NotImplementedError):
+        return []
+
+
+def specialised(key: Key, general: Track) -> list[PhysicalModel]:
+    """Models with a special case in the place of the effect that generalises it, begun where that one was found and followed."""
+    uses = [
+        u for u in general.model.effects if u.target == key.target and u.effect.generalises == key.effect and u.id != key.effect
+    ]
+    found = []
+    for use in uses:
+        less = general.model.without_effect(use.label)
+        values = {name: p.value for name, p in use.parameters.items()}
+        try:
+            if special := use.effect.specialised(values, conditions_along(Key(use.id, use.target), general)):
+                found.append(canonical(less.with_effect(*key, special)))
+        except (BadInput, NotImplementedError):
+            continue
+    return found
+
+
+def _starts(key: Key, along: Track) -> list[Mapping[str, float]]:
+    """First values of an effect, those of each thing that it follows in turn."""
+    effect = find_effect(key.effect)
+    each = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
+    turns = [start for turn in zip_longest(*each) for start in turn if start is not None]
+    return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS]
+
+
+def _lacks(effect: Effect, target: str, along: Track) -> list[Array | None]:
+    """What is missing, along the longest record, in each way in which the effect's first values follow it."""
+    found: list[Array | None] = []
+    for what in effect.follows:
+        if what == "lack":
+            found.append(along.missing[place_of(target)][along.longest])
+        else:
+            errors = along.errors[along.longest][:, along.experiment.measured].T
+            found += [innovations(e) if what == "innovations" else e for e in errors]
+    return found or [None]
+
+
+def conditions_along(key: Key, along: Track, missing: Array | None = None) -> Conditions:
+    """What is known where the effect may act, along the longest record."""
+    effect, rows = find_effect(key.effect), along.longest
+    e = replace(along.experiment, U=along.experiment.U[rows], Y=along.experiment.Y[rows], spare={})
+    return conditions_at(along.model, effect, key.target, e, np.ascontiguousarray(along.X[rows]), missing)
+
+
+def canonical(model: PhysicalModel) -> PhysicalModel:
+    """The model with the terms of its balances in one order (one kernel for {A, B} and {B, A}); stages of a path stay."""
+    return replace(model, effects=tuple(sorted(model.effects, key=_rank)))
+
+
+def _rank(use: object) -> tuple[int, str, str, int]:
+    place = use.effect.place != "balance"  # type: ignore[attr-defined]
+    return (1, "", "", 0) if place else (0, use.target, use.id, use.instance)  # type: ignore[attr-defined]
+
+
+def _flat(effect: Effect, start: Mapping[str, float]) -> Mapping[str, float]:
+    """A start of a curve without its shape, which only a regression knows; any other effect's as it is."""
+    return {**start, **dict.fromkeys(effect.sizes, 0.0)} if effect.curve else start
+
+
+def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:
+    """Spare columns that what a balance lacks resembles, the most alike first."""
+    own = _told_by_outputs(along)
+    taken = {*model.states, *model.parameters, *model.inputs, *model.balances}
+    columns = {
+        n: s.values
+        for n, s in along.experiment.spare.items()
+        if n not in taken and _share_of(own, s.values - s.values.mean()) < TOLD_BY_OUTPUTS
+    }
+    bases = {balance: own_terms(model, balance, along) for balance in model.balances}
+    alike = {n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items()) for n, s in columns.items()}
+    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[:MOST_COLUMNS]
+
+
+def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
+    """The model without the inputs that were added to it and that nothing uses; `like` is what it was before."""
+    idle = idle_inputs(model)
+    return model.with_inputs_of(name for name in model.inputs if name in like.inputs or name not in idle)
+
+
+def _told_by_outputs(along: Track) -> Array:
+    """Orthonormal basis of the measured outputs, the states and their slopes."""
+    Y = along.experiment.Y[:, along.experiment.measured]
+    signals = np.column_stack([np.nan_to_num(Y, nan=0.0), along.X])
+    every = np.column_stack([signals, np.gradient(signals, axis=0)])
+    every = every - every.mean(axis=0)
+    u, s, _ = np.linalg.svd(every / np.maximum(np.linalg.norm(every, axis=0), 1e-300), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]])
+
+
+def _share_of(basis: Array, v: Array) -> float:
+    power = float(v @ v)
+    return float(np.sum((basis.T @ v) ** 2)) / power if power > 0 else 1.0
+
+
+def _alike(basis: Array, lack: Array, signal: Array) -> float:
+    """Part of the lack's power beside the balance's own terms that the signal explains there."""
+    rest, own = beside(basis, lack), beside(basis, signal)
+    power = float(rest @ rest) * float(own @ own)
+    return float(rest @ own) ** 2 / power if power > 0 else 0.0
+
+
+def _curves(model: PhysicalModel, along: Track) -> list[Key]:
+    """Learned curves: the signals of which a smooth function explains most of what a balance lacks."""
+    found, present = [], {use.key for use in model.effects}
+    names = [*model.states, *model.inputs]
+    learned = [effect.id for effect in STRUCTURAL.values() if effect.curve]
+    known = dict(zip(model.states, along.X.T, strict=False)) | dict(zip(model.inputs, along.experiment.U.T, strict=False))
+    for balance in model.balances:
+        basis = own_terms(model, balance, along)
+        for name in names:
+            keys = [key for id in learned if (key := Key(id, f"{balance}({name})")) not in present]
+            if keys and name in known and np.ptp(known[name]) > 0:
+                share = _explained(basis, along.missing[balance], known[name])
+                found += [(share, key) for key in keys]
+    return [key for share, key in sorted(found, reverse=True)[:MOST_CURVES] if share > 0.0]
+
+
+def _explained(basis: Array, lack: Array, signal: Array) -> float:
+    """Part of the lack on every second stretch that a curve over the signal, fitted on the others, takes away."""
+    at = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, CURVE_KNOTS)))
+    if len(at) < 3:
+        return 0.0
+    hats: Sequence[Array] = [np.interp(signal, at, row) for row in np.eye(len(at))]
+    every = np.column_stack([basis, *hats])
+    kept = (np.arange(len(lack)) * 20 // len(lack)) % 2 == 1
+    weights = np.linalg.lstsq(every[~kept], lack[~kept], rcond=1e-6)[0]
+    power = float(lack[kept] @ lack[kept])
+    left = lack[kept] - every[kept] @ weights
+    return 1.0 - float(left @ left) / power if power > 0 else 0.0

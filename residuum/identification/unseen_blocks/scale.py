@@ -1,0 +1,137 @@
+"""The unit in which errors are measured: power where an error stands out of its noise, nats of that noise where it does not.
+
+A whitened likelihood misleads on inexact machines: it believes that what is left is noise. Raw power is deaf in noise. What the
+error looks like says which unit is right: one that stands far above what its own past cannot predict, or is larger here than
+there, is no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics import noise_floor
+from residuum.identification.unseen_blocks.data import Data, Rung
+from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITENING
+
+Array = npt.NDArray[np.float64]
+NORMAL_MEDIAN = 0.6745
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """Weights (outputs,) of errors, their whitening `filters`, and what counts as how much.
+
+    `clip` (outputs,) is the largest weighted error that counts. In power `unit` (measured outputs,) is the first model's and
+    `floor` the part of the cost that is noise; in `nats` a parameter costs `price`.
+    """
+
+    weights: Array
+    clip: Array
+    filters: tuple[Array, ...] | None = None
+    nats: bool = False
+    unit: Array | None = None
+    floor: float = 0.0
+    price: float = 0.0
+
+    def whitened(self, values: Array, starts: Sequence[int]) -> Array:
+        """Weighted values (rows, outputs, …) of windows through the outputs' filters."""
+        if self.filters is None:
+            return values
+        from scipy.signal import lfilter  # noqa: PLC0415
+
+        out = np.empty_like(values)
+        for begin, end in pairwise(starts):
+            for o, a in enumerate(self.filters):
+                out[begin:end, o] = lfilter(a, [1.0], values[begin:end, o], axis=0)
+        return out
+
+    def cost(self, power: Array, parameters: int) -> float:
+        """Of power (blocks, measured outputs): nats with the parameters' price, or power in units of the first model's."""
+        if self.nats:
+            return float(0.5 * power.sum() + self.price * parameters)
+        unit = 1.0 if self.unit is None else self.unit
+        return float((power / unit).sum() / power.shape[1])
+
+    def by_block(self, power: Array) -> Array:
+        """Cost of each block without prices, shape (blocks,)."""
+        if self.nats:
+            return np.asarray(0.5 * power.sum(axis=1))
+        return np.asarray((power / (1.0 if self.unit is None else self.unit)).sum(axis=1) / power.shape[1])
+
+
+def plain(data: Data) -> Scale:
+    """Errors in units of the outputs' spread."""
+    weights = np.where(data.measured, 1.0 / data.spread, 0.0)
+    return Scale(weights, np.full(len(weights), np.inf))
+
+
+def clipped(scale: Scale, residuals: Sequence[Array], rung: Rung) -> Scale:
+    """The scale in which errors that stand out of these residuals count as no more than the limit."""
+    errors = scale.whitened(np.concatenate(residuals) * scale.weights, rung.starts.tolist())
+    measured = scale.weights > 0.0
+    spread = np.full(len(scale.weights), np.inf)
+    middle = np.nanmedian(errors[:, measured], axis=0)
+    spread[measured] = np.nanmedian(np.abs(errors[:, measured] - middle), axis=0) / NORMAL_MEDIAN
+    return replace(scale, clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf))
+
+
+def of_power(scale: Scale, data: Data, power: Array) -> Scale:
+    """Power in units of the first model's, which is `power` (blocks, measured outputs)."""
+    total = power.sum(axis=0)
+    unit = np.maximum(np.maximum(total, WEAKEST * total.max()), 1e-300)
+    Y = np.concatenate([e.Y for e in data.experiments])[:, data.measured]
+    noise = (np.nan_to_num(noise_floor(Y)) * scale.weights[data.measured]) ** 2 * np.isfinite(Y).sum(axis=0)
+    return replace(scale, unit=unit, floor=float(np.minimum(noise / unit, 0.98).mean()))
+
+
+def of_noise(residuals: Sequence[Array], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
+    """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show in the others alone."""
+    from scipy.signal import lfilter  # noqa: PLC0415
+
+    at = np.split(rung.block, rung.starts[1:-1])
+    weights, filters = np.zeros(len(measured)), []
+    for o, seen in enumerate(measured):
+        filters.append(np.ones(1))
+        if seen:
+            pieces = [r[b == k, o] for r, b in zip(residuals, at, strict=True) for k in np.unique(b)]
+            filters[o] = _whitening(pieces)
+            white = [lfilter(filters[o], [1.0], np.nan_to_num(r[:, o])) for r in residuals]
+            weights[o] = NORMAL_MEDIAN / max(float(np.median(np.abs(np.concatenate(white)))), 1e-300)
+    samples = sum(int(np.isfinite(r).sum()) for r in residuals)
+    return Scale(weights, np.full(len(measured), np.inf), tuple(filters), nats=True, price=0.5 * float(np.log(samples)))
+
+
+def _whitening(pieces: Sequence[Array]) -> Array:
+    """Autoregression (1, a₁, …) of the quieter half of the pieces (Yule and Walker), its order by Akaike's criterion."""
+    from scipy.linalg import solve_toeplitz  # noqa: PLC0415
+
+    known = sorted((np.nan_to_num(p) for p in pieces if np.isfinite(p).any()), key=lambda p: float(np.mean(p**2)))
+    quiet = known[: -(-len(known) // 2)]
+    n = sum(map(len, quiet))
+    total = np.zeros(WHITENING + 1)
+    for piece in quiet:
+        spectrum = np.abs(np.fft.rfft(piece, 2 * max(len(piece), WHITENING + 1))) ** 2
+        total += np.fft.irfft(spectrum)[: WHITENING + 1]
+    rho = total / max(float(total[0]), 1e-300)
+    best, found = np.inf, np.ones(1)
+    for order in range(WHITENING + 1):
+        column = rho[:order].copy()
+        column[:1] += 1e-9
+        phi = solve_toeplitz(column, rho[1 : order + 1]) if order else np.zeros(0)
+        left = max(float(1.0 - phi @ rho[1 : order + 1]), 1e-12)
+        criterion = n * np.log(left) + 2 * order
+        if criterion < best:
+            best, found = criterion, np.concatenate([[1.0], -phi])
+    return found
+
+
+def innovations(signal: Array) -> Array:
+    """What its own past does not predict of a signal."""
+    from scipy.signal import lfilter  # noqa: PLC0415
+
+    return np.asarray(lfilter(_whitening([signal]), [1.0], signal))

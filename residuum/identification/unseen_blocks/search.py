@@ -1,0 +1,345 @@
+"""The beam search: effects join one after the other, and ties travel, since what is one effect alone may be told apart beside
+another.
+
+At every level each proposal beside each structure of the beam is glanced at, the best of every kind of look are fitted fully
+and judged on unseen blocks, and the simplest within chance of the best leads. After each effect that joined, the unit of the
+error is asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Key
+from residuum.identification.physics.model import find_effect
+from residuum.identification.residual_analysis.noise_floor import times_the_noise
+from residuum.identification.side_by_side import each_beside
+from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
+from residuum.identification.unseen_blocks.data import Data
+from residuum.identification.unseen_blocks.following import Track, followed
+from residuum.identification.unseen_blocks.held_value import HELD
+from residuum.identification.unseen_blocks.judged import Judged, judged
+from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, glance, look
+from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT, NOISY, UNEVEN
+from residuum.identification.unseen_blocks.proposals import grown, proposed, specialised
+from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power, plain
+from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.work import OutOfWork, go_on, left_out
+
+Array = npt.NDArray[np.float64]
+Tell = Callable[[float, str], None]
+"""Told how far the work is (0 … 1), and what is being done."""
+
+
+def untold(_share: float, _doing: str) -> None:
+    """For those who do not ask."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What may be proposed: the effects of these ids (None: all), learned curves, values that the model holds."""
+
+    effects: tuple[str, ...] | None = None
+    learned: bool = False
+    held: bool = True
+
+
+@dataclass(eq=False)
+class Search:
+    """What was tried.
+
+    `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure that was judged there by
+    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had.
+    """
+
+    court: Court
+    base: Judged
+    best: Judged
+    along: Track | None
+    every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
+    group: list[Judged] = field(default_factory=list)
+    tried: int = 1
+
+
+def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
+    """Which effects are missing in the data's model, at the likelier input timing where it may be turned.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges on the records.
+    """
+    tell(0.0, "estimating the model as it is")
+    found = begun(climb_at_likelier_timing(data) if turn else climb(data))
+    beam, kept = [found.best], None
+    try:
+        for depth in range(DEPTH):
+            if is_nothing(found.best, found.base, found.court.scale):
+                break
+            tell(0.1 + 0.6 * depth / DEPTH, _beside(found.best.keys))
+            glances = _glances(found, beam, wanted, kept)
+            kept = _kept(glances) if kept is None else kept
+            ranked = _fitted(found, glances)
+            if not ranked:
+                break
+            found.tried = len(glances)
+            if _joins(found, ranked):
+                beam = _settled(found, ranked)
+                continue
+            if depth > 0 or found.court.scale.nats:
+                break
+            beam = going_on(ranked, found.court.scale)
+    except OutOfWork:
+        left_out(f"effects {_beside(found.best.keys)}")
+    return found
+
+
+def begun(climbed: Climbed) -> Search:
+    """The model as it is, judged; in nats where all it leaves is noise."""
+    data, last = climbed.data, climbed.last
+    first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
+    if first is None:
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records")
+    scale = of_power(climbed.scale, data, first.power)
+    first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
+    court = Court(data, last, climbed.middle, scale)
+    found = Search(court, first, first, None, {(): first})
+    if (settled := settle(first, court)) is not None:
+        court, first = settled
+        found = Search(court, first, first, None, {(): first})
+    return found
+
+
+def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
+    """The court in nats and the structure judged there, where what it leaves is noise alike all along the records; None
+    otherwise.
+    """
+    last, data = court.last, court.data
+    found = fitted(best.model, last.parts, best.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
+    scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    for turn in range(3):  # outputs weighed by their own errors, then these whitened
+        if found is None or scale is None:
+            return None
+        states = best.structure.at(last, found).states[last.windows]
+        scale = replace(scale, filters=None) if turn == 0 else scale
+        found = fitted(found.model, last.parts, states, scale, steps=12, tolerance=1e-5)
+        scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    if found is None or scale is None:
+        return None
+    times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
+    if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
+        return None
+    scale = clipped(scale, found.residuals, last)
+    in_nats = judged(best.structure.at(last, found), found, last, data, scale)
+    return None if in_nats is None else (replace(court, scale=scale), in_nats)
+
+
+def _unevenness(residuals: Sequence[Array], scale: Scale, court: Court) -> float:
+    """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
+    starts, measured = court.last.starts.tolist(), court.data.measured
+    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]
+    block = court.last.block
+    n = np.bincount(block, minlength=court.data.blocks)
+    powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
+    scatter = np.sqrt(2.0 / n[n > 0].mean())
+    return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
+
+
+def _beside(keys: Sequence[Key]) -> str:
+    return "beside " + " and ".join(key.effect for key in keys) if keys else "beside nothing else"
+
+
+def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Key] | None) -> dict[tuple[Key, ...], Glance]:
+    """A glance at every proposal beside every structure of the beam."""
+    tasks, seen = [], set()
+    for parent in beam:
+        along = followed(parent.model, found.court.data, parent.errors, found.court.last)
+        if along is None:
+            continue
+        found.along = along if found.along is None else found.along
+        given = None if parent.keys else followed(found.court.data.model, found.court.data)
+        for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
+            keys = tuple(sorted((*parent.keys, key)))
+            if key not in parent.keys and keys not in seen and (kept is None or key in kept):
+                seen.add(keys)
+                tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
+    each = each_beside(lambda task: task(), tasks)
+    return {one.keys: one for one in each if one is not None}
+
+
+def _glanced(parent: Structure, key: Key, along: Track, court: Court, given: Track | None) -> Glance | None:
+    try:
+        go_on()
+        return glance(parent, key, along, court, given)
+    except OutOfWork:
+        left_out(f"{key.effect}@{key.target}")
+        return None
+
+
+def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
+    """Proposals worth a look beside others: the best of the first level, and those that hide alone (own states, no slope yet)."""
+    kept = {one.key for one in glances.values() if one.hides}
+    for kind in (SHORT, LONG):
+        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
+        kept |= {one.key for one in there[:KEPT]}
+        if there:
+            usual = float(np.median([one.seen[kind][0] for one in there]))
+            kept |= {one.key for one in there if abs(one.seen[kind][0] / usual - 1.0) < 1e-6}
+    return kept
+
+
+def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judged]:
+    """The best of each kind of glance fitted fully and judged, with those related to the best of them; the best first."""
+    top: dict[tuple[Key, ...], Glance] = {}
+    for kind in (SHORT, LONG):
+        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
+        top |= {one.keys: one for one in there[:FITTED]}
+    each = each_beside(lambda seen: _looked(seen, found.court), list(top.values()))
+    here = {one.keys: one for one in each if one is not None}
+    here |= _related(found, here, glances)
+    found.every |= here
+    return sorted(here.values(), key=lambda one: one.cost)
+
+
+def _looked(seen: Glance, court: Court) -> Judged | None:
+    try:
+        return look(seen, court)
+    except OutOfWork:
+        left_out(f"{seen.key.effect}@{seen.key.target}, followed to its end")
+        return None
+
+
+def _related(
+    found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
+) -> dict[tuple[Key, ...], Judged]:
+    """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
+    does: from nothing they may not be reached, or end on the way.
+    """
+    tasks = []
+    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
+        general = [seen for seen in glances.values() if _is_for(seen, one, _special(seen.key))]
+        special = [
+            (seen, key) for seen in glances.values() for key in one.keys if _special(key) == seen.key and _is_for(seen, one, key)
+        ]
+        if not (general or special):
+            continue
+        along = followed(one.model, found.court.data, one.errors, found.court.last)
+        if along is not None:
+            each = [(seen, grown(seen.key, along)) for seen in general] + [
+                (seen, specialised(seen.key, along)) for seen, _ in special
+            ]
+            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
+    led = each_beside(lambda task: task(), tasks)
+    better: dict[tuple[Key, ...], Judged] = {}
+    for end in led:
+        known = None if end is None else better.get(end.keys, here.get(end.keys))
+        if end is not None and (known is None or end.seen < known.seen):
+            better[end.keys] = end
+    return better
+
+
+def _special(key: Key) -> Key | None:
+    """The effect that a proposed one generalises, at its place."""
+    special = "" if key.effect == HELD else find_effect(key.effect).generalises
+    return Key(special, key.target) if special and special != key.effect else None
+
+
+def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
+    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
+    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
+
+
+def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
+    """Whether the simplest of the best is real; it is the best from now on."""
+    scale, before = found.court.scale, found.best
+    chosen = simplest(ranked, scale)
+    if not is_real(chosen, before, found.base, scale, found.tried):
+        return False
+    found.best = chosen
+    found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
+    return True
+
+
+def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
+    """The beam for the next level: after the windows were lengthened, or the unit of the error turned, its structures judged
+    anew.
+    """
+    if not found.court.scale.nats and (longer := _lengthened(found)) is not None:
+        found.court, found.base, found.best = longer
+        found.every, found.group = {(): found.base, found.best.keys: found.best}, []
+        return [found.best]
+    turned = None if found.court.scale.nats else settle(found.best, found.court)
+    if turned is None:
+        beam = going_on(ranked, found.court.scale)
+        return beam if found.best in beam else [found.best, *beam[:-1]]
+    court, best = turned
+    again = [one for one in ranked if one.keys != best.keys][: 2 * BEAM]
+    fits = [best, *(one for one in (court.judge(o.structure, steps=15, tolerance=1e-6) for o in again) if one is not None)]
+    base = court.judge(found.base.structure, steps=15, tolerance=1e-6) or found.base
+    chosen = simplest(fits, court.scale)
+    found.court, found.best, found.base = court, chosen, base
+    found.every = {one.keys: one for one in [*fits, base]}
+    found.group = [one for one in fits if one is not chosen and is_alike(one, chosen, None, court.scale)]
+    return [chosen, *found.group][:BEAM]
+
+
+def _lengthened(found: Search) -> tuple[Court, Judged, Judged] | None:
+    """Base and best judged on the next longer windows, where the best one follows those now; None otherwise."""
+    data, court = found.court.data, found.court
+    longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
+    if not longer:
+        return None
+    rung, flat = longer[0], plain(data)
+    best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
+    base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
+    if best is None or base is None or mean_error(best, flat) > FOLLOWED:
+        return None
+    scale = clipped(flat, base.residuals, rung)
+    first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
+    if first is None:
+        return None
+    scale = of_power(scale, data, first.power)
+    now = judged(found.best.structure.at(rung, best), best, rung, data, scale)
+    if now is None:
+        return None
+    first = replace(first, cost=scale.cost(first.power, first.parameters))
+    return replace(court, last=rung, scale=scale), first, now
+
+
+def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+    """The effects of the best structure in the order in which each takes away most, with what was before and after it."""
+    rest, before, order = list(keys), found.base, []
+    while rest:
+        each = [(key, _with(found, (*before.keys, key))) for key in rest]
+        known = [(key, one) for key, one in each if one is not None]
+        if not known:
+            break
+        key, after = min(known, key=lambda one: one[1].cost)
+        order.append((key, before, after))
+        rest.remove(key)
+        before = after
+    return order
+
+
+def _with(found: Search, keys: Iterable[Key]) -> Judged | None:
+    """The best structure with these of its effects alone."""
+    names = tuple(sorted(keys))
+    if names not in found.every:
+        model = found.best.model
+        for use in found.best.model.effects:
+            if use.key in found.best.keys and use.key not in names:
+                model = model.without_effect(use.label)
+        one = found.court.judge(
+            Structure(names, model, found.best.structure.states, found.best.structure.steps), steps=15, tolerance=1e-5
+        )
+        if one is None:
+            return None
+        found.every[names] = one
+    return found.every[names]

@@ -1,0 +1,216 @@
+"""From what was tried to names: groups, probabilities that were counted, and the verdict.
+
+Blocks are drawn again with replacement; in every draw the structure wins that would have been chosen on those blocks. What a
+group, "none" and "unknown" win is their probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics import Key
+from residuum.identification.physics.model import find_effect
+from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
+from residuum.identification.unseen_blocks.comparing import evidence, is_alike
+from residuum.identification.unseen_blocks.free_term import BlockTerm
+from residuum.identification.unseen_blocks.held_value import HELD
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import DRAWS, SMALL, TIE, WORTH
+from residuum.identification.unseen_blocks.search import Search, chain
+
+Array = npt.NDArray[np.float64]
+NONE, UNKNOWN = "none", "unknown"
+UNKNOWN_LEADS = 0.5
+"""Probability of something without a name from which on the verdict is that."""
+MOST_RIVALS = 40
+"""Structures, the best ones, among which a draw is decided."""
+LISTED = 6
+"""Candidates of a step that are told at most."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """An effect that joined: the structures before and after, those that do the same in its place, and what else was tried
+    there.
+    """
+
+    key: Key
+    before: Judged
+    after: Judged
+    group: tuple[Judged, ...]
+    others: tuple[Judged, ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is said: probabilities of nothing and of something without a name, and the candidates, the accepted ones first."""
+
+    verdict: str
+    candidates: tuple[Candidate, ...]
+    none: float
+    unknown: float
+
+
+def steps_of(found: Search) -> list[Step]:
+    """The effects that joined, in the order in which each takes away most."""
+    steps = []
+    for key, before, after in chain(found, found.best.keys):
+        rest = set(before.keys)
+        there = [
+            o for o in found.every.values() if set(o.keys) > rest and len(o.keys) == len(after.keys) and o.keys != after.keys
+        ]
+        there.sort(key=lambda one: one.cost)
+        alike = [o for o in there if is_alike(o, after, before, found.court.scale)]
+        if after.keys == found.best.keys:
+            alike += [o for o in found.group if o.keys not in {a.keys for a in alike} and set(o.keys) > rest]
+        steps.append(Step(key, before, after, tuple(alike), tuple(o for o in there if o not in alike)))
+    return steps
+
+
+def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
+    """How often each structure wins when blocks are drawn again; "none" where it is not worth its while and the model is
+    `adequate`, "unknown" where it is not and the model is not, or where a free term does plainly more.
+    """
+    scale = found.court.scale
+    tried = sorted(found.every.values(), key=lambda one: one.cost)[:MOST_RIVALS]
+    powers = [scale.by_block(one.power) for one in tried] + [scale.by_block(term.power) for term in free]
+    names: list[tuple[Key, ...] | str] = [one.keys or NONE for one in tried] + [UNKNOWN] * len(free)
+    sizes = np.array([one.parameters for one in tried] + [term.parameters for term in free])
+    by_block, base = np.array(powers), scale.by_block(found.base.power)
+    pick = np.random.default_rng(0).integers(0, by_block.shape[1], (DRAWS, by_block.shape[1]))
+    costs = by_block[:, pick].sum(axis=2) + (scale.price * sizes[:, None] if scale.nats else 0.0)
+    nothing = base[pick].sum(axis=1) + (scale.price * found.base.parameters if scale.nats else 0.0)
+    lead = costs.min(axis=0)
+    near = costs < (lead + TIE if scale.nats else 1.1 * lead)
+    winner = np.argmin(np.where(near, sizes[:, None] + 1e-9 * costs / np.maximum(lead, 1e-300), np.inf), axis=0)
+    gain = nothing - costs[winner, np.arange(DRAWS)]
+    asked = np.log(max(found.tried, 1)) + TIE if scale.nats else np.maximum(WORTH * (nothing - scale.floor), SMALL)
+    wins: dict[tuple[Key, ...] | str, float] = {}
+    for k, worth in zip(winner.tolist(), gain > asked, strict=True):
+        name = names[k] if worth and names[k] != NONE else (NONE if adequate else UNKNOWN)
+        wins[name] = wins.get(name, 0.0) + 1.0 / DRAWS
+    return wins
+
+
+def verdict_on(found: Search, free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool) -> Verdict:
+    """The verdict; `adequate`: whether nothing is structured in what the best structure leaves."""
+    wins = counted(found, free, adequate=adequate)
+    steps = [step for step in steps_of(found) if not is_timing(step.key, found)]
+    listed: list[Candidate] = []
+    for number, step in enumerate(step for step in steps if step.key.effect != HELD):
+        listed += _candidates(step, number, wins, stds, found)
+    if not steps:
+        listed = _undecided(found, wins, stds)
+    unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
+    named = sum(c.probability for c in listed if c.step == 0)
+    excess = max(named + none + unknown, 1.0)
+    listed = [_scaled(c, 1.0 / excess) for c in listed]
+    named_one = any(step.key.effect != HELD for step in steps)
+    if steps and unknown >= UNKNOWN_LEADS:
+        says = "unknown-effect"
+    elif named_one and any(c.probability > 0.0 for c in listed):
+        says = "missing-effect"
+    else:
+        says = "adequate" if adequate else "unknown-effect"
+    rest = max(0.0, 1.0 - named / excess - none / excess)
+    return Verdict(says, tuple(listed), none / excess, rest)
+
+
+def _scaled(candidate: Candidate, factor: float) -> Candidate:
+    return replace(candidate, probability=candidate.probability * factor)
+
+
+def is_timing(key: Key, found: Search) -> bool:
+    """Whether an accepted effect is a shift in time by less than a sample: how the record was taken, not physics."""
+    shift = "" if key.effect == HELD else find_effect(key.effect).shifts
+    if not shift:
+        return False
+    use = next(use for use in found.best.model.effects if use.key == key)
+    return abs(use.parameters[shift].value) < max(e.sample_time for e in found.court.data.experiments)
+
+
+def _candidates(
+    step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], found: Search
+) -> list[Candidate]:
+    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins."""
+    rest = set(step.before.keys)
+    group = {step.key: step.after} | {_added(one, rest): one for one in step.group if _is_one(one, rest)}
+    others = {_added(one, rest): one for one in step.others if _is_one(one, rest)}
+    shares = {key: sum(w for keys, w in wins.items() if not isinstance(keys, str) and key in keys) for key in [*group, *others]}
+    together = sum(w for keys, w in wins.items() if not isinstance(keys, str) and any(key in keys for key in group))
+    named = [key for key in group if key.effect != HELD]
+    listed = [
+        _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, found)
+        for key in named
+    ]
+    told = sorted((k for k in others if k.effect != HELD), key=lambda k: (-shares[k], others[k].cost))[
+        : LISTED if number == 0 else 0
+    ]
+    listed += [_candidate(key, others[key], step, number, 0.0 if rest else shares[key], [], stds, found) for key in told]
+    return listed
+
+
+def _is_one(one: Judged, rest: set[Key]) -> bool:
+    return len(set(one.keys) - rest) == 1
+
+
+def _added(one: Judged, rest: set[Key]) -> Key:
+    return next(iter(set(one.keys) - rest))
+
+
+def _undecided(found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float]) -> list[Candidate]:
+    """Nothing is real: those that took away most are told with what they win."""
+    alone = sorted((one for one in found.every.values() if len(one.keys) == 1), key=lambda one: one.cost)[:LISTED]
+    step = Step(Key("", ""), found.base, found.base, (), ())
+    told = [one for one in alone if one.keys[0].effect != HELD and one.cost < found.base.cost]
+    return [_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found) for one in told]
+
+
+def _candidate(
+    key: Key,
+    one: Judged,
+    step: Step,
+    number: int,
+    probability: float,
+    alike: Sequence[Key],
+    stds: Mapping[str, float],
+    found: Search,
+) -> Candidate:
+    use = next(use for use in one.model.effects if use.key == key)
+    accepted = key in found.best.keys
+    values = next(u for u in found.best.model.effects if u.key == key).parameters if accepted else use.parameters
+    doubts = {n: float(stds.get(f"{use.label}.{n}", 0.0)) if accepted and not p.fixed else 0.0 for n, p in values.items()}
+    before, after = step.before.rms, one.rms
+    with np.errstate(invalid="ignore", divide="ignore"):
+        o = int(np.nanargmin(after / before))
+    output = list(one.model.outputs.values())[o]
+    natural = find_effect(key.effect).natural_bounds
+    bounds = [n for n, p in values.items() if not p.fixed and n not in natural and p.value in (p.lower, p.upper)]
+    return Candidate(
+        effect=key.effect,
+        balance=key.target,
+        probability=float(probability),
+        indistinguishable_from=tuple(k.effect for k in alike),
+        parameters={n: Quantity(p.value, doubts[n], p.unit) for n, p in values.items()},
+        error_before=float(before[o]),
+        error_after=float(after[o]),
+        error_unit=output.unit,
+        output=output.name,
+        within_bounds=not bounds,
+        evidence=evidence(one, step.before, found.court.scale),
+        held_out=True,
+        share=share_of(step.before, one),
+        step=number,
+    )
+
+
+def share_of(before: Judged, after: Judged) -> Quantity:
+    """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its scatter over blocks."""
+    total = before.squares.sum(axis=0)
+    seen = total > 0.0
+    each = ((before.squares - after.squares)[:, seen] / total[seen]).mean(axis=1)
+    return Quantity(float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1)), "")

@@ -1,0 +1,45 @@
+"""An improvement does not make worse what none of it was estimated on."""
+
+import numpy as np
+
+from residuum.identification.discrepancy.ends_kept_aside import steps_that_hold
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.data import matched
+from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.search import begun
+
+CART = """
+name: cart
+inputs: {force: N}
+states: {v: {unit: m/s}}
+parameters: {M: {value: 2.0, unit: kg, lower: 0.1}, d: {value: 1.0, unit: N*s/m, lower: 0.01}}
+balances: {body: {kind: force, storage: M * der(v), terms: {drive: force, drag: -d * v}, velocity: v}}
+outputs: {speed: {value: v, unit: m/s}}
+"""
+
+
+def cart_record(load, n=1500):
+    """A cart under a load (n,) [N], by small Euler steps."""
+    rng, h = np.random.default_rng(4), 0.02
+    force, v, speed = np.repeat(rng.uniform(-6.0, 6.0, n // 50), 50), 0.0, np.empty(n)
+    for i in range(n):
+        speed[i] = v
+        for _ in range(10):
+            v += h / 10 * (force[i] - 3.0 * v + load[i]) / 2.5
+    return Record({"force": force, "speed": speed + 0.01 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
+
+
+def kept(load):
+    model, record = read_model(CART), cart_record(load)
+    found = begun(climb(matched(model, [record], None)))
+    models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
+    return steps_that_hold(models, found, [record], None)
+
+
+def test_a_load_that_stays_is_kept():
+    assert kept(np.full(1500, 1.5)) == 1
+
+
+def test_a_load_that_is_gone_at_the_end_is_not():
+    assert kept(np.where(np.arange(1500) < 1000, 1.5, 0.0)) == 0
