@@ -5,21 +5,38 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.error_models import ERROR_MODELS
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.integrating import integrated, summed_input
+from residuum.identification.linear_models.plant_tests.dead_time import dead_time
+from residuum.identification.linear_models.plant_tests.long_autoregression import long_autoregression
 from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES, Orders
 from residuum.identification.linear_models.prediction_error import identify as identify_prediction_error
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES, identify_regularised
 from residuum.identification.record import Record
 
-__all__ = ["CRITERIA", "LAGS", "METHODS", "UNCERTAINTIES", "Request", "check_method", "with_uncertainty"]
+__all__ = [
+    "CRITERIA",
+    "LAGS",
+    "METHODS",
+    "NOISE_MODELLED",
+    "UNCERTAINTIES",
+    "Request",
+    "check_method",
+    "identified_by",
+    "with_uncertainty",
+]
 UNCERTAINTIES = ("own", *ERROR_MODELS)
 """How far to trust a model: by the covariance of its own estimate, or by an error model from records."""
+NOISE_MODELLED = ("arx", "armax", "bj")
+"""Methods whose noise model makes them right in a closed loop."""
 LAGS = 100
 """Length of an impulse response that nobody chose."""
+_LONGEST_DELAY, _DELAYS_BEYOND = 20, 5
+"""Delays that are always tried, and how far beyond where the input acts for certain."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +53,16 @@ class Request:
     criterion: str = "bic"
     uncertainty: str = "own"
     noise_bound: float | None = None
+    integrator: bool = False
+
+
+def identified_by(method: str, records: Sequence[Record], request: Request) -> IdentifiedModel:
+    """The model that a method finds, behind an integrator where one is asked for."""
+    if not request.integrator:
+        return METHODS[method](records, request)
+    if not STRUCTURES.get(method, STRUCTURES["arx"]).has_input:
+        raise BadInput(f"integrator: belongs to a plant with an input; the method {method!r} has none")
+    return integrated(METHODS[method](summed_input(records, request.input, request.output), request))
 
 
 def _kernel(records: Sequence[Record], request: Request) -> IdentifiedModel:
@@ -56,7 +83,19 @@ def _kernel(records: Sequence[Record], request: Request) -> IdentifiedModel:
 def _delay(records: Sequence[Record], request: Request) -> int:
     if request.delay is not None:
         return request.delay
-    return estimate_delay(records, request.input, request.output, kernel=request.kernel, offset=request.offset).delay
+    longest = max(_LONGEST_DELAY, _first_significant_lag(records, request) + _DELAYS_BEYOND)
+    return estimate_delay(
+        records, request.input, request.output, kernel=request.kernel, offset=request.offset, longest=longest
+    ).delay
+
+
+def _first_significant_lag(records: Sequence[Record], request: Request) -> int:
+    """When the input acts for certain: the likelihood of a delay far below that is flat, and its candidates have to go beyond."""
+    try:
+        found = dead_time(long_autoregression(records, request.input, request.output, first_lag=0))
+    except NotIdentifiable:
+        return 0
+    return found or 0
 
 
 def _penalised(penalty: str) -> Callable[[Sequence[Record], Request], IdentifiedModel]:
@@ -97,6 +136,8 @@ def with_uncertainty(model: IdentifiedModel, records: Sequence[Record], request:
 
     Raises BadInput for a model without an input, or a noise bound that nothing uses.
     """
+    if request.integrator and request.uncertainty != "own":
+        raise BadInput(f"uncertainty {request.uncertainty!r}: bounds errors that decay, which a plant that integrates has not")
     if request.uncertainty == "own":
         if request.noise_bound is not None:
             raise BadInput("noise bound: is used by the uncertainty set-membership alone")
