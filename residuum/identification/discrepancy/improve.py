@@ -28,7 +28,7 @@ from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIM
 from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.held_value import freed
@@ -129,10 +129,9 @@ def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     strange = refused or bool(np.any(judge.errors(kept) > STRANGE * kept.rmse))
     tell(0.8, "estimating on everything")
     kept, simulates_better = _slimmed(kept, experiments, judge, history, may_drop=how.add is None)
-    worse: tuple[str, ...] = ()
     if how.add is None and history[-1].error > history[0].error:
-        worse = tuple(use.id for use in kept.model.effects if any(step.added == use.id for step in history))
         kept, history, simulates_better = begun.as_it_was, history[:1], False
+    worse = () if said is None else _not_joined(begun.chosen, history, said)
     final = on_everything(kept, records, how.mapping, finer, least_error=simulates_better)
     for use in vanished(final, history, [] if said is None else said.timing):
         final = replace(final, model=final.model.without_effect(use.label))
@@ -141,6 +140,12 @@ def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if how.add is not None else _verdict(improved, records, how.mapping)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, said, parts.aside, worse), strange)
+
+
+def _not_joined(chosen: Sequence[Key], history: Sequence[Step], said: Explanation) -> tuple[str, ...]:
+    """What `explain` accepted and did not join, shifts in time apart."""
+    told = {step.added for step in history}
+    return tuple(key.effect for key in chosen if key not in said.timing and key.effect not in told)
 
 
 def _slimmed(

@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from residuum.identification.discrepancy.held_out_error import HeldOutError
 from residuum.identification.physics import load_model
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
@@ -33,3 +34,16 @@ def test_sizes_are_told_as_they_are_in_the_model_file(record_file, tmp_path, cap
     assert 0.0 < friction["std"] < 0.05 * friction["value"]
     assert run(asked) == DONE
     assert re.search(r"coulomb-friction in shaft: tau_c = 0\.0\d+ ± \S+ N\*m\n", capsys.readouterr().out)
+
+
+def test_nothing_is_written_where_all_that_is_named_would_make_the_model_worse(record_file, tmp_path, capsys, monkeypatch):
+    """The friction of this record is real; here its error on what is kept aside is said to have risen."""
+    monkeypatch.setattr(HeldOutError, "error", lambda self, structure: 1.0 + len(structure.model.effects))
+    out = tmp_path / "worse.yaml"
+    asked = ["improve", "gate-drive", str(record_file), "--auto", "--effects", "coulomb-friction", "--out", str(out)]
+    assert run([*asked, "--json"]) == DONE
+    told = json.loads(capsys.readouterr().out)
+    assert (told["model_file"], told["refused"], told["effects"]) == (None, ["coulomb-friction"], [])
+    assert [step["added"] for step in told["history"]] == [None] and told["history"][0]["remaining"]["share"] == 1.0
+    assert run(asked) == DONE
+    assert "nothing is written" in capsys.readouterr().out and not out.exists()
