@@ -133,7 +133,7 @@ def test_what_a_loggers_file_leaves_open_is_said_on_the_page(service, open_page,
     file = tmp_path / "log.csv"
     file.write_text("Zeit [s];Drehzahl (rpm)\n" + "\n".join(f"{k};{1 + k % 7},125" for k in range(60)) + "\n")
     page.set_input_files("#file", str(file))
-    page.get_by_text("give --decimal").wait_for()
+    page.get_by_text("?decimal=").wait_for()
     page.get_by_text("How to read a logger's file").click()
     page.get_by_label("decimal sign").select_option(",")
     page.set_input_files("#file", str(file))
