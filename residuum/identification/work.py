@@ -9,13 +9,21 @@ count, and what is cut by it, depends on nothing but the data.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 FIT_COST = 300_000
 """[samples] What an estimation costs besides what it simulates: proposals, linear algebra, bookkeeping. Measured, roughly."""
+
+
+Tell = Callable[[float, str], None]
+"""Told how far the work is: share done 0 … 1, and what is done now."""
+
+
+def untold(_share: float, _doing: str) -> None:
+    """For those who do not ask how far the work is."""
 
 
 class OutOfWork(Exception):

@@ -11,7 +11,6 @@ from residuum.identification.discrepancy.explain import explained
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.held_out import Split
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.search import Tell
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
@@ -20,6 +19,7 @@ from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.work import Tell
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,15 @@ def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Re
     """What `explain` says: of the training data by an exact structure, else of blocks of all records."""
     wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned)
     judging = parts.training if any(record.split is not None for record in records) else records
-    later: Tell = lambda share, doing: tell(0.1 + 0.5 * share, doing)  # noqa: E731
-    return explained(freed(model, how.free), parts.training, judging, how.mapping, wanted, how.seconds, later)
+    return explained(
+        freed(model, how.free),
+        parts.training,
+        judging,
+        how.mapping,
+        wanted,
+        how.seconds,
+        lambda share, doing: tell(0.1 + 0.5 * share, doing),
+    )
 
 
 def begun_exactly(model: PhysicalModel, parts: Split, how: Request, said: Explanation, exact: Exact) -> Beginning:

@@ -14,10 +14,10 @@ import numpy as np
 
 from residuum.code_folder import code_folder
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.physics import PhysicalModel, Simulator, block_means, candidates, find_effect, load_model, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.work import Tell, untold
 from residuum.kept_loops import made_of
 
 

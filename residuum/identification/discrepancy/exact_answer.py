@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +17,11 @@ from residuum.identification.discrepancy.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import next_experiments
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import times_each_its_innovations
-from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, share, unseen
+from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, unseen
 from residuum.identification.discrepancy.visibility import undetectable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
+from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.work import begun
 
 
@@ -58,19 +60,21 @@ def _judged(exact: Exact, free: FreeTerm | None, blocks: Blocks | None, *, struc
     """The judgement on an exact structure, with shares; never `adequate` where `compare` finds what is left `structured`."""
     judgement = judge(exact.found, free, incomplete=is_incomplete(exact.found, exact.experiments))
     if blocks is not None:
-        judgement = replace(judgement, candidates=tuple(_with_share(c, exact.found, blocks) for c in judgement.candidates))
+        judgement = replace(judgement, candidates=_with_shares(judgement.candidates, exact.found, blocks))
     if judgement.verdict == "adequate" and structured:
         judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
     return judgement
 
 
-def _with_share(candidate: Candidate, found: Search, blocks: Blocks) -> Candidate:
-    """The candidate with the share of the error's power that it takes away on unseen blocks."""
-    step, key = candidate.step, candidate.key
-    if step >= len(found.alternatives) or key not in found.alternatives[step]:
-        return candidate
-    before, after = unseen(found.before[step], blocks), unseen(found.alternatives[step][key], blocks)
-    return replace(candidate, share=Quantity(*share(before, after), ""))
+def _with_shares(candidates: Sequence[Candidate], found: Search, blocks: Blocks) -> tuple[Candidate, ...]:
+    """The candidates with the share of the error's power that each takes away on unseen blocks."""
+    before = [unseen(structure, blocks) for structure in found.before[: len(found.alternatives)]]
+    listed = []
+    for c in candidates:
+        there = found.alternatives[c.step].get(c.key) if c.step < len(before) else None
+        value = None if there is None else Quantity(*share(before[c.step], unseen(there, blocks)), "")
+        listed.append(replace(c, share=value))
+    return tuple(listed)
 
 
 def _left(found: Search) -> dict[str, tuple[float, str, float]]:

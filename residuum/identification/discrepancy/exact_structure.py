@@ -10,13 +10,12 @@ from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.held_values import wrongly_held
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
-from residuum.identification.discrepancy.search import Tell
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.physics import Experiment, PhysicalModel, candidates
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.held_value import freed
-from residuum.identification.work import OutOfWork, at_most, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out
 
 
 @dataclass(frozen=True, eq=False)

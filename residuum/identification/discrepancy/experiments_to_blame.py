@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.policy.acceptance import ALIKE
-from residuum.identification.discrepancy.search import Tell, search
+from residuum.identification.discrepancy.search import search
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structure_fits import fit_structure
 from residuum.identification.discrepancy.structures import Structure, times_its_innovations
@@ -20,6 +20,7 @@ from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE, NOTHING_LEFT, SLOW
 from residuum.identification.residual_analysis.policy.records import FINER_FALL, FINER_WINDOWS, TIMING_GAIN, TIMING_TURNS
+from residuum.identification.work import Tell
 
 FloatArray = npt.NDArray[np.float64]
 Turned = tuple[list[Experiment], Structure]

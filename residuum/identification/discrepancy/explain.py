@@ -15,12 +15,11 @@ from residuum.identification.discrepancy.exact_structure import (
 )
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, search_on_blocks
-from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
 from residuum.identification.unseen_blocks.search import Wanted
-from residuum.identification.work import at_most
+from residuum.identification.work import Tell, at_most, untold
 
 
 @one_thread()
@@ -87,28 +86,16 @@ def explained(
 ) -> Explanation:
     """The answer; an exact structure is sought on `records`, and what takes away most on unseen blocks of those `judging`."""
     with at_most():
-        return _explained(model, records, judging, mapping, wanted, seconds, tell)
-
-
-def _explained(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    judging: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-    wanted: Wanted,
-    seconds: float | None,
-    tell: Tell,
-) -> Explanation:
-    began = time.perf_counter()
-    model = informed(model, records, mapping, wanted)
-    exact = exact_in_bounds(model, records, mapping, wanted.effects, seconds, tell)
-    structured = exact is not None and is_structured(exact.found, records, mapping)
-    if exact is None or structured or leaves_more_than_noise(exact.found):
-        tell(0.5, "what takes away most on blocks kept aside")
-        left = None if seconds is None else seconds - (time.perf_counter() - began)
-        found = search_on_blocks(model, judging, mapping, wanted, left, tell)
-        if found is not None and (exact is None or does_better(found, exact.found.best.model)):
-            return answer_on_blocks(found, wanted, judging, mapping, began)
-    tell(0.75, "drawing what no effect explains")
-    known = exact or nothing_found(model, records, mapping, wanted.effects)
-    return answer_of(known, model, searched=exact is not None, structured=structured, began=began)
+        began = time.perf_counter()
+        model = informed(model, records, mapping, wanted)
+        exact = exact_in_bounds(model, records, mapping, wanted.effects, seconds, tell)
+        structured = exact is not None and is_structured(exact.found, records, mapping)
+        if exact is None or structured or leaves_more_than_noise(exact.found):
+            tell(0.5, "what takes away most on blocks kept aside")
+            left = None if seconds is None else seconds - (time.perf_counter() - began)
+            found = search_on_blocks(model, judging, mapping, wanted, left, tell)
+            if found is not None and (exact is None or does_better(found, exact.found.best.model)):
+                return answer_on_blocks(found, wanted, judging, mapping, began)
+        tell(0.75, "drawing what no effect explains")
+        known = exact or nothing_found(model, records, mapping, wanted.effects)
+        return answer_of(known, model, searched=exact is not None, structured=structured, began=began)

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.physics import Key
-from residuum.identification.unseen_blocks.advice import NextExperiment, Undetectable
+from residuum.identification.unseen_blocks.advice import Undetectable
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HeldValue
+from residuum.identification.unseen_blocks.next_experiment import NextExperiment
 from residuum.identification.unseen_blocks.remaining import Remaining
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.work import Work

@@ -32,7 +32,7 @@ def without_needless(
         without = judge.error(less)
         if without <= error * KEPT_RISE:
             structure, error = less, without
-            dropped.append(judge.step(f"-{use.id}", less))
+            dropped.append(judge.step(f"-{use.id}", less, without))
     return structure, dropped
 
 

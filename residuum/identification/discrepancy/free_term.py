@@ -22,6 +22,7 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 from residuum.identification.residual_analysis.innovations import Noises
 from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.free_term import hats
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 
 FloatArray = npt.NDArray[np.float64]
@@ -106,7 +107,7 @@ def _terms(
                 continue
             for count in FREE_TERM_KNOTS[axis]:
                 knots = np.linspace(joined.min(), joined.max(), count)
-                yield name, axis, knots, [_hats(v, knots) for v in values]
+                yield name, axis, knots, [hats(v, knots) for v in values]
         yield from _changing(structure.model, name, signals, times)
 
 
@@ -125,11 +126,5 @@ def _changing(
             joined = np.concatenate(values)
             if np.ptp(joined) > 0:
                 knots = np.linspace(joined.min(), joined.max(), FACTOR_KNOTS)
-                terms = [_hats(v, knots) * s[name][:, None] for v, s in zip(values, signals, strict=True)]
+                terms = [hats(v, knots) * s[name][:, None] for v, s in zip(values, signals, strict=True)]
                 yield balance, f"{axis} (factor of {use.id})", knots, terms
-
-
-def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
-    """Piecewise linear functions, one at each knot, shape (n, knots); they sum to one."""
-    width = knots[1] - knots[0]
-    return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots[None, :]) / width)

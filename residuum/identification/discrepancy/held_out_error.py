@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse
 from residuum.identification.discrepancy.improvement import Step
-from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.discrepancy.structures import Structure, innovation_scales
 from residuum.identification.discrepancy.unseen_errors import blocks_of, remaining_of
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
@@ -31,9 +31,8 @@ class HeldOutError:
         finer: int,
     ) -> None:
         self.testing = _reduced(base.model, parts.testing, mapping, experiments, finer)
-        noise = [np.nan if n is None else np.sqrt(n.innovation_variance) for n in base.noises]
         self.base, self.blocks = base, blocks_of(experiments)
-        self.o = int(np.nanargmax(base.rmse / np.array(noise)))
+        self.o = int(np.nanargmax(base.rmse / innovation_scales(base.noises)))
         self.output = list(base.model.outputs)[self.o]
         self.unit = base.model.outputs[self.output].unit
 
@@ -41,10 +40,10 @@ class HeldOutError:
         """RMS over the held-out samples; their records' first states come from what precedes them, or from themselves."""
         return float(self.errors(structure)[self.o])
 
-    def step(self, added: str | None, structure: Structure, *, together: bool = False) -> Step:
-        """The line of a history."""
+    def step(self, added: str | None, structure: Structure, error: float | None = None) -> Step:
+        """The line of a history; its `error` where it is known already."""
         remaining = None if self.blocks is None else remaining_of(self.base, structure, self.blocks)
-        return Step(added, self.error(structure), together, remaining)
+        return Step(added, self.error(structure) if error is None else error, remaining=remaining)
 
     def errors(self, structure: Structure) -> FloatArray:
         """The same of every output; NaN where one is never measured."""

@@ -25,7 +25,6 @@ from residuum.identification.discrepancy.improve_on_blocks import ASIDE, joined_
 from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
 from residuum.identification.discrepancy.join_effects import all_joined
 from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIME, STRANGE
-from residuum.identification.discrepancy.search import Tell, untold
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Key, PhysicalModel
@@ -34,7 +33,7 @@ from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.search import Search
-from residuum.identification.work import at_most
+from residuum.identification.work import Tell, at_most, untold
 
 FloatArray = npt.NDArray[np.float64]
 

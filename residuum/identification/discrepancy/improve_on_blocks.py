@@ -1,7 +1,7 @@
 """Improve a model that no structure of the catalogue makes exact: what takes away most on unseen blocks joins it.
 
 All records are cut into blocks; every block is judged by a model that was estimated without it, so nothing has to be set aside
-for good. The effects that `explain` found on a part are judged once more on all of the data.
+for good.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from residuum.identification.discrepancy.begin_improving import Request
 from residuum.identification.discrepancy.ends_kept_aside import steps_that_hold
 from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.on_blocks import doubts_of, search_on_blocks
-from residuum.identification.discrepancy.search import Tell
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted, chain
+from residuum.identification.work import Tell
 
 ASIDE = "every block in turn"
 """What is kept aside, in words."""

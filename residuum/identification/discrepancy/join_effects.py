@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import islice, product
 
 import numpy as np
@@ -13,12 +14,12 @@ from residuum.identification.discrepancy.held_out_error import HeldOutError
 from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE, KEPT_SHIFT, MOST_TOGETHER
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.search import Tell
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structure_fits import fit_structure, in_likelier_order
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, Key
+from residuum.identification.work import Tell
 
 
 def all_joined(begun: Beginning, judge: HeldOutError, history: list[Step], tell: Tell) -> tuple[Structure, bool]:
@@ -86,7 +87,7 @@ def _joined(
             error = judge.error(better) if better is not None else np.inf
             if better is not None and error <= highest:
                 kept = better
-                history.append(judge.step(each[0], better))
+                history.append(judge.step(each[0], better, error))
                 break
         else:
             refused.append(key)
@@ -112,5 +113,6 @@ def _joined_together(
             all_ = None if all_ is None else added(all_, experiments, key, found.values_of(key))
         left = np.inf if all_ is None else judge.error(all_)
         if all_ is not None and left <= error * KEPT_RISE:
-            return all_, [judge.step(id, all_, together=True) for id, _ in keys]
+            step = replace(judge.step(None, all_, left), together=True)
+            return all_, [replace(step, added=id) for id, _ in keys]
     return None, []

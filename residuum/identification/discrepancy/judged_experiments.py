@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.structure_fits import base_structure, plain_estimate
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.averaged import averaged, liveliest
@@ -20,6 +20,7 @@ from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER
 from residuum.identification.residual_analysis.policy.records import ANSWERED, MOST_INNOVATIONS, NORMAL_MEDIAN, OUTLYING
 from residuum.identification.residual_analysis.prediction_windows import in_windows
 from residuum.identification.side_by_side import side_by_side
+from residuum.identification.unseen_blocks.data import check_moves
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -51,8 +52,7 @@ def experiments_and_base(
         The model diverges on them.
     """
     model, experiments = match(model, records, mapping)
-    if not any(map(_changes, experiments)):
-        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
+    check_moves(experiments)
 
     timings = [experiments, turned_timing(experiments)]
     tried = side_by_side(lambda turned: _estimated(model, turned, finer), timings)
@@ -77,12 +77,6 @@ def _estimated(model: PhysicalModel, turned: list[Experiment], finer: int) -> _T
         return _Tried(settled, base_structure(model, settled, plain), answered)
     except NotIdentifiable as diverges:
         return diverges
-
-
-def _changes(experiment: Experiment) -> bool:
-    """Whether any signal of it does."""
-    signals = [*experiment.U.T, *experiment.Y[:, experiment.measured].T]
-    return any(np.nanmax(signal) > np.nanmin(signal) for signal in signals)
 
 
 def _late(experiment: Experiment, residuals: FloatArray) -> Experiment:

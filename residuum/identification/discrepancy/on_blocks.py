@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.search import Tell
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import PhysicalModel, with_coloured_noise
 from residuum.identification.record import Record
@@ -23,7 +22,7 @@ from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.verdict import UNKNOWN_LEADS, Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, at_most, begun, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
 
 def search_on_blocks(
@@ -62,7 +61,7 @@ def answer_on_blocks(
     best, stds, steps = found.best, doubts_of(found), steps_of(found)
     free = free_terms(found.base, found.court)
     adequate = not compare(best.model, records, mapping).present
-    verdict = verdict_on(found, free, stds, adequate=adequate)
+    verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
     return Explanation(
         verdict=verdict.verdict,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import count
 
@@ -28,14 +28,9 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.residual_analysis.policy.noise import MUCH_LEFT, SLOW
 from residuum.identification.side_by_side import beside, side_by_side
+from residuum.identification.work import Tell, untold
 
 FloatArray = npt.NDArray[np.float64]
-Tell = Callable[[float, str], None]
-"""Told how far the work is: share done 0 … 1, and what is done now."""
-
-
-def untold(_share: float, _doing: str) -> None:
-    """For those who do not ask how far the work is."""
 
 
 def search(

@@ -129,5 +129,9 @@ def times_its_innovations(structure: Structure | Point) -> float:
 
 def times_each_its_innovations(structure: Structure | Point) -> FloatArray:
     """The same of each output; NaN where it was never measured."""
-    innovations = [np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in structure.noises]
-    return root_mean_squares(structure.residuals) / np.array(innovations)
+    return root_mean_squares(structure.residuals) / innovation_scales(structure.noises)
+
+
+def innovation_scales(noises: Noises) -> FloatArray:
+    """Standard deviation of each output's innovations; NaN where one is never measured."""
+    return np.array([np.nan if noise is None else np.sqrt(noise.innovation_variance) for noise in noises])

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.discrepancy.structures import Structure, innovation_scales
 from residuum.identification.physics import Experiment
 from residuum.identification.physics.estimation.least_squares import solve_scaled
+from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, folds_of
 from residuum.identification.unseen_blocks.judged import moved
 from residuum.identification.unseen_blocks.remaining import Remaining
@@ -85,17 +86,10 @@ def _whitened(structure: Structure, values: FloatArray) -> tuple[FloatArray, Flo
     return out[..., 0], out[..., 1:]
 
 
-def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
-    """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
-    total = before.sum(axis=0)
-    each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
-    return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
-
-
 def remaining_of(base: Structure, best: Structure, blocks: Blocks) -> Remaining:
     """What `best` leaves on unseen blocks of what `base` left."""
     before, after = unseen(base, blocks), unseen(best, blocks)
-    noise = np.array([np.nan if n is None else np.sqrt(n.innovation_variance) for n in best.noises])
+    noise = innovation_scales(best.noises)
     seen = (blocks.count.sum(axis=0) > 0.0) & (noise > 0.0)
     times = np.sqrt(after[:, seen].sum(axis=0) / blocks.count[:, seen].sum(axis=0)) / noise[seen]
     largest = float(times.max()) if times.size else float("inf")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from statistics import NormalDist
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,20 +16,13 @@ from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.policy import TIE
+from residuum.identification.unseen_blocks.next_experiment import NextExperiment, distinguishing, power_of_test
+from residuum.identification.unseen_blocks.policy import SENSOR_NOISE, TIE, WORTH_SEPARATING
 from residuum.identification.unseen_blocks.proposals import beginnings, proposed
 from residuum.identification.unseen_blocks.scale import Scale, of_noise
 from residuum.identification.unseen_blocks.search import Search, Wanted
 
 Array = npt.NDArray[np.float64]
-SENSOR_NOISE = 0.01
-"""[of its signal's RMS] Plausible noise of a sensor that is not there yet."""
-LEVEL = 0.01
-"""Of the test that a proposed experiment is to pass."""
-WORTH_SEPARATING = 0.02
-"""Probability from which on a candidate is worth an experiment against the leading one."""
-MOST = 4
-"""Experiments that are proposed."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +33,6 @@ class Undetectable:
     balance: str
     smallest_visible: dict[str, float]
     unit: str
-
-
-@dataclass(frozen=True)
-class NextExperiment:
-    """Something to do, the candidates it separates, and the power with which it does."""
-
-    do: str
-    separates: tuple[str, ...]
-    power: float
 
 
 def noise_of(one: Judged, found: Search) -> Scale:
@@ -114,24 +97,18 @@ def next_experiments(found: Search, candidates: Sequence[Candidate]) -> tuple[Ne
     """Extra sensors and other input profiles, best first, for the leading candidate and what it cannot be told from.
 
     Both structures are simulated; the difference of their signals in units of noise, what their own free parameters can absorb
-    taken out, is the non-centrality of a χ² test at `LEVEL` that tells them apart.
+    taken out, is the non-centrality of a χ² test that tells them apart.
     """
     pair = _rivals(found, candidates)
     if pair is None:
         return ()
     (key, first), (other, second) = pair
-    names, scale = (key.effect, other.effect), noise_of(first, found)
-    experiments = found.court.data.experiments
-    proposals = []
-    for o, (name, output) in enumerate(first.model.outputs.items()):
-        power = None if found.court.data.measured[o] else _power(first, second, experiments, scale, only=o)
-        if power is not None:
-            proposals.append(NextExperiment(f"also record {name} [{output.unit}]", names, power))
-    for do, profile in _profiles(experiments).items():
-        power = _power(first, second, profile, scale)
-        if power is not None:
-            proposals.append(NextExperiment(do, names, power))
-    return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST])
+    scale = noise_of(first, found)
+
+    def power(experiments: Sequence[Experiment], only: int | None) -> float | None:
+        return _power(first, second, experiments, scale, only)
+
+    return distinguishing((key.effect, other.effect), first.model, found.court.data.experiments, power)
 
 
 def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, Judged], tuple[Key, Judged]] | None:
@@ -150,7 +127,7 @@ def _rivals(found: Search, candidates: Sequence[Candidate]) -> tuple[tuple[Key, 
     return (first.key, alone[first.key]), (rival.key, alone[rival.key])
 
 
-def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale, only: int | None = None) -> float | None:
+def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale, only: int | None) -> float | None:
     """Power of the test on what the second structure's parameters cannot absorb; None when it could not be simulated."""
     one, two = Simulator(a.model), Simulator(b.model)
     rows, slopes = [], []
@@ -164,37 +141,10 @@ def _power(a: Judged, b: Judged, experiments: Sequence[Experiment], scale: Scale
             weights[only] = 1.0 / (SENSOR_NOISE * max(float(np.sqrt(np.mean(x[:, only] ** 2))), 1e-300))
         rows.append(scale.whitened((x - run.Y) * weights, [0, e.n]).ravel())
         slopes.append(scale.whitened(run.dY * weights[:, None], [0, e.n]).reshape(-1, run.dY.shape[2]))
-    r, J = np.concatenate(rows), np.concatenate(slopes)
-    size = np.linalg.norm(J, axis=0)
-    u, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
-    u = u[:, s > 1e-9 * s.max(initial=0.0)]
-    rest = r - u @ (u.T @ r)
-    return _exceeds(NormalDist().inv_cdf(1.0 - LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+    return power_of_test(np.concatenate(rows), np.concatenate(slopes))
 
 
 def _first(one: Judged) -> dict[str, float]:
     """First states of the first window on the last rung; those that it fixes stay."""
     states = one.structure.states[min(one.structure.states)]
     return dict(states[0])
-
-
-def _exceeds(threshold: float, shift: float) -> float:
-    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
-    normal = NormalDist()
-    return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
-
-
-def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
-    """The records' duration driven otherwise, within the range of the inputs on record."""
-    e = max(experiments, key=lambda e: e.n)
-    low, high = e.U.min(axis=0), e.U.max(axis=0)
-    phase = np.linspace(0.0, 1.0, e.n)[:, None]
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    cycles = {
-        "drive slow triangles over the range of the input": middle
-        + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0),
-        "drive steps of many levels over the range of the input": middle
-        + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0),
-        "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
-    }
-    return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}

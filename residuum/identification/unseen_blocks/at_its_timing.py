@@ -10,9 +10,9 @@ from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
 from residuum.identification.unseen_blocks.data import data_of, matched
-from residuum.identification.unseen_blocks.search import Search, Tell, Wanted, search, untold
+from residuum.identification.unseen_blocks.search import Search, Wanted, search
 from residuum.identification.unseen_blocks.structure import fitted
-from residuum.identification.work import OutOfWork, left_out
+from residuum.identification.work import OutOfWork, Tell, left_out, untold
 
 
 def searched(

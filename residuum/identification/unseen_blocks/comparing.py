@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
+    DRAWS,
     EVERYWHERE,
     MERITLESS,
     REAL,
@@ -22,7 +23,13 @@ from residuum.identification.unseen_blocks.policy import (
 from residuum.identification.unseen_blocks.scale import Scale
 
 Array = npt.NDArray[np.float64]
-_RESAMPLED = 400
+
+
+def share(before: Array, after: Array) -> tuple[float, float]:
+    """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
+    total = before.sum(axis=0)
+    each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
+    return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
 
 
 class OnBlocks(Protocol):
@@ -51,7 +58,7 @@ def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
     """
     mean, std = paired(new, old, scale)
     p, q = scale.by_block(new.power), scale.by_block(old.power)
-    pick = np.random.default_rng(0).integers(0, len(p), (_RESAMPLED, len(p)))
+    pick = np.random.default_rng(0).integers(0, len(p), (DRAWS, len(p)))
     ratios = 0.5 * np.log((q[pick].sum(axis=1) + 1e-300) / (p[pick].sum(axis=1) + 1e-300))
     total = 0.5 * np.log((q.sum() + 1e-300) / (p.sum() + 1e-300))
     return max(mean / max(std, 1e-12), float(total / max(ratios.std(), 1e-12)))

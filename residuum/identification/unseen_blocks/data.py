@@ -98,8 +98,7 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
         Records that do not fit the model, in which nothing changes, or too short for blocks.
     """
     model, experiments = match(model, records, mapping)
-    if not any(map(_changes, experiments)):
-        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
+    check_moves(experiments)
     for e in experiments:
         if e.n < FEWEST_SAMPLES:
             least = f"at least {FEWEST_SAMPLES} samples are needed"
@@ -138,6 +137,12 @@ def _rung(experiments: Sequence[Experiment], count: int, blocks: int) -> Rung:
             parts.append(part)
             at.append(number)
     return Rung(count, parts, np.concatenate(block), np.array(at))
+
+
+def check_moves(experiments: Sequence[Experiment]) -> None:
+    """Raise BadRecord where no signal of any experiment changes."""
+    if not any(map(_changes, experiments)):
+        raise BadRecord(f"record {experiments[0].source!r}: no input and no output changes in it; standstill explains nothing")
 
 
 def _changes(experiment: Experiment) -> bool:

@@ -70,10 +70,10 @@ def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
 def _judged(
     term: tuple[str, str, Array, list[Array]], one: Judged, court: Court, at: Equations, responses: Sequence[LinearResponse]
 ) -> BlockTerm:
-    balance, axis, knots, hats = term
+    balance, axis, knots, functions = term
     scale, last = court.scale, court.last
     measured = scale.weights > 0.0
-    columns = np.concatenate([r.to(balance, h) for r, h in zip(responses, hats, strict=True)])
+    columns = np.concatenate([r.to(balance, h) for r, h in zip(responses, functions, strict=True)])
     columns = scale.whitened(columns * scale.weights[:, None], at.starts)[:, measured]
     columns[~at.known] = 0.0
     extra, clip = at.beside_states(columns), scale.clip[measured]
@@ -98,9 +98,9 @@ def _terms(
             joined = np.concatenate(values)
             if np.all(np.isfinite(joined)) and np.ptp(joined) > 0:
                 knots: Array = np.linspace(joined.min(), joined.max(), KNOTS[axis])
-                yield name, axis, knots, [_hats(np.asarray(v), knots) for v in values]
+                yield name, axis, knots, [hats(np.asarray(v), knots) for v in values]
 
 
-def _hats(x: Array, knots: npt.NDArray[np.floating[Any]]) -> Array:
+def hats(x: Array, knots: npt.NDArray[np.floating[Any]]) -> Array:
     """Piecewise linear functions, one at each knot, shape (n, knots); they sum to one."""
     return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots) / (knots[1] - knots[0]))

@@ -52,3 +52,12 @@ MOST_EFFORT = 2_000_000_000
 
 HELD_REACH = 0.3
 """[of its value] Within which a held parameter is sought. Chosen."""
+
+SENSOR_NOISE = 0.01
+"""[of its signal's RMS] Plausible noise of a sensor that is not there yet. Chosen."""
+DISTINCTION_LEVEL = 0.01
+"""Of the test that a proposed experiment is to pass. Chosen."""
+WORTH_SEPARATING = 0.02
+"""Probability from which on a candidate is worth an experiment against the leading one. Chosen."""
+MOST_PROPOSALS = 4
+"""Experiments that are proposed. Chosen."""

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import Key, PhysicalModel, candidates, conditions_at
+from residuum.identification.physics import EffectUse, Key, PhysicalModel, candidates, conditions_at
 from residuum.identification.physics.effects import STRUCTURAL
 from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect, idle_inputs, place_of
@@ -135,9 +135,9 @@ def canonical(model: PhysicalModel) -> PhysicalModel:
     return replace(model, effects=tuple(sorted(model.effects, key=_rank)))
 
 
-def _rank(use: object) -> tuple[int, str, str, int]:
-    place = use.effect.place != "balance"  # type: ignore[attr-defined]
-    return (1, "", "", 0) if place else (0, use.target, use.id, use.instance)  # type: ignore[attr-defined]
+def _rank(use: EffectUse) -> tuple[int, str, str, int]:
+    place = use.effect.place != "balance"
+    return (1, "", "", 0) if place else (0, use.target, use.id, use.instance)
 
 
 def _flat(effect: Effect, start: Mapping[str, float]) -> Mapping[str, float]:

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics import noise_floor
+from residuum.identification.residual_analysis.policy.records import NORMAL_MEDIAN
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITENING
 
 Array = npt.NDArray[np.float64]
-NORMAL_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ error is asked again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -31,15 +31,9 @@ from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FO
 from residuum.identification.unseen_blocks.proposals import grown, proposed, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power, plain
 from residuum.identification.unseen_blocks.structure import Structure, fitted
-from residuum.identification.work import OutOfWork, go_on, left_out
+from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 Array = npt.NDArray[np.float64]
-Tell = Callable[[float, str], None]
-"""Told how far the work is (0 … 1), and what is being done."""
-
-
-def untold(_share: float, _doing: str) -> None:
-    """For those who do not ask."""
 
 
 @dataclass(frozen=True)

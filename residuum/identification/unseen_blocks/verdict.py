@@ -15,7 +15,7 @@ import numpy.typing as npt
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
-from residuum.identification.unseen_blocks.comparing import evidence, is_alike
+from residuum.identification.unseen_blocks.comparing import evidence, is_alike, share
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
@@ -96,10 +96,12 @@ def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict
     return wins
 
 
-def verdict_on(found: Search, free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool) -> Verdict:
-    """The verdict; `adequate`: whether nothing is structured in what the best structure leaves."""
+def verdict_on(
+    found: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
+) -> Verdict:
+    """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
     wins = counted(found, free, adequate=adequate)
-    steps = [step for step in steps_of(found) if not is_timing(step.key, found)]
+    steps = [step for step in joined if not is_timing(step.key, found)]
     listed: list[Candidate] = []
     for number, step in enumerate(step for step in steps if step.key.effect != HELD):
         listed += _candidates(step, number, wins, stds, found)
@@ -210,7 +212,4 @@ def _candidate(
 
 def share_of(before: Judged, after: Judged) -> Quantity:
     """Part of the error's power that is taken away on unseen blocks, the outputs alike, with its scatter over blocks."""
-    total = before.squares.sum(axis=0)
-    seen = total > 0.0
-    each = ((before.squares - after.squares)[:, seen] / total[seen]).mean(axis=1)
-    return Quantity(float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1)), "")
+    return Quantity(*share(before.squares, after.squares), "")

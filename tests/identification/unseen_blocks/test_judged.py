@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from residuum.identification.discrepancy.structure_fits import base_structure
-from residuum.identification.discrepancy.unseen_errors import blocks_of, share, unseen
+from residuum.identification.discrepancy.unseen_errors import blocks_of, unseen
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.judged import judged
 from residuum.identification.unseen_blocks.ladder import climb

@@ -24,15 +24,6 @@ OWN_SIGNALS_SHARE = 0.2
 """And share of the error's power. Chosen."""
 
 
-SENSOR_NOISE = 0.01
-"""[of its signal's RMS] Plausible noise of a sensor that is not there yet. Chosen."""
-DISTINCTION_LEVEL = 0.01
-"""Of the test that a proposed experiment is to pass. Chosen."""
-WORTH_SEPARATING = 0.02
-"""Probability from which on a candidate is worth an experiment against the leading one. Chosen."""
-MOST_PROPOSALS = 4
-"""Experiments that are proposed. Chosen."""
-
 FREE_TERM_KNOTS: Mapping[str, tuple[int, ...]] = {
     "velocity": (9, 25),
     "position": (9, 33),

@@ -1,0 +1,74 @@
+"""The next experiment: extra sensors and other input profiles, by the power with which they tell two structures apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics import Experiment, PhysicalModel
+from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, MOST_PROPOSALS
+
+Array = npt.NDArray[np.float64]
+Power = Callable[[Sequence[Experiment], int | None], float | None]
+"""Of the test in these experiments, with one output more seen where that is asked; None when they could not be simulated."""
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """Something to do, the candidates it separates, and the power with which it does."""
+
+    do: str
+    separates: tuple[str, ...]
+    power: float
+
+
+def distinguishing(
+    separates: tuple[str, ...], model: PhysicalModel, experiments: Sequence[Experiment], power: Power
+) -> tuple[NextExperiment, ...]:
+    """Signals that the model has and the records lack, and other profiles of its inputs, best first."""
+    measured = np.any([e.measured for e in experiments], axis=0)
+    found = {
+        f"also record {name} [{output.unit}]": power(experiments, o)
+        for o, (name, output) in enumerate(model.outputs.items())
+        if not measured[o]
+    }
+    found |= {do: power(profile, None) for do, profile in _profiles(experiments).items()}
+    proposals = [NextExperiment(do, separates, p) for do, p in found.items() if p is not None]
+    return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS])
+
+
+def power_of_test(r: Array, J: Array) -> float:
+    """Power of the χ² test, at `DISTINCTION_LEVEL`, on what free parameters with slopes J (n, q) cannot absorb of a whitened
+    difference r (n,).
+    """
+    size = np.linalg.norm(J, axis=0)
+    u, s, _ = np.linalg.svd(J[:, size > 0] / size[size > 0], full_matrices=False)
+    u = u[:, s > 1e-9 * s.max(initial=0.0)]
+    rest = r - u @ (u.T @ r)
+    return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(rest @ rest)))
+
+
+def _exceeds(threshold: float, shift: float) -> float:
+    """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
+    normal = NormalDist()
+    return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
+
+
+def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
+    """The records' duration driven otherwise, within the range of the inputs on record."""
+    e = max(experiments, key=lambda e: e.n)
+    low, high = e.U.min(axis=0), e.U.max(axis=0)
+    phase = np.linspace(0.0, 1.0, e.n)[:, None]
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    cycles = {
+        "drive slow triangles over the range of the input": middle
+        + half * (2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0),
+        "drive steps of many levels over the range of the input": middle
+        + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0),
+        "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
+    }
+    return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}
