@@ -61,8 +61,8 @@ def unseen(structure: Structure, blocks: Blocks) -> FloatArray:
     for r, J, X in zip(structure.residuals, structure.by_parameters, structure.by_states, strict=True):
         w, S = _whitened(structure, np.concatenate([r[..., None], J, X], axis=2))
         q = J.shape[2]
-        x, t = S[..., q:].reshape(-1, X.shape[2]), S[..., :q].reshape(-1, q)
-        beside = solve_scaled(x.T @ x, x.T @ t, 1e-12) if X.shape[2] and q else np.zeros((X.shape[2], q))
+        x, t = S[..., q:].reshape(r.size, X.shape[2]), S[..., :q].reshape(r.size, q)
+        beside = solve_scaled(x.T @ x, x.T @ t, 1e-12)
         white.append(w)
         slopes.append(S[..., :q] - S[..., q:] @ beside)
         plain.append(J - X @ beside)

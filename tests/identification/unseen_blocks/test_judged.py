@@ -57,6 +57,19 @@ def test_deletion_is_what_a_fit_without_the_blocks_leaves(friction):
     assert np.corrcoef(np.log(one.power[:, 0]), np.log(left))[0, 1] > 0.99
 
 
+def test_a_model_in_which_nothing_is_free_leaves_what_it_leaves():
+    fixed = (
+        CART.replace("lower: 0.1}", "fixed: true}")
+        .replace("lower: 0.01}", "fixed: true}")
+        .replace("lower: -5, upper: 5}", "fixed: true}")
+    )
+    model, experiments = match(read_model(fixed), [cart_record()])
+    lacking = base_structure(model, experiments)
+    assert lacking.parameters == ()
+    left = unseen(lacking, blocks_of(experiments))
+    assert left.sum() == pytest.approx(np.sum(lacking.residuals[0] ** 2))
+
+
 def test_a_structure_of_the_exact_search_is_judged_on_blocks_alike():
     _, experiments = match(read_model(CART), [cart_record(friction=1.5)])
     model = read_model(CART)
