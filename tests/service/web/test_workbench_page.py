@@ -89,7 +89,7 @@ def test_a_stranger_mends_a_model(service, open_page, drive_file, tmp_path):
     expect(page.locator("table").first).to_contain_text("tau_c = 0.0")
     by_block = page.get_by_label("Error of speed on unseen blocks")
     expect(by_block.locator(".legendtext", has_text="with Coulomb friction")).to_be_visible(timeout=LONG_WORK)
-    page.get_by_label("output", exact=True).select_option("current")
+    page.locator("[data-key=output]").select_option("current")
     by_block = page.get_by_label("Error of current on unseen blocks")
     expect(by_block.locator(".legendtext", has_text="the model as it is")).to_be_visible(timeout=LONG_WORK)
     expect(page.locator(".cloud .legendtext", has_text="coulomb-friction")).to_be_visible(timeout=LONG_WORK)

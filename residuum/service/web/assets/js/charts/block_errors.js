@@ -1,4 +1,4 @@
-// The error of an output block by block, on blocks that no fit has seen: the model as it is, leading candidates, and all that was found.
+// The error of an output block by block, on blocks that no fit has seen: as it is, with candidates, with all that was found.
 
 import { h } from "../lib/dom.js";
 import { inBrackets } from "../lib/format.js";
