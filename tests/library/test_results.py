@@ -115,7 +115,9 @@ def test_the_picture_of_an_explanation_shows_errors_over_time_and_the_law_over_w
     position = why.to_dict()["blocks"]["outputs"][0]
     np.testing.assert_allclose(traces["the model as it is"].y, position["before"])
     ends = [(block["from"], block["to"]) for block in why.to_dict()["blocks"]["blocks"]]
-    assert ends[0][0] == 0.0 and ends[-1][1] == pytest.approx(15.0) and all(b[0] == pytest.approx(a[1]) for a, b in pairwise(ends))
+    assert (
+        ends[0][0] == 0.0 and ends[-1][1] == pytest.approx(15.0) and all(b[0] == pytest.approx(a[1]) for a, b in pairwise(ends))
+    )
     assert np.mean(np.array(position["after"]) < position["before"]) > 0.9
 
 

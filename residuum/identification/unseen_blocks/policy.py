@@ -32,8 +32,8 @@ WEAKEST = 0.1
 MERITLESS = 0.02
 """[of a block's mean power] That is no merit of any structure. Chosen."""
 SMALL, WORTH = 0.0004, 0.1
-"""Shares of the first error's power that are nothing (2 % of its RMS: a first model may be so bad that far more is no small error),
-and of what is left that an effect has to take away. Chosen."""
+"""Shares of the first error's power that are nothing (2 % of its RMS: beside a first model far off, more is little), and of
+what is left that an effect has to take away. Chosen."""
 REAL = 2.5
 """[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
 
