@@ -19,11 +19,11 @@ from residuum.identification.unseen_blocks.block_errors import BlockErrors, bloc
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, fitted
-from residuum.identification.unseen_blocks.verdict import UNKNOWN_LEADS, Step, is_timing, steps_of, verdict_on
+from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
 from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
 
