@@ -193,7 +193,7 @@ def _related(
         along = followed(one.model, found.court.data, one.errors, found.court.last)
         if along is not None:
             each = [(seen, grown(seen.key, along)) for seen in general] + [
-                (seen, specialised(seen.key, along)) for seen, _ in special
+                (seen, specialised(seen.key, along)) for seen in special
             ]
             tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
     led = each_beside(lambda task: task(), tasks)
