@@ -183,10 +183,7 @@ def _related(
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
         general = [seen for seen in glances.values() if _is_for(seen, one, special_of(seen.key))]
         special = [
-            (seen, key)
-            for seen in glances.values()
-            for key in one.keys
-            if special_of(key) == seen.key and _is_for(seen, one, key)
+            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
         ]
         if not (general or special):
             continue
