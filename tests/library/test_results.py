@@ -2,6 +2,7 @@
 
 import json
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -98,6 +99,26 @@ def test_pictures_show_what_was_computed(pushed):
     figure.update_layout(title="mine")
     html = comparison._repr_html_()
     assert html.count("<svg") == 1 and html.count("<path") >= 2 and "<td>position</td>" in html
+
+
+def test_the_picture_of_an_explanation_shows_errors_over_time_and_the_law_over_what_is_missing(pushed):
+    why = rs.model("linear-axis").explain(pushed, effects=["viscous-friction", "linear-spring"])
+    traces = {trace.name: trace for trace in reversed(why.plot().data) if trace.name}  # the first of a name
+    law, missing = traces["viscous-friction"], next(t for name, t in traces.items() if name.startswith("missing"))
+    fast = np.abs(np.asarray(law.x)) > 0.3 * np.abs(law.x).max()
+    assert np.asarray(law.y)[fast] / np.asarray(law.x)[fast] == pytest.approx(-40.0, rel=0.1)
+    assert np.corrcoef(missing.y, np.interp(missing.x, law.x, law.y))[0, 1] > 0.95
+
+    blocks = why.found.blocks
+    before, after = (np.nansum(errors**2, axis=0) for errors in (blocks.before, blocks.candidates[why.best.key]))
+    assert np.mean(1.0 - after / before) == pytest.approx(why.best.share.value, rel=5e-3)  # blocks of nearly one length
+    position = why.to_dict()["blocks"]["outputs"][0]
+    np.testing.assert_allclose(traces["the model as it is"].y, position["before"])
+    ends = [(block["from"], block["to"]) for block in why.to_dict()["blocks"]["blocks"]]
+    assert (
+        ends[0][0] == 0.0 and ends[-1][1] == pytest.approx(15.0) and all(b[0] == pytest.approx(a[1]) for a, b in pairwise(ends))
+    )
+    assert np.mean(np.array(position["after"]) < position["before"]) > 0.9
 
 
 def test_bode_and_step_show_the_plant(pushed):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.discrepancy.completeness import is_incomplete
 from residuum.identification.discrepancy.exact_structure import Exact
@@ -19,10 +20,13 @@ from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import times_each_its_innovations
 from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, unseen
 from residuum.identification.discrepancy.visibility import undetectable
-from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.work import begun
+
+FloatArray = npt.NDArray[np.float64]
 
 
 def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured: bool, began: float) -> Explanation:
@@ -31,50 +35,65 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
     """
     found, experiments = exact.found, exact.experiments
     blocks, free = blocks_of(experiments), free_term(found.best, experiments)
-    if searched:
-        judgement = _judged(exact, free, blocks, structured=structured)
-    else:
-        judgement = Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
+    judgement = _judged(exact, free, structured=structured) if searched else Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
+    squares = {} if blocks is None else _unseen(judgement.candidates, found, blocks)
+    candidates = judgement.candidates if blocks is None else _with_shares(judgement.candidates, squares, found, blocks)
     return Explanation(
         verdict=judgement.verdict,
-        candidates=judgement.candidates,
+        candidates=candidates,
         probability_none=judgement.none,
         probability_unknown=judgement.unknown,
         unexplained_share=judgement.unexplained_share,
         free=free,
         undetectable=undetectable(found),
-        next_experiment=next_experiments(found, judgement.candidates, experiments),
+        next_experiment=next_experiments(found, candidates, experiments),
         accepted=tuple(found.accepted),
         timing=tuple(found.timing),
         drifting=found.drifting,
         left=_left(found),
         held=held_values(model, exact.doubted, found.best),
         remaining=None if blocks is None else remaining_of(found.base, found.best, blocks),
+        blocks=None if blocks is None else _block_errors(squares, found, blocks),
         work=begun(),
         seconds=time.perf_counter() - began,
         exact=exact,
     )
 
 
-def _judged(exact: Exact, free: FreeTerm | None, blocks: Blocks | None, *, structured: bool) -> Judgement:
-    """The judgement on an exact structure, with shares; never `adequate` where `compare` finds what is left `structured`."""
+def _judged(exact: Exact, free: FreeTerm | None, *, structured: bool) -> Judgement:
+    """The judgement on an exact structure; never `adequate` where `compare` finds what is left `structured`."""
     judgement = judge(exact.found, free, incomplete=is_incomplete(exact.found, exact.experiments))
-    if blocks is not None:
-        judgement = replace(judgement, candidates=_with_shares(judgement.candidates, exact.found, blocks))
     if judgement.verdict == "adequate" and structured:
         judgement = replace(judgement, verdict="unknown-effect", none=judgement.unknown, unknown=judgement.none)
     return judgement
 
 
-def _with_shares(candidates: Sequence[Candidate], found: Search, blocks: Blocks) -> tuple[Candidate, ...]:
+Squares = Mapping[tuple[int, Key], FloatArray]
+"""Sums of squared errors on unseen blocks (blocks, outputs) with a candidate at its step."""
+
+
+def _unseen(candidates: Sequence[Candidate], found: Search, blocks: Blocks) -> Squares:
+    """Those of the candidates whose structures are known."""
+    steps = range(min(len(found.before), len(found.alternatives)))
+    there = {(c.step, c.key): found.alternatives[c.step].get(c.key) for c in candidates if c.step in steps}
+    return {at: unseen(structure, blocks) for at, structure in there.items() if structure is not None}
+
+
+def _with_shares(candidates: Sequence[Candidate], squares: Squares, found: Search, blocks: Blocks) -> tuple[Candidate, ...]:
     """The candidates with the share of the error's power that each takes away on unseen blocks."""
-    before = [unseen(structure, blocks) for structure in found.before[: len(found.alternatives)]]
+    before = {step: unseen(found.before[step], blocks) for step in {step for step, _ in squares}}
     listed = []
     for c in candidates:
-        there = found.alternatives[c.step].get(c.key) if c.step < len(before) else None
-        value = None if there is None else Quantity(*share(before[c.step], unseen(there, blocks)), "")
+        there = squares.get((c.step, c.key))
+        value = None if there is None else Quantity(*share(before[c.step], there), "")
         listed.append(replace(c, share=value))
     return tuple(listed)
+
+
+def _block_errors(squares: Squares, found: Search, blocks: Blocks) -> BlockErrors:
+    alone = {key: there for (step, key), there in squares.items() if step == 0}
+    before, after = unseen(found.base, blocks), unseen(found.best, blocks)
+    return block_errors(found.best.model, blocks.record, blocks.times, blocks.count, before, after, alone)
 
 
 def _left(found: Search) -> dict[str, tuple[float, str, float]]:

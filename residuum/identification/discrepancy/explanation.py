@@ -9,6 +9,7 @@ from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.physics import Key
 from residuum.identification.unseen_blocks.advice import Undetectable
+from residuum.identification.unseen_blocks.block_errors import BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HeldValue
@@ -47,6 +48,8 @@ class Explanation:
         Parameters that the model holds fixed and that were freed, for another value does more than any effect.
     remaining : Remaining or None
         What that model leaves on unseen blocks; None where the records are too short for any.
+    blocks : BlockErrors or None
+        Errors block by block before and after, and with each candidate alone; None likewise.
     work : Work
         Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
     exact : Exact or None
@@ -69,6 +72,7 @@ class Explanation:
     left: Mapping[str, tuple[float, str, float]]
     held: tuple[HeldValue, ...]
     remaining: Remaining | None
+    blocks: BlockErrors | None
     work: Work
     seconds: float
     exact: Exact | None = None

@@ -15,13 +15,15 @@ from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
 from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
+from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, fitted
-from residuum.identification.unseen_blocks.verdict import UNKNOWN_LEADS, Step, is_timing, steps_of, verdict_on
+from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
 from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
 
@@ -78,10 +80,19 @@ def answer_on_blocks(
         left=_left(found),
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),
+        blocks=_block_errors(found, verdict.candidates),
         work=begun(),
         seconds=time.perf_counter() - began,
         on_blocks=found,
     )
+
+
+def _block_errors(found: Search, candidates: Sequence[Candidate]) -> BlockErrors:
+    data, base = found.court.data, found.base
+    alone = {c.key: found.every[(c.key,)].squares for c in candidates if c.step == 0 and (c.key,) in found.every}
+    records = [block * len(data.experiments) // data.blocks for block in range(data.blocks)]
+    times = [data.times_of(block) for block in range(data.blocks)]
+    return block_errors(data.model, records, times, base.count, base.squares, found.best.squares, alone)
 
 
 def doubts_of(found: Search) -> dict[str, float]:

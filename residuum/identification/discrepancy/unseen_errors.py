@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from residuum.identification.physics.estimation.least_squares import solve_scale
 from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, folds_of
 from residuum.identification.unseen_blocks.judged import moved
+from residuum.identification.unseen_blocks.policy import FOLDS
 from residuum.identification.unseen_blocks.remaining import Remaining
 
 FloatArray = npt.NDArray[np.float64]
@@ -30,27 +32,38 @@ Integers = npt.NDArray[np.int64]
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Blocks of experiments: that of each row (rows,), the fold of each, how many measured samples (blocks, outputs) they have,
-    and their begins and ends [s].
+    the record of each, and their begins and ends [s] in its time.
     """
 
     row: Integers
     fold: Integers
     count: FloatArray
+    record: list[int]
     times: list[tuple[float, float]]
 
 
 def blocks_of(experiments: Sequence[Experiment]) -> Blocks | None:
     """The blocks; None where the records are too short for any."""
     lengths = [len(e.means(e.Y)) for e in experiments]
-    if min(lengths) < FEWEST_SAMPLES and sum(lengths) < FEWEST_SAMPLES * len(lengths):
-        return None
-    each, fold = folds_of(len(experiments))
+    windows, samples = len(lengths), sum(lengths)
+    each, fold = folds_of(windows)
+    if samples < FEWEST_SAMPLES * windows:  # windows so short are blocks themselves
+        if windows < FOLDS or samples < FEWEST_SAMPLES:
+            return None
+        each, fold = 1, np.arange(windows) % FOLDS
     row = np.concatenate([np.arange(n) * each // n + k * each for k, n in enumerate(lengths)])
     known = np.isfinite(np.concatenate([e.means(e.Y) for e in experiments])).astype(float)
     count = np.column_stack([np.bincount(row, weights=c, minlength=len(fold)) for c in known.T])
     edges = np.arange(each + 1) / each
     times = [e.t0 + e.sample_time * np.ceil(e.n * edges) for e in experiments]
-    return Blocks(row, fold, np.asarray(count, dtype=float), [(float(t[k]), float(t[k + 1])) for t in times for k in range(each)])
+    begins = np.cumsum([0, *(not after.follows(before) for before, after in pairwise(experiments))])
+    return Blocks(
+        row,
+        fold,
+        np.asarray(count, dtype=float),
+        np.repeat(begins, each).tolist(),
+        [(float(t[k]), float(t[k + 1])) for t in times for k in range(each)],
+    )
 
 
 def unseen(structure: Structure, blocks: Blocks) -> FloatArray:

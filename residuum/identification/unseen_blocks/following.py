@@ -20,10 +20,9 @@ from residuum.identification.physics.model import find_effect, place_of, term_na
 from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.unseen_blocks.data import Data, Rung
+from residuum.identification.unseen_blocks.policy import ROWS
 
 Array = npt.NDArray[np.float64]
-ROWS = 4000
-"""[samples] Of the track on which effects are regressed."""
 
 
 @dataclass(frozen=True, eq=False)

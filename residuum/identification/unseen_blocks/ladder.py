@@ -17,12 +17,9 @@ from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.data import Data, Rung, data_of
-from residuum.identification.unseen_blocks.policy import FOLLOWED
+from residuum.identification.unseen_blocks.policy import FOLLOWED, FORGETS
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, fitted
-
-FORGETS = 0.3
-"""Part of the peak effect of a first state that may be left at the end of a window."""
 
 
 @dataclass(frozen=True, eq=False)

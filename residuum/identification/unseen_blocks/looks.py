@@ -19,14 +19,12 @@ from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import mean_error
-from residuum.identification.unseen_blocks.policy import ABSURD, GLANCED
+from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED
 from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import States, Structure, fitted
 
 SHORT, LONG, SECOND = "short", "long", "second"
-FOLLOWED_STARTS = 2
-"""First values that go on after one step."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 it.
 """
 
+from collections.abc import Mapping
+
 LADDER = (27, 9, 3, 1)
 """Windows a record, from short horizons to the whole: long simulations lock in wrongly from a poor start. Chosen."""
 SHORTEST_WINDOW = 25
@@ -15,6 +17,19 @@ DAMPING = 0.003
 to refits with masked blocks."""
 CLIPPED = 8.0
 """[robust spreads] As which a larger error counts: an event that nobody recorded. Chosen."""
+
+FORGETS = 0.3
+"""[of its peak] Effect of a first state that may be left at the end of a window. Chosen."""
+
+STARTS, FOLLOWED_STARTS = 6, 2
+"""First values of an effect that are looked at, and those that go on after one step. Chosen."""
+ROWS = 4000
+"""[samples] Of the track on which effects are regressed. Chosen."""
+RESEMBLES, TOLD_BY_OUTPUTS, MOST_COLUMNS = 0.05, 0.98, 3
+"""Part of what a balance lacks that a column has to explain; of a column that the outputs explain, which makes it none of its
+own; and how many are tried. Chosen."""
+CURVE_KNOTS, MOST_CURVES = 9, 3
+"""Of the curves by which a signal is chosen, and how many are tried. Chosen."""
 
 BEAM, DEPTH = 5, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
@@ -31,8 +46,9 @@ WEAKEST = 0.1
 """[of the largest] As what the error of an output counts at least: one that is followed well has a vote. Chosen."""
 MERITLESS = 0.02
 """[of a block's mean power] That is no merit of any structure. Chosen."""
-SMALL, WORTH = 0.02, 0.1
-"""Shares of the first error that are nothing, and of what is left that an effect has to take away. Chosen."""
+SMALL, WORTH = 0.0004, 0.1
+"""Shares of the first error's power that are nothing (2 % of its RMS: beside a first model far off, more is little), and of
+what is left that an effect has to take away. Chosen."""
 REAL = 2.5
 """[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
 
@@ -45,6 +61,13 @@ TIE = 3.0
 EVERYWHERE = 2.0
 """[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
 
+FREE_TERM_KNOTS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
+"""Axes of the free term, and how many hat functions stand on each. Chosen."""
+
+UNKNOWN_LEADS = 0.5
+"""Probability of something without a name from which on the verdict is that."""
+MOST_RIVALS, LISTED = 40, 6
+"""Structures, the best ones, among which a draw is decided, and candidates of a step that are told. Chosen."""
 DRAWS = 400
 """Of the blocks, by which probabilities are counted."""
 MOST_EFFORT = 2_000_000_000

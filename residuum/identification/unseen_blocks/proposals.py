@@ -23,17 +23,17 @@ from residuum.identification.physics.effects.base import Conditions, Effect
 from residuum.identification.physics.model import find_effect, idle_inputs, place_of
 from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
 from residuum.identification.unseen_blocks.held_value import HELD, freed
+from residuum.identification.unseen_blocks.policy import (
+    CURVE_KNOTS,
+    MOST_COLUMNS,
+    MOST_CURVES,
+    RESEMBLES,
+    STARTS,
+    TOLD_BY_OUTPUTS,
+)
 from residuum.identification.unseen_blocks.scale import innovations
 
 Array = npt.NDArray[np.float64]
-STARTS = 6
-"""First values of an effect that are looked at."""
-RESEMBLES, TOLD_BY_OUTPUTS, MOST_COLUMNS = 0.05, 0.98, 3
-"""Part of what a balance lacks that a column has to explain; of a column that the outputs explain, which makes it none of its
-own; and how many are tried.
-"""
-CURVE_KNOTS, MOST_CURVES = 9, 3
-"""Of the curves by which a signal is chosen, and how many are tried."""
 
 
 def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | None, *, learned: bool, held: bool) -> list[Key]:
@@ -101,6 +101,12 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
         except (BadInput, NotImplementedError):
             continue
     return found
+
+
+def special_of(key: Key) -> Key | None:
+    """The effect that a proposed one generalises, at its place."""
+    special = "" if key.effect == HELD else find_effect(key.effect).generalises
+    return Key(special, key.target) if special and special != key.effect else None
 
 
 def _starts(key: Key, along: Track) -> list[Mapping[str, float]]:

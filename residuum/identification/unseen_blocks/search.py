@@ -17,19 +17,17 @@ import numpy.typing as npt
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Key
-from residuum.identification.physics.model import find_effect
-from residuum.identification.residual_analysis.noise_floor import times_the_noise
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
 from residuum.identification.unseen_blocks.data import Data
 from residuum.identification.unseen_blocks.following import Track, followed
-from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT, NOISY, UNEVEN
-from residuum.identification.unseen_blocks.proposals import grown, proposed, specialised
-from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise, of_power, plain
+from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT
+from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
+from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
@@ -111,41 +109,6 @@ def begun(climbed: Climbed) -> Search:
     return found
 
 
-def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
-    """The court in nats and the structure judged there, where what it leaves is noise alike all along the records; None
-    otherwise.
-    """
-    last, data = court.last, court.data
-    found = fitted(best.model, last.parts, best.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
-    scale = None if found is None else of_noise(found.residuals, last, data.measured)
-    for turn in range(3):  # outputs weighed by their own errors, then these whitened
-        if found is None or scale is None:
-            return None
-        states = best.structure.at(last, found).states[last.windows]
-        scale = replace(scale, filters=None) if turn == 0 else scale
-        found = fitted(found.model, last.parts, states, scale, steps=12, tolerance=1e-5)
-        scale = None if found is None else of_noise(found.residuals, last, data.measured)
-    if found is None or scale is None:
-        return None
-    times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
-    if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
-        return None
-    scale = clipped(scale, found.residuals, last)
-    in_nats = judged(best.structure.at(last, found), found, last, data, scale)
-    return None if in_nats is None else (replace(court, scale=scale), in_nats)
-
-
-def _unevenness(residuals: Sequence[Array], scale: Scale, court: Court) -> float:
-    """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
-    starts, measured = court.last.starts.tolist(), court.data.measured
-    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]
-    block = court.last.block
-    n = np.bincount(block, minlength=court.data.blocks)
-    powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
-    scatter = np.sqrt(2.0 / n[n > 0].mean())
-    return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
-
-
 def _beside(keys: Sequence[Key]) -> str:
     return "beside " + " and ".join(key.effect for key in keys) if keys else "beside nothing else"
 
@@ -218,16 +181,16 @@ def _related(
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, _special(seen.key))]
+        general = [seen for seen in glances.values() if _is_for(seen, one, special_of(seen.key))]
         special = [
-            (seen, key) for seen in glances.values() for key in one.keys if _special(key) == seen.key and _is_for(seen, one, key)
+            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
         ]
         if not (general or special):
             continue
         along = followed(one.model, found.court.data, one.errors, found.court.last)
         if along is not None:
             each = [(seen, grown(seen.key, along)) for seen in general] + [
-                (seen, specialised(seen.key, along)) for seen, _ in special
+                (seen, specialised(seen.key, along)) for seen in special
             ]
             tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
     led = each_beside(lambda task: task(), tasks)
@@ -237,12 +200,6 @@ def _related(
         if end is not None and (known is None or end.seen < known.seen):
             better[end.keys] = end
     return better
-
-
-def _special(key: Key) -> Key | None:
-    """The effect that a proposed one generalises, at its place."""
-    special = "" if key.effect == HELD else find_effect(key.effect).generalises
-    return Key(special, key.target) if special and special != key.effect else None
 
 
 def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:

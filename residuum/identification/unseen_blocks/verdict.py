@@ -19,17 +19,11 @@ from residuum.identification.unseen_blocks.comparing import evidence, is_alike, 
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.policy import DRAWS, SMALL, TIE, WORTH
+from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
 from residuum.identification.unseen_blocks.search import Search, chain
 
 Array = npt.NDArray[np.float64]
 NONE, UNKNOWN = "none", "unknown"
-UNKNOWN_LEADS = 0.5
-"""Probability of something without a name from which on the verdict is that."""
-MOST_RIVALS = 40
-"""Structures, the best ones, among which a draw is decided."""
-LISTED = 6
-"""Candidates of a step that are told at most."""
 
 
 @dataclass(frozen=True)

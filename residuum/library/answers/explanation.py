@@ -10,6 +10,7 @@ from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.suggestion import suggestion
 from residuum.identification.residual_analysis.policy.noise import SLOW
+from residuum.identification.unseen_blocks.block_errors import Array, BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HeldValue
@@ -54,8 +55,36 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "drifting": explanation.drifting,
         "by_share": explanation.by_share,
         "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
+        "blocks": None if explanation.blocks is None else _blocks_json(explanation.blocks),
         "work": work_json(explanation.work),
         "seconds": explanation.seconds,
+    }
+
+
+def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
+    """RMS errors of each output on unseen blocks: before, after, and with each candidate alone; null where unmeasured."""
+
+    def listed(errors: Array) -> list[float | None]:
+        return [float(e) if isfinite(e) else None for e in errors]
+
+    return {
+        "blocks": [
+            {"record": record, "from": begin, "to": end}
+            for record, (begin, end) in zip(blocks.records, blocks.times, strict=True)
+        ],
+        "outputs": [
+            {
+                "output": output,
+                "unit": unit,
+                "before": listed(blocks.before[:, o]),
+                "after": listed(blocks.after[:, o]),
+                "candidates": [
+                    {"effect": key.effect, "balance": key.target, "error": listed(errors[:, o])}
+                    for key, errors in blocks.candidates.items()
+                ],
+            }
+            for o, (output, unit) in enumerate(zip(blocks.outputs, blocks.units, strict=True))
+        ],
     }
 
 

@@ -20,6 +20,7 @@ from residuum.service.api.parameters import NAME, ModelName, NewModelName
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
+from residuum.service.views.model_view import model_of
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked, ResidualChoice
 from residuum.service.work.record_parts import RecordParts, parts_of
@@ -174,9 +175,9 @@ def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
-    considered = _considered(asked.effects)
-    how = (considered, asked.learned, asked.seconds)
-    return accepted(running.jobs.submit("explain", analyses.explain, _asked(running, model, asked), *how, then=_result))
+    given = _asked(running, model, asked)
+    how = (_considered(asked.effects, given), asked.learned, asked.seconds)
+    return accepted(running.jobs.submit("explain", analyses.explain, given, *how, then=_result))
 
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)
@@ -185,8 +186,9 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
     """
-    _known([effect.replace(":", "@").split("@")[0] for effect in asked.add])
-    considered = _considered(asked.effects) if asked.auto else None
+    given = _asked(running, model, asked)
+    _known([effect.replace(":", "@").split("@")[0] for effect in asked.add], given)
+    considered = _considered(asked.effects, given) if asked.auto else None
     by = getattr(request.state, "caller", ANYBODY).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -200,7 +202,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
         return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
     add = None if asked.auto else asked.add
-    work = (_asked(running, model, asked), add, considered, asked.free, asked.learned, asked.seconds)
+    work = (given, add, considered, asked.free, asked.learned, asked.seconds)
     return accepted(running.jobs.submit("improve", analyses.improve, *work, then=keep))
 
 
@@ -299,15 +301,20 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
     return keep
 
 
-def _considered(effects: Sequence[str]) -> list[str] | None:
+def _considered(effects: Sequence[str], given: Asked) -> list[str] | None:
     """The effects to be considered; None leaves none of the catalogue out."""
-    _known(effects)
+    _known(effects, given)
     return list(effects) or None
 
 
-def _known(effects: Sequence[str]) -> None:
+def _known(effects: Sequence[str], given: Asked) -> None:
+    """Raise NotFound for an effect that neither the catalogue nor the model's file defines."""
+    if effects and given.text is not None:
+        model_of(given.model, given.text)  # its own effects are in the catalogue of this request from now on
     if unknown := [effect for effect in effects if effect not in EFFECTS and effect not in STRUCTURAL]:
-        raise NotFound(f"effect {unknown[0][:60]!r}: is not in the catalogue; GET /effects lists it")
+        raise NotFound(
+            f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in the model file's own_effects"
+        )
 
 
 def _asked(running: Services, model: str, asked: Comparison) -> Asked:

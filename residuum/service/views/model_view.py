@@ -12,18 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.diagnosis.residuals.movement_phases import phase_cells
-from residuum.identification.errors import BadInput
-from residuum.identification.physics import (
-    Experiment,
-    PhysicalModel,
-    Simulator,
-    estimate,
-    load_model,
-    match,
-    read_model,
-)
+from residuum.identification.physics import Experiment, Key, PhysicalModel, load_model, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.axes import signal_axes
+from residuum.identification.residual_analysis import term_curves
 from residuum.identification.residual_analysis.compare import Comparison, compare
 from residuum.identification.residual_analysis.locate import Axis
 from residuum.library.answers.comparison import comparison_json
@@ -35,8 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 
 SHOWN_POINTS = 2500
 """Points of a cloud in all."""
-_BINS, _FEWEST = 40, 5
-_CURVE_BINS = 80
+_BINS = 40
 _SPECTRUM_LINES = 600
 
 
@@ -61,7 +51,7 @@ def view_model(
     progress(0.05, "simulating, and smoothing the missing terms")
     comparison = compare(model_of(name, text), loaded, mapping)
     progress(0.9, "preparing the charts")
-    axes, terms = _joined(comparison), _terms(comparison)
+    axes, terms = term_curves.joined(comparison.axes), _terms(comparison)
     return {
         "comparison": comparison_json(name, [record.source for record in loaded], comparison),
         "signals": [_signals(comparison, k) for k in range(len(loaded))],
@@ -85,48 +75,10 @@ def effect_curves(
     found = []
     for index, (id, balance, values) in enumerate(effects):
         progress(index / len(effects), id)
-        found += _effect_curve(model, loaded, mapping, id, balance, values)
+        matched, experiments = match(model, loaded, mapping)
+        for axis, curve in term_curves.effect_curves(matched, experiments, Key(id, balance), values, loaded):
+            found.append({"effect": id, "balance": balance, "axis": axis.name, "at": curve.at, "value": curve.mean})
     return {"curves": found}
-
-
-def _effect_curve(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    mapping: Mapping[str, str],
-    id: str,
-    balance: str,
-    values: Mapping[str, float],
-) -> list[dict[str, Any]]:
-    """One entry an axis; none for an effect on the path of an input or output, or one that makes the model diverge."""
-    if balance not in model.balances:
-        return []
-    model, experiments = match(model.with_effect(id, balance, values), records, mapping)
-    term = model.effects[-1].id + (f"#{model.effects[-1].instance}" if model.effects[-1].instance > 1 else "")
-    try:
-        simulation = estimate(model, experiments, free=())
-    except BadInput:
-        return []
-    simulator = Simulator(model)
-    X = [simulator.run_vectors(e, x0, simulator.p()).X for e, x0 in zip(experiments, simulation.initial, strict=True)]
-    value = np.concatenate(
-        [simulator.look(e, x)[f"{balance}.{term}"] * np.ones(e.n) for e, x in zip(experiments, X, strict=True)]
-    )
-    axes = _concatenated([signal_axes(model, e, x, r) for e, x, r in zip(experiments, X, records, strict=True)])
-    curves = [(axis, _binned(axis.values, value, _CURVE_BINS)) for axis in axes]
-    return [
-        {"effect": id, "balance": balance, "axis": axis.name, "at": at, "value": mean}
-        for axis, (at, mean, _) in curves
-        if len(at)
-    ]
-
-
-def _concatenated(axes: Sequence[Sequence[Axis]]) -> list[Axis]:
-    joined = zip(*axes, strict=True)
-    return [Axis(same[0].name, same[0].unit, same[0].kind, np.concatenate([axis.values for axis in same])) for same in joined]
-
-
-def _joined(comparison: Comparison) -> list[Axis]:
-    return _concatenated(comparison.axes)
 
 
 def _terms(comparison: Comparison) -> list[dict[str, Any]]:
@@ -181,30 +133,10 @@ def _points(comparison: Comparison, axes: Sequence[Axis], terms: Sequence[Mappin
 
 def _curve(axis: Axis, term: Mapping[str, Any]) -> dict[str, Any]:
     """Mean of a term in bins of an axis, with ± two standard deviations of a missing term, or of a residual's scatter."""
-    at, mean, scatter = _binned(axis.values, term["value"], _BINS)
-    band = scatter if term["std"] is None else _binned(axis.values, term["std"], _BINS)[1]
-    low, high = mean - 2 * band, mean + 2 * band
-    return {"of": term["of"], "axis": axis.name, "at": at, "mean": mean, "low": low, "high": high}
-
-
-def _binned(x: FloatArray, y: FloatArray, bins: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centres, means and standard deviations of y in bins of x, sparse ones left out.
-
-    Half of the edges are quantiles and half are evenly spaced: rest and steady speed hold most samples, yet the way
-    between them is where the shape is.
-    """
-    known = np.isfinite(x) & np.isfinite(y)
-    x, y = x[known], y[known]
-    if x.size == 0:
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    shares = np.linspace(0, 1, bins // 2 + 1)
-    edges = np.unique(np.concatenate([np.quantile(x, shares), x.min() + shares * np.ptp(x)]))
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
-    count = np.bincount(index)
-    full = count >= _FEWEST
-    total = np.maximum(count, 1)
-    centre, mean, square = (np.bincount(index, weights=w) / total for w in (x, y, y**2))
-    return centre[full], mean[full], np.sqrt(np.maximum(square - mean**2, 0.0))[full]
+    shown = term_curves.binned(axis.values, term["value"], _BINS)
+    band = shown.scatter if term["std"] is None else term_curves.binned(axis.values, term["std"], _BINS).mean
+    low, high = shown.mean - 2 * band, shown.mean + 2 * band
+    return {"of": term["of"], "axis": axis.name, "at": shown.at, "mean": shown.mean, "low": low, "high": high}
 
 
 def _spectra(comparison: Comparison) -> Iterator[dict[str, Any]]:

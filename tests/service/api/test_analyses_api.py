@@ -208,6 +208,44 @@ def test_explain_takes_curves_and_forgotten_inputs(client, refused, leaking_tank
     assert refused("POST", "/api/v1/models/tank/explain", json=asked | {"seconds": 0})[0] == 422
 
 
+DRAINED = (
+    TANK.replace("name: tank", "name: drained")
+    + """
+own_effects:
+  - id: half-drain
+    title: A drain that opens above the middle
+    acts_on: [volume]
+    term: -c * max(level - m, 0)
+    parameters:
+      c: {value: 0, unit: m**2/s, lower: 0, size: true, meaning: outflow per height}
+      m: {value: 2.0, unit: m, lower: 0, meaning: height of the opening}
+    reference: a measurement of the test
+"""
+)
+
+
+def test_effects_that_a_model_file_defines_are_proposed_and_added(client, refused, tmp_path):
+    rng = np.random.default_rng(8)
+    inflow, level = np.repeat(rng.uniform(0, 1.0, 60), 25), [2.0]
+    for flow in inflow[:-1]:
+        level.append(level[-1] + (flow - 0.8 * max(level[-1] - 1.5, 0.0)) / 28.0)
+    level = np.array(level) + 0.002 * rng.standard_normal(len(level))
+    number = upload(
+        client, Record({"inflow": inflow, "level": level}, {"inflow": "l/s", "level": "m"}, 1.0), tmp_path / "drained.csv"
+    )
+    assert client.post("/api/v1/models", params={"name": "drained"}, content=DRAINED.encode()).status_code == 201
+    asked = {"records": [number], "effects": ["half-drain", "forgotten-input"]}
+    job = result(client, client.post("/api/v1/models/drained/explain", json=asked))
+    assert job["state"] == "done", job
+    assert job["result"]["candidates"][0]["effect"] == "half-drain"
+    job = result(client, client.post("/api/v1/models/drained/improve", json={"records": [number], "add": ["half-drain"]}))
+    assert job["state"] == "done", job
+    values = read_model(job["result"]["file"]).values
+    assert values["half-drain@tank.c"] == pytest.approx(0.8e-3, rel=0.05)  # [m**2/s]; the model is in litres
+    assert values["half-drain@tank.m"] == pytest.approx(1.5, rel=0.05)
+    assert refused("POST", "/api/v1/models/linear-axis/explain", json=asked)[0] == 404  # another model's
+
+
 def test_an_improvement_names_its_effects_or_leaves_them_to_explain(refused, axis_with_friction):
     path, records = "/api/v1/models/linear-axis/improve", {"records": [axis_with_friction]}
     for body in ({}, {"add": ["coulomb-friction"], "auto": True}, {"add": ["coulomb-friction,backlash"]}):

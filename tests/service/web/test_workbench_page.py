@@ -87,6 +87,11 @@ def test_a_stranger_mends_a_model(service, open_page, drive_file, tmp_path):
     page.get_by_role("tab", name="Why").click()
     expect(page.get_by_text("Most probably Coulomb friction in shaft")).to_be_visible(timeout=LONG_WORK)
     expect(page.locator("table").first).to_contain_text("tau_c = 0.0")
+    by_block = page.get_by_label("Error of speed on unseen blocks")
+    expect(by_block.locator(".legendtext", has_text="with Coulomb friction")).to_be_visible(timeout=LONG_WORK)
+    page.locator("[data-key=output]").select_option("current")
+    by_block = page.get_by_label("Error of current on unseen blocks")
+    expect(by_block.locator(".legendtext", has_text="the model as it is")).to_be_visible(timeout=LONG_WORK)
     expect(page.locator(".cloud .legendtext", has_text="coulomb-friction")).to_be_visible(timeout=LONG_WORK)
 
     page.get_by_role("button", name="Add coulomb-friction to shaft").click()
@@ -325,6 +330,28 @@ def test_a_search_for_effects_shows_how_far_it_is_and_can_be_ended(service, open
     assert ended.value.json()["id"] == started[-1] and ended.value.json()["state"] in ("cancelled", "done")
     expect(page.get_by_text("Cancelled.")).to_be_visible()
     expect(page.get_by_role("button", name="Try again")).to_be_visible()
+
+
+def test_where_no_effect_has_the_shape_learned_curves_are_tried(service, open_page, drive_file):
+    """The friction is left out of what may be proposed; the second search is asked for with curves among the candidates."""
+    upload = httpx.post(
+        f"{service.url}/api/v1/records", params={"filename": "drive.csv"}, content=drive_file.read_bytes(), timeout=60
+    )
+    bench = f"records={upload.json()['id']}&model=gate-drive&map=%7B%22voltage%22%3A%22motor+voltage%22%7D"
+    page, asked = open_page(f"{service.url}/#/workbench?{bench}&step=record"), []
+
+    def without_friction(route):
+        asked.append(route.request.post_data_json)
+        route.continue_(post_data=json.dumps(asked[-1] | {"effects": ["position-load"], "learned": False}))
+
+    page.route("**/explain", without_friction)
+    page.get_by_role("tab", name="Why").click()
+    learn = page.get_by_role("button", name="Try learned curves")
+    expect(learn).to_be_visible(timeout=LONG_WORK)
+    learn.click()
+    expect(page.get_by_text("The structured error has a shape")).to_be_visible(timeout=LONG_WORK)
+    expect(learn).not_to_be_visible()
+    assert [each.get("learned", False) for each in asked] == [False, True]
 
 
 def test_hostile_names_of_records_channels_and_units_are_shown_as_text(service, open_page, fits, tmp_path):

@@ -49,7 +49,7 @@ PLAIN_SHIFT = 4.0
 """Standard deviations from zero at which a shift in time must lie to stay in a model. Chosen."""
 MOST_TOGETHER = 8
 """Choices among effects that cannot be told apart that are tried together at most. Chosen."""
-EXACT_WORK = 1_000_000_000
+EXACT_WORK = 400_000_000
 """[samples] In which an exact structure has to be found. Chosen."""
 EXACT_TIME = 0.4
 """Part of the seconds that a user gives in which it has to be found. Chosen."""

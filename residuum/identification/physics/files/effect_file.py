@@ -13,6 +13,7 @@
 
 `term` is added to the balance and may name its variables by role (position, velocity, current, temperature, ambient, level,
 supply), the effect's parameters and states; `signal` is, for an input or output, what becomes of it, and names it `signal`.
+The equation is in SI units of its kind of balance (a volume balance in m**3/s, its level in m), whatever the model has.
 Parameters with `size: true` vanish with the effect. `states` is a mapping of name to `{unit, rate, start}`.
 """
 
@@ -35,6 +36,7 @@ from residuum.identification.physics.files.dimension import dimension_of, dimens
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import BALANCE_KINDS
+from residuum.identification.units import compatible, convert
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -89,14 +91,18 @@ class WrittenEffect(Effect):
         return {name: state.unit for name, state in self._states.items()}
 
     def contribution(self, scene: Scene) -> Contribution:
-        """The equation in the scene's symbols; `sign(velocity)` is exact at standstill."""
-        names = {**scene.variables, **scene.p, **scene.x, "signal": scene.signal}
+        """The equation in the scene's symbols; `sign(velocity)` is exact at standstill.
+
+        The file is written in SI units: what a model has in others (litres, degrees) is converted on its way in and out.
+        """
+        variables = {role: _in_si(role, value, scene.site) for role, value in scene.variables.items()}
+        names = {**variables, **scene.p, **scene.x, "signal": scene.signal}
         signs = {role: scene.direction for role in ("velocity", "current") if role in scene.variables}
         value = symbolic(self._equation.tree, names, signs)
         rates = {n: symbolic(s.rate.tree, names, signs) for n, s in self._states.items()}
         initial = {n: symbolic(s.start.tree, names, signs) for n, s in self._states.items()}
         if self.place == "balance":
-            return Contribution(term=value, rates=rates, initial=initial)
+            return Contribution(term=value * _of_si(scene.site), rates=rates, initial=initial)
         return Contribution(signal=value, rates=rates, initial=initial)
 
     def starts(self, conditions: Conditions) -> Sequence[Mapping[str, float]]:
@@ -258,6 +264,21 @@ def _check_units(what: str, equation: Expression, definition: Mapping[str, Any])
     expected = dimension_of_unit(BALANCE_KINDS[kind][0])
     if kind != "signal" and not dimension.agrees(expected):
         raise equation.place.refuse(f"{what}: the term is in {dimension}; a {kind} balance is in {expected}")
+
+
+def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
+    """A variable of the model in the unit in which definitions have its role; as it is where that is not known."""
+    unit, own = site.units.get(role, ""), _ROLES.get(role, {}).get(site.kind, "")
+    if not (unit and own) or not compatible(unit, own):
+        return value
+    zero, one = convert([0.0, 1.0], unit, own)
+    return value if (zero, one) == (0.0, 1.0) else float(zero) + float(one - zero) * value
+
+
+def _of_si(site: Site) -> float:
+    """The unit of definitions for this kind of balance, in the model's; 1 where those do not convert."""
+    own = BALANCE_KINDS[site.kind][0] if site.kind in BALANCE_KINDS else ""
+    return float(convert(1.0, own, site.unit)) if own and compatible(own, site.unit) else 1.0
 
 
 def _parameter(name: str, entry: Mapping[str, Any]) -> Parameter:

@@ -1,5 +1,6 @@
 // Step 4: which effect is missing? Ranked candidates with sizes, their curves over the cloud, and what would tell more.
 
+import { blockErrorsChart, drawBlockErrors } from "../charts/block_errors.js";
 import { cloudChart, drawCloud } from "../charts/cloud.js";
 import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
@@ -47,7 +48,7 @@ function drawExplanation(body, bench, explanation, effects) {
     leading && explanation.verdict === "missing-effect"
       ? `${effects.get(leading.effect)?.title ?? leading.effect} in ${leading.balance}`
       : null;
-  const places = { cloud: h("div") };
+  const places = { blocks: h("div"), cloud: h("div") };
   show(
     body,
     h(
@@ -98,9 +99,11 @@ function drawExplanation(body, bench, explanation, effects) {
         : h("p", { class: "empty" }, "No effect of the catalogue lowers the error."),
     ),
     notes(explanation, effects),
+    places.blocks,
     places.cloud,
     advice(explanation, effects),
   );
+  if (explanation.blocks) drawErrors(places.blocks, bench, explanation.blocks, effects);
   drawCurves(places.cloud, bench, candidates).catch((problem) => {
     if (problem.name !== "AbortError") notify(problem.message);
   });
@@ -256,6 +259,35 @@ function ranking(candidates, effects, bench) {
   );
 }
 
+// When the model fails, and what each candidate would take away there.
+function drawErrors(place, bench, blocks, effects) {
+  const names = blocks.outputs.map((each) => each.output);
+  const name = names.includes(bench.shown.output) ? bench.shown.output : names[0];
+  const chart = blockErrorsChart(`Error of ${name} on unseen blocks`);
+  const again = (chosen) => {
+    bench.show({ output: chosen });
+    drawErrors(place, bench, blocks, effects);
+  };
+  const controls = names.length > 1 ? h("div", { class: "controls" }, choice("output", names, name, again)) : null;
+  show(
+    place,
+    h(
+      "section",
+      { class: "panel" },
+      h("header", {}, h("h2", {}, "Error over time, on blocks that no fit has seen"), controls),
+      h("div", { class: "body" }, chart),
+    ),
+  );
+  return drawBlockErrors(chart, blocks, name, effects);
+}
+
+// One of several names; `choose` is told the chosen one.
+function choice(label, values, value, choose) {
+  const onchange = (event) => choose(values[event.target.selectedIndex]);
+  const options = values.map((each) => h("option", { selected: each === value }, each));
+  return h("label", {}, label, h("select", { "data-key": label, onchange }, options));
+}
+
 async function drawCurves(place, bench, candidates) {
   const stop = new AbortController();
   bench.leaving.push(() => stop.abort());
@@ -276,22 +308,10 @@ async function drawCurves(place, bench, candidates) {
     const axis = axes.includes(bench.shown.axis) ? bench.shown.axis : naturalAxis(view);
     const chart = cloudChart(`Candidates in ${balance} against ${axis}`);
     const choose = (label, values, value, key) =>
-      h(
-        "label",
-        {},
-        label,
-        h(
-          "select",
-          {
-            "data-key": label,
-            onchange: (event) => {
-              bench.show({ [key]: values[event.target.selectedIndex] });
-              drawPanel();
-            },
-          },
-          values.map((each) => h("option", { selected: each === value }, each)),
-        ),
-      );
+      choice(label, values, value, (chosen) => {
+        bench.show({ [key]: chosen });
+        drawPanel();
+      });
     show(
       place,
       h(

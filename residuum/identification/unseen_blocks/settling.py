@@ -1,0 +1,53 @@
+"""The unit of the error: nats of noise, once what a structure leaves is noise alike all along the records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.residual_analysis.noise_floor import times_the_noise
+from residuum.identification.unseen_blocks.judged import Judged, judged
+from residuum.identification.unseen_blocks.looks import Court
+from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN
+from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise
+from residuum.identification.unseen_blocks.structure import fitted
+
+Array = npt.NDArray[np.float64]
+
+
+def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
+    """The court in nats and the structure judged there, where what it leaves is noise alike all along the records; None
+    otherwise.
+    """
+    last, data = court.last, court.data
+    found = fitted(best.model, last.parts, best.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
+    scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    for turn in range(3):  # outputs weighed by their own errors, then these whitened
+        if found is None or scale is None:
+            return None
+        states = best.structure.at(last, found).states[last.windows]
+        scale = replace(scale, filters=None) if turn == 0 else scale
+        found = fitted(found.model, last.parts, states, scale, steps=12, tolerance=1e-5)
+        scale = None if found is None else of_noise(found.residuals, last, data.measured)
+    if found is None or scale is None:
+        return None
+    times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
+    if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
+        return None
+    scale = clipped(scale, found.residuals, last)
+    in_nats = judged(best.structure.at(last, found), found, last, data, scale)
+    return None if in_nats is None else (replace(court, scale=scale), in_nats)
+
+
+def _unevenness(residuals: Sequence[Array], scale: Scale, court: Court) -> float:
+    """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
+    starts, measured = court.last.starts.tolist(), court.data.measured
+    white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]
+    block = court.last.block
+    n = np.bincount(block, minlength=court.data.blocks)
+    powers = [np.bincount(block, weights=column**2, minlength=len(n))[n > 0] / n[n > 0] for column in white.T]
+    scatter = np.sqrt(2.0 / n[n > 0].mean())
+    return max(float(np.std(np.log(np.maximum(p, 1e-300)), ddof=1) / scatter) for p in powers)
