@@ -15,7 +15,9 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
-from residuum.library.identification_methods import METHODS, Request, check_method, with_uncertainty
+from residuum.library.identification_methods import Request, check_method, identified_by, with_uncertainty
+from residuum.library.model_assumptions import Assumptions, assumptions
+from residuum.library.model_assumptions import told as told_assumptions
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
@@ -43,6 +45,8 @@ class Plant(Result):
         `kernel`, `ridge`, `lasso`, `ar`, `arx`, `fir`, `armax`, `oe` or `bj`.
     estimation, held_out : tuple of Record
         What it was identified from, and what the records' split notes kept.
+    assumptions : Assumptions or None
+        What the records say of integrators, feedback and dead time, and data kept aside of the fit.
 
     Examples
     --------
@@ -56,6 +60,7 @@ class Plant(Result):
     method: str
     estimation: tuple[MeasuredRecord, ...] = ()
     held_out: tuple[MeasuredRecord, ...] = ()
+    assumptions: Assumptions | None = None
 
     @property
     def impulse_response(self) -> npt.NDArray[np.float64]:
@@ -149,7 +154,8 @@ class Plant(Result):
         return f"{model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
 
     def _answer(self) -> dict[str, Any]:
-        return identification_json(self.identified, self.method, self.estimation, self.held_out)
+        answer = identification_json(self.identified, self.method, self.estimation, self.held_out)
+        return answer | {"assumptions": None if self.assumptions is None else self.assumptions.to_dict()}
 
     def __str__(self) -> str:
         return identification_text(self.identified, self._answer())
@@ -183,6 +189,7 @@ def identify(
     criterion: str = "bic",
     uncertainty: str = "own",
     noise_bound: float | None = None,
+    integrator: bool = False,
     progress: Progress = None,
 ) -> Plant:
     """A linear model from one channel to another, with the covariance of its estimate.
@@ -213,12 +220,16 @@ def identify(
         `model-error`, `set-membership` or `stochastic-embedding`.
     noise_bound : float
         Largest noise of `set-membership` [output unit]; None: 1.1 times the smallest possible.
+    integrator : bool
+        The plant integrates: identify from the summed input, and put a pole at one behind.
     progress : callable or bool
         As in `Model.explain`.
 
     Returns
     -------
     Plant
+        Its warnings say when the record speaks of an integrator, feedback or a dead time that the model does not have, and when
+        data kept aside (the last 30 % where no note splits the record) do not bear it out; no controller is designed then.
 
     Raises
     ------
@@ -235,7 +246,9 @@ def identify(
     True
     """
     check_method(method, criterion, uncertainty, input)
-    request = Request(input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound)
+    request = Request(
+        input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound, integrator
+    )
     with told(progress) as tell:
         return identified(as_records(records), request, method, tell)
 
@@ -273,9 +286,13 @@ def identified(records: Sequence[MeasuredRecord], request: Request, method: str,
     """The plant that a method finds; each record's part after its split note is kept for validation."""
     estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
-    model = with_uncertainty(METHODS[method](estimation, request), held_out or estimation, request)
+    model = with_uncertainty(identified_by(method, estimation, request), held_out or estimation, request)
+    if not model.input_name:
+        return Plant(model, method, estimation, held_out)
+    tell(0.6, "testing what the model assumes")
+    found = assumptions(model, method, request, estimation, records)
     tell(0.9, "simulating beside the records")
-    return Plant(model, method, estimation, held_out)
+    return Plant(told_assumptions(model, method, found), method, estimation, held_out, found)
 
 
 def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:

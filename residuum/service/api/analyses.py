@@ -107,6 +107,9 @@ class Identification(BaseModel, extra="forbid"):
         "own", description="How far to trust the model: by its own covariance, or by an error model from the part kept aside."
     )
     noise_bound: float | None = Field(None, gt=0, le=1e300, description="Largest noise of set-membership [output unit].")
+    integrator: bool = Field(
+        False, description="The plant integrates: identify from the summed input, with a pole at one behind."
+    )
     save_as: SaveAs = None
 
 
@@ -226,6 +229,7 @@ def identify(request: Request, running: Running, asked: Identification) -> Respo
         offset=True,
         uncertainty=asked.uncertainty,
         noise_bound=asked.noise_bound,
+        integrator=asked.integrator,
     )
     keep = _keep(request, running, asked.save_as, "identified")
     return accepted(running.jobs.submit("identify", analyses.identify, records, wanted, asked.method, then=keep))

@@ -65,6 +65,10 @@ def identify(
     no_offset: Annotated[
         bool, typer.Option("--no-offset", help="Fit no constant level, because the signals are deviations already.")
     ] = False,
+    integrator: Annotated[
+        bool,
+        typer.Option("--integrator", help="The plant integrates: identify from the summed input, with a pole at one behind."),
+    ] = False,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -80,7 +84,9 @@ def identify(
         check_output_file(out)
     noise, offset = _noise_variance(noise_variance), not no_offset
     first = inputs[0] if inputs else ""
-    request = Request(first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound)
+    request = Request(
+        first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound, integrator
+    )
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
@@ -98,8 +104,10 @@ def _several(
     records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str], request: Request, method: str, out: Path | None
 ) -> dict[str, Any]:
     """One kernel model of every path; what belongs to single paths alone is refused."""
-    if method != "kernel" or request.uncertainty != "own" or request.delay is None:
-        raise BadInput("several inputs or outputs: need the method kernel, a delay in samples, and the model's own uncertainty")
+    if method != "kernel" or request.uncertainty != "own" or request.delay is None or request.integrator:
+        raise BadInput(
+            "several inputs or outputs: need the method kernel, a delay in samples, the model's own uncertainty and no integrator"
+        )
     estimation, held_out = split_records(records)
     order = LAGS if request.order is None else request.order
     model = identify_multivariable(
