@@ -10,7 +10,7 @@ import numpy as np
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.error_models import ERROR_MODELS
+from residuum.identification.linear_models.error_models import ERROR_MODELS, likeliest_embedding
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import integrated, summed_input
 from residuum.identification.linear_models.plant_tests.dead_time import dead_time
@@ -19,6 +19,7 @@ from residuum.identification.linear_models.plant_tests.long_autoregression impor
 from residuum.identification.linear_models.prediction_error import CRITERIA, STRUCTURES, Orders
 from residuum.identification.linear_models.prediction_error import identify as identify_prediction_error
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES, identify_regularised
+from residuum.identification.linear_models.set_membership_response import identify_set_membership
 from residuum.identification.record import Record
 
 __all__ = [
@@ -61,6 +62,7 @@ class Request:
     uncertainty: str = "own"
     noise_bound: float | None = None
     integrator: bool = False
+    check: bool = False
 
 
 def identified_by(method: str, records: Sequence[Record], request: Request) -> IdentifiedModel:
@@ -158,9 +160,29 @@ def _parametric(structure: str) -> Callable[[Sequence[Record], Request], Identif
     return identify_structure
 
 
+def _set_membership(records: Sequence[Record], request: Request) -> IdentifiedModel:
+    delay = _delay(records, request)
+    return identify_set_membership(
+        records,
+        request.input,
+        request.output,
+        order=request.order,
+        delay=delay,
+        noise_bound=request.noise_bound,
+        offset=request.offset,
+    )
+
+
+def _stochastic_embedding(records: Sequence[Record], request: Request) -> IdentifiedModel:
+    delay = _delay(records, request)
+    return likeliest_embedding(records, request.input, request.output, delay=delay, order=request.order, offset=request.offset)
+
+
 METHODS: dict[str, Callable[[Sequence[Record], Request], IdentifiedModel]] = {
     "kernel": _kernel,
     **{penalty: _penalised(penalty) for penalty in PENALTIES},
+    "set-membership": _set_membership,
+    "stochastic-embedding": _stochastic_embedding,
     **{name: _parametric(name) for name in STRUCTURES},
 }
 """`ar` alone needs no input: it is the model of a time series."""
@@ -174,8 +196,8 @@ def with_uncertainty(model: IdentifiedModel, records: Sequence[Record], request:
     if request.integrator and request.uncertainty != "own":
         raise BadInput(f"uncertainty {request.uncertainty!r}: bounds errors that decay, which a plant that integrates has not")
     if request.uncertainty == "own":
-        if request.noise_bound is not None:
-            raise BadInput("noise bound: is used by the uncertainty set-membership alone")
+        if request.noise_bound is not None and model.method.split("-integrator")[0] != "set-membership":
+            raise BadInput("noise bound: is used by the uncertainty set-membership alone, and by the method of that name")
         return model
     if not model.input_name:
         raise BadInput(f"uncertainty {request.uncertainty!r}: needs a model with an input; a time series has none")

@@ -15,6 +15,7 @@ from residuum.identification.linear_models.plant_tests.integrator import Integra
 from residuum.identification.linear_models.plant_tests.kept_aside import KEPT_ASIDE, KeptAside, kept_aside
 from residuum.identification.linear_models.plant_tests.long_autoregression import LONG_REACH, long_autoregression
 from residuum.identification.linear_models.prediction_error import STRUCTURES
+from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
 from residuum.identification.record import Record
 from residuum.library.identification_methods import LAGS, NOISE_MODELLED, Request, identified_by
 
@@ -58,17 +59,11 @@ class Assumptions:
 
 
 def assumptions(
-    model: IdentifiedModel, method: str, request: Request, estimation: Sequence[Record], whole: Sequence[Record]
+    model: IdentifiedModel, method: str, request: Request, estimation: Sequence[Record], parts: Sequence[Part]
 ) -> Assumptions:
-    """Test the records of a model with an input.
-
-    Parameters
-    ----------
-    estimation, whole : sequence of Record
-        What the model was identified from, and the same with what a split note kept aside behind it.
-    """
+    """Test the records that a model with an input was identified from, and the model on `parts_kept_aside`."""
     integrator, feedback, dead = _plant(estimation, request, model.delay)
-    aside = _aside(model, method, request, estimation, whole)
+    aside = _aside(parts)
     late = dead is not None and dead > _last_input_lag(model, method, request) and any(part.fails for part in aside)
     return Assumptions(integrator, feedback, dead, aside, late)
 
@@ -134,27 +129,46 @@ def _plant(
     return integrator_test(regression), feedback_test(regression), dead
 
 
-def _aside(
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A model, and the samples of a record from `first` on, which it has not seen."""
+
+    model: IdentifiedModel
+    record: Record
+    first: int
+
+
+def parts_kept_aside(
     model: IdentifiedModel, method: str, request: Request, estimation: Sequence[Record], whole: Sequence[Record]
-) -> tuple[KeptAside, ...]:
-    """Of the parts that split notes kept, or of the last part of every record by a fit of the first."""
+) -> tuple[Part, ...]:
+    """What split notes kept, with the model; without notes the last part of every record, with a fit of the first.
+
+    That fit has the model's delay and order. None where the first part is too short for it.
+    """
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
         first = [record.window(0, cut) for record, cut in zip(whole, cuts, strict=True)]
         try:
-            again = replace(request, delay=model.delay, order=_input_lags(model, method, request))
-            judged = identified_by(method, first, again)
+            judged = identified_by(method, first, as_before(model, method, request))
         except BadInput:
             return ()
+    return tuple(Part(judged, record, cut) for record, cut in zip(whole, cuts, strict=True) if cut < record.n)
+
+
+def as_before(model: IdentifiedModel, method: str, request: Request) -> Request:
+    """The request with the delay and the order that the model was found with, for another fit of the same kind."""
+    return replace(request, delay=model.delay, order=_input_lags(model, method, request))
+
+
+def _aside(parts: Sequence[Part]) -> tuple[KeptAside, ...]:
     found = []
-    for record, cut in zip(whole, cuts, strict=True):
-        if cut < record.n:
-            try:
-                found.append(kept_aside(judged, record, cut))
-            except BadInput:
-                continue  # a part too short to have a fit says nothing
+    for part in parts:
+        try:
+            found.append(kept_aside(part.model, part.record, part.first))
+        except BadInput:
+            continue  # a part too short to have a fit says nothing
     return tuple(found)
 
 
@@ -165,6 +179,8 @@ def _last_input_lag(model: IdentifiedModel, method: str, request: Request) -> in
 
 def _input_lags(model: IdentifiedModel, method: str, request: Request) -> int:
     """How many input coefficients the model has; the order of a parametric method."""
-    if "orders" not in model.provenance or method not in STRUCTURES:
+    if method in PENALTIES:  # those at the end that a penalty made zero are coefficients, too
         return LAGS if request.order is None else request.order
+    if method not in STRUCTURES:
+        return model.order
     return int(re.findall(r"nb = (\d+)", str(model.provenance["orders"]))[0])
