@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.multivariable import identify_multivariable
 from residuum.identification.kernel_based.multivariable_file import load_multivariable, multivariable_text
 from residuum.identification.record import Record
@@ -92,3 +92,17 @@ def test_nothing_is_added_where_all_paths_have_decayed():
     model = identify_multivariable(plant(5, mixing=0.0), ["valve", "heater"], ["level", "temperature"], order=100)
     assert model.longer == (None, None)
     np.testing.assert_array_equal(model.sample_longer(3, 0), model.sample(3, 0))
+
+
+@pytest.mark.parametrize("third", [False, True])
+def test_inputs_that_move_as_one_are_named_and_refused(third):
+    record = plant(6, mixing=0.0)
+    valve, heater = record["valve"], record["heater"]
+    copied = {"copy": 2.0 * valve - (3.0 * heater if third else 0.0)}
+    joined = Record({**record.channels, **copied}, {**record.units, "copy": "V"}, 2.0)
+    named = "'valve' and 'heater' and 'copy'" if third else "'valve' and 'copy'"
+    with pytest.raises(NotIdentifiable, match=f"inputs {named} move as one .* leave one out, or record them moving apart"):
+        identify_multivariable(joined, ["valve", "heater", "copy"], ["level"], order=10)
+    nearly = joined.channels["copy"] + 0.01 * np.random.default_rng(0).standard_normal(record.n)
+    apart = Record({**record.channels, "copy": nearly}, joined.units, 2.0)
+    assert identify_multivariable(apart, ["valve", "heater", "copy"], ["level"], order=10).inputs[2] == "copy"

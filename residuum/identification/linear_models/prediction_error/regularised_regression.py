@@ -119,7 +119,10 @@ def identify_regularised(
     data = signals(records, input, output, offset=offset)
     where = records[0].source or "record"
     if min(len(y) for _, y in data.pairs) < orders.memory + 10:
-        raise NotIdentifiable(f"{where}: every record needs {orders.memory + 10} samples, ten beyond the reach of the regressor")
+        raise NotIdentifiable(
+            f"{where}: every record needs {orders.memory + 10} samples, ten beyond the reach of the regressor; record longer, or "
+            "take a smaller order"
+        )
     phi, target = regression(data, orders)
     splits = _splits(data, orders, folds) if strength is None else []
     with one_thread_if_small(phi.shape[1]):

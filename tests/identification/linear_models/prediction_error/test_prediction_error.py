@@ -171,3 +171,10 @@ def test_a_model_that_hardly_knows_its_parameters_has_a_covariance_still(tmp_pat
     np.testing.assert_array_equal(load_identified(tmp_path / "m.json").covariance, model.covariance)
     np.testing.assert_array_equal(model.covariance, model.covariance.T)
     np.testing.assert_array_equal(model.parameter_covariance, model.parameter_covariance.T)
+
+
+def test_a_channel_without_a_sample_is_not_sent_to_another_method():
+    record = simulated("arx", 0, n=200)
+    empty = Record({"u": record["u"], "y": np.full(200, np.nan)}, {"u": "V", "y": "m"}, 0.1)
+    with pytest.raises(BadRecord, match="'y': has no sample; take a channel that was recorded"):
+        identify(STRUCTURES["arx"], [empty], "u", "y", order=1)
