@@ -35,7 +35,8 @@ UNTIMELY = ("seconds", "version", "elapsed", "started", "finished", "submitted",
 """Names of members whose values are times of the clock, durations of the work, or versions; so are those with these endings."""
 ROUNDING = 1e-6
 """Relative difference up to which a number differs by rounding."""
-_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?|\b\d+(\.\d+)? s\b"
+_TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?|(?<=, )\d+(\.\d+)? s$|(?<=\()\d+(\.\d+)? s(?=\))"
+"""Times of the clock, and seconds that close a text or stand alone in brackets, the work's; `settling 12 s` is an answer."""
 RUN = "from residuum.service.cli import main; main()"
 PATIENCE = 600.0
 
@@ -165,22 +166,27 @@ def differences(old: Any, new: Any, place: str = "") -> Iterator[tuple[str, str]
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for k, (one, other) in enumerate(zip(old, new, strict=True)):
             yield from differences(one, other, f"{place}[{k}]")
+    elif isinstance(old, bool) is not isinstance(new, bool):  # true == 1 in Python, and in no answer
+        yield "other", place
     elif old != new and without_times(without_places(old)) != without_times(without_places(new)):
         yield ("rounding" if alike(old, new) else "other"), place
 
 
 def _of_members(old: Answer, new: Answer, place: str) -> Iterator[tuple[str, str]]:
-    for name in (name for name in old.keys() | new.keys() if not untimely(name)):
+    for name in old.keys() | new.keys():
         where = f"{place}.{name}"
+        if untimely(name, old.get(name), new.get(name)):
+            continue
         if name not in old or name not in new:
             yield ("more" if name in new else "less"), where
         else:
             yield from differences(old[name], new[name], where)
 
 
-def untimely(name: str) -> bool:
-    """Whether a member of this name is a time, a duration or a version."""
-    return name in UNTIMELY or name.endswith(tuple(f"_{word}" for word in UNTIMELY)) or name.endswith("_at")
+def untimely(name: str, *values: Any) -> bool:
+    """Whether a member of this name is a time, a duration or a version by its values, too; `falsified_at: [0.3]` is an answer."""
+    named_so = name in UNTIMELY or name.endswith(tuple(f"_{word}" for word in UNTIMELY)) or name.endswith("_at")
+    return named_so and not any(isinstance(value, list | dict | bool) for value in values)
 
 
 def without_times(value: Any) -> Any:
@@ -200,18 +206,18 @@ def alike(old: Any, new: Any) -> bool:
 
 
 def judged(old: Answer, new: Answer) -> tuple[str, list[str]]:
-    """The heaviest kind of difference of one case, and its places."""
+    """The heaviest kind of difference of one case, and its places; those of what changed and of what is gone together."""
     found = sorted(differences(old, new))
-    for kind in ("other", "less", "rounding", "more"):
-        if places := [place for other, place in found if other == kind]:
-            return kind, places
+    for kinds in (("other", "less"), ("rounding",), ("more",)):
+        if places := [place for kind, place in found if kind in kinds]:
+            return next(kind for kind in kinds if any(kind == one for one, _ in found)), places
     return "same", []
 
 
 def on_purpose(name: str, kind: str, places: list[str], changes: list[Mapping[str, str]]) -> str:
     """Why an answer was changed, where a change that is listed explains every place; empty where none does."""
     fitting = [change for change in changes if re.search(change["case"], name)]
-    fits = all(any(re.search(change.get("place", ""), place) for change in fitting) for place in places)
+    fits = all(any(re.search(change["place"], place) for change in fitting) for place in places)
     return "; ".join(dict.fromkeys(change["why"] for change in fitting)) if fitting and fits else ""
 
 

@@ -8,6 +8,7 @@ from plotly.offline import get_plotlyjs
 
 from reproduction.check import Check
 from reproduction.item import Item
+from reproduction.tolerances import TOLERANCES
 
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#1a1f26}
@@ -64,8 +65,13 @@ def _section(item: Item) -> str:
     return (
         f"<h2 id='{_anchor(item)}'>{escape(item.where)}: {escape(item.title)}</h2><p class='source'>Source: "
         f"{escape(item.source)}</p>"
-        f"<p>{_coloured(item.word)}</p>{_checks(item.checks)}{reason}{_table(item.rows)}{figures}"
+        f"<p>{_coloured(item.word)}</p>{_checks(item.checks)}{_allowed(item)}{reason}{_table(item.rows)}{figures}"
     )
+
+
+def _allowed(item: Item) -> str:
+    """Why the checks allow what they allow."""
+    return f"<p>What is allowed: {escape(TOLERANCES.get(item.where, ''))}</p>" if item.where in TOLERANCES else ""
 
 
 def _checks(checks: Sequence[Check]) -> str:

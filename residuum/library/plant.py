@@ -11,11 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
-from residuum.library.identification_methods import METHODS, Request, check_method, with_uncertainty
+from residuum.library.identification_methods import Request, check_method, identified_by, with_uncertainty
+from residuum.library.model_assumptions import Assumptions, assumptions, parts_kept_aside
+from residuum.library.model_assumptions import told as told_assumptions
+from residuum.library.model_check import ModelCheck, model_check
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
@@ -40,9 +44,14 @@ class Plant(Result):
     identified : IdentifiedModel
         Impulse response with covariance, noise variance, numerator and denominator of a parametric method.
     method : str
-        `kernel`, `ridge`, `lasso`, `ar`, `arx`, `fir`, `armax`, `oe` or `bj`.
+        `kernel`, `ridge`, `lasso`, `elastic-net`, `set-membership`, `stochastic-embedding`, `ar`, `arx`, `fir`, `armax`, `oe` or
+        `bj`.
     estimation, held_out : tuple of Record
         What it was identified from, and what the records' split notes kept.
+    assumptions : Assumptions or None
+        What the records say of integrators, feedback and dead time, and data kept aside of the fit.
+    check : ModelCheck or None
+        Residual tests, model error model and bootstrap, where they were asked for.
 
     Examples
     --------
@@ -56,6 +65,8 @@ class Plant(Result):
     method: str
     estimation: tuple[MeasuredRecord, ...] = ()
     held_out: tuple[MeasuredRecord, ...] = ()
+    assumptions: Assumptions | None = None
+    check: ModelCheck | None = None
 
     @property
     def impulse_response(self) -> npt.NDArray[np.float64]:
@@ -149,10 +160,19 @@ class Plant(Result):
         return f"{model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
 
     def _answer(self) -> dict[str, Any]:
-        return identification_json(self.identified, self.method, self.estimation, self.held_out)
+        answer = identification_json(self.identified, self.method, self.estimation, self.held_out)
+        return answer | {
+            "assumptions": None if self.assumptions is None else self.assumptions.to_dict(),
+            "check": None if self.check is None else self.check.to_dict(),
+        }
 
     def __str__(self) -> str:
-        return identification_text(self.identified, self._answer())
+        return self.report(self._answer())
+
+    def report(self, answer: dict[str, Any]) -> str:
+        """The short human report of an answer of `to_dict`, which may name the model's file."""
+        text = identification_text(self.identified, answer)
+        return text if self.check is None else "\n".join([text, *self.check.lines()])
 
     def _rows(self) -> Sequence[Row]:
         model = self.identified
@@ -183,6 +203,8 @@ def identify(
     criterion: str = "bic",
     uncertainty: str = "own",
     noise_bound: float | None = None,
+    integrator: bool = False,
+    check: bool = False,
     progress: Progress = None,
 ) -> Plant:
     """A linear model from one channel to another, with the covariance of its estimate.
@@ -194,8 +216,9 @@ def identify(
     input, output : str
         Channels; the method `ar` takes no input.
     method : str
-        `kernel` (regularised impulse response), `ridge` or `lasso` (penalised FIR), `arx`, `fir`, `armax`, `oe`, `bj`, or `ar` (a
-        time series).
+        `kernel` (regularised impulse response), `ridge`, `lasso` or `elastic-net` (penalised FIR), `set-membership` (FIR from a
+        bound on the noise), `stochastic-embedding` (Laguerre functions and a random error), `arx`, `fir`, `armax`, `oe`, `bj`, or
+        `ar` (a time series).
     kernel : str
         Prior of the impulse response: `tc`, `dc`, `ss` or `di`.
     order : int
@@ -212,13 +235,20 @@ def identify(
         `own` (covariance of the estimate), or an error model from the part kept for validation (the same records without one):
         `model-error`, `set-membership` or `stochastic-embedding`.
     noise_bound : float
-        Largest noise of `set-membership` [output unit]; None: 1.1 times the smallest possible.
+        Largest noise of `set-membership`, method or uncertainty [output unit]; None: 1.1 times the smallest possible.
+    integrator : bool
+        The plant integrates: identify from the summed input, and put a pole at one behind.
+    check : bool
+        Test the residuals on data kept aside (white, free of the input, model error model) and estimate the error on new data by
+        the .632+ bootstrap of blocks; `Plant.check` holds both.
     progress : callable or bool
         As in `Model.explain`.
 
     Returns
     -------
     Plant
+        Its warnings say when the record speaks of an integrator, feedback or a dead time that the model does not have, and when
+        data kept aside (the last 30 % where no note splits the record) do not bear it out; no controller is designed then.
 
     Raises
     ------
@@ -235,7 +265,9 @@ def identify(
     True
     """
     check_method(method, criterion, uncertainty, input)
-    request = Request(input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound)
+    request = Request(
+        input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound, integrator, check
+    )
     with told(progress) as tell:
         return identified(as_records(records), request, method, tell)
 
@@ -273,9 +305,20 @@ def identified(records: Sequence[MeasuredRecord], request: Request, method: str,
     """The plant that a method finds; each record's part after its split note is kept for validation."""
     estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
-    model = with_uncertainty(METHODS[method](estimation, request), held_out or estimation, request)
+    model = with_uncertainty(identified_by(method, estimation, request), held_out or estimation, request)
+    if not model.input_name:
+        if request.check:
+            raise BadInput("check: needs a model with an input; a time series has none")
+        return Plant(model, method, estimation, held_out)
+    tell(0.6, "testing what the model assumes")
+    parts = parts_kept_aside(model, method, request, estimation, records)
+    found = assumptions(model, method, request, estimation, parts)
+    check = None
+    if request.check:
+        tell(0.7, "testing residuals and drawing blocks")
+        check = model_check(model, method, request, parts, estimation)
     tell(0.9, "simulating beside the records")
-    return Plant(model, method, estimation, held_out)
+    return Plant(told_assumptions(model, method, found), method, estimation, held_out, found, check)
 
 
 def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:

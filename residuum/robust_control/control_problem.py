@@ -141,7 +141,7 @@ class ControlProblem:
     Raises
     ------
     BadInput
-        No model, different sample times, an uncertainty of over 100 % at the lowest frequency.
+        No model, one that is unfit for control, different sample times, an uncertainty of over 100 % at the lowest frequency.
     """
 
     def __init__(
@@ -152,6 +152,7 @@ class ControlProblem:
         joined: IdentifiedModel | None = None,
         weight: WeightChoice | None = None,
     ) -> None:
+        _refuse_unfit([*models] if joined is None else [*models, joined])
         self.models, self.seed, self.joined, self.choice = tuple(models), seed, joined, weight or WeightChoice()
         mean = average_plant([*models] if joined is None else [*models, joined])  # refuses unequal sample times
         self.plant = mean if joined is None else joined.transfer_function()
@@ -253,6 +254,14 @@ class ControlProblem:
     def _robust_aim(self, wishes: Wishes) -> RobustAim:
         lowest = self.crossing / 1000.0 if wishes.lowest_critical_frequency is None else wishes.lowest_critical_frequency
         return RobustAim(wishes.low_gain_db, wishes.smallest_high_gain_db, lowest_critical_frequency=lowest, only=wishes.only)
+
+
+def _refuse_unfit(models: Sequence[IdentifiedModel]) -> None:
+    """Promise nothing for a model that its own record speaks against."""
+    for model in models:
+        if model.unfit:
+            which = f"model {model.method} from {model.input_name!r} to {model.output_name!r}"
+            raise BadInput(f"{which}: no controller is promised for it: {model.unfit[0]}")
 
 
 def critical_frequency(omega: FloatArray, magnitude: FloatArray) -> float:

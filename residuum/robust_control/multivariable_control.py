@@ -159,13 +159,18 @@ class MultivariableProblem:
         return taps
 
     def drawn(self, count: int, stream: int) -> FloatArray:
-        """Random plants, shape (count, p, q, length); another `stream`, others."""
-        return self._taps(self.model.sample(count, np.random.default_rng([self.seed, stream])))
+        """Random plants, shape (count, p, q, length); another `stream`, others. As long as the data can tell."""
+        return self._taps(self.model.sample_longer(count, np.random.default_rng([self.seed, stream])))
+
+    def _nominal_and(self, others: FloatArray) -> FloatArray:
+        """The nominal plant, its response ended by zeros, before the others."""
+        ended = np.pad(self.nominal, ((0, 0), (0, 0), (0, 0), (0, others.shape[3] - self.nominal.shape[3])))
+        return np.concatenate([ended, others])
 
     @cached_property
     def loops(self) -> tuple[DecoupledLoop, ...]:
         """The loops with their weights."""
-        plants = np.concatenate([self.nominal, self.drawn(self.choice.samples, 0)])
+        plants = self._nominal_and(self.drawn(self.choice.samples, 0))
         decoupled = np.einsum("npqm,qr->nprm", plants, self.decoupler)
         return tuple(self._loop(i, decoupled) for i in range(len(self.gains)))
 
@@ -215,7 +220,7 @@ class MultivariableProblem:
         n = max(round(_FOLLOWED * longest / self.sample_time), 4 * self.nominal.shape[3])
         count = _FIRST_PLANTS
         while True:
-            plants = np.concatenate([self.nominal, self.drawn(count, 1)])
+            plants = self._nominal_and(self.drawn(count, 1))
             seen = tuple(self._seen(found, plants, i, n) for i in range(len(self.gains)))
             if count >= _MOST_PLANTS or all(one.own.is_sure_of(SHARE, self.sample_time) for one in seen):
                 return seen

@@ -11,6 +11,7 @@ from reproduction.check import Check, at_least, at_most, near, same, within
 from reproduction.item import Item
 from reproduction.parts import PARTS, run
 from reproduction.report import summary, write_report
+from reproduction.tolerances import TOLERANCES
 
 GOOD = Check("gain", "1", "1", True)
 ITEM = Item("Fig. 1", "title", "source", [GOOD, replace(GOOD, name="peak")])
@@ -48,6 +49,13 @@ def test_every_figure_and_table_of_chapters_2_to_7_is_in_the_report():
     covered = {number for where in places for number in _numbers(where, "Fig.")}
     assert set(range(38, 88)) <= covered
     assert {5, 6, 7} <= {number for where in places for number in _numbers(where, "Table")}
+
+
+def test_every_place_that_is_measured_says_why_its_tolerances_are_what_they_are():
+    measured = {where for short in (True, False) for items in recorded(short).values() for where, names in items.items() if names}
+    assert measured <= set(TOLERANCES)
+    places = {where for items in recorded(short=False).values() for where in items}
+    assert set(TOLERANCES) <= places | {"Section 6.3"}  # real bearings, where their recordings are
 
 
 def _numbers(where, kind):

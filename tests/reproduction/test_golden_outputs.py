@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.golden import compare, differences
+from benchmarks.golden import compare, differences, judged, on_purpose
 
 CASE = "residuum effects --json"
 
@@ -43,3 +43,25 @@ def test_a_text_with_a_time_in_it_must_say_the_same_otherwise() -> None:
     begun = "begun 2026-01-02T03:04:05.123Z by anna"
     assert not list(differences(begun, "begun 2027-05-06T07:08:09.456Z by anna"))
     assert [kind for kind, _ in differences(begun, "begun 2027-05-06T07:08:09.456Z by otto")] == ["other"]
+
+
+def test_a_number_of_seconds_that_is_an_answer_counts() -> None:
+    assert [kind for kind, _ in differences("overshoot 1 %, settling 12 s: kept", "overshoot 1 %, settling 90 s: kept")] == [
+        "other"
+    ]
+    assert not list(differences("kept (12 s)", "kept (13 s)"))
+    assert [kind for kind, _ in differences({"falsified_at": [0.3]}, {"falsified_at": []})] == ["other"]
+    assert not list(differences({"created_at": "2026-01-01"}, {"created_at": "2026-01-02"}))
+
+
+def test_true_is_not_one() -> None:
+    assert [kind for kind, _ in differences({"passed": True}, {"passed": 1})] == ["other"]
+    assert not list(differences({"passed": True}, {"passed": True}))
+
+
+def test_what_is_gone_does_not_hide_behind_a_change_on_purpose() -> None:
+    kind, places = judged({"fit": 1.0, "gain": 2.0}, {"fit": 3.0})
+    assert (kind, sorted(places)) == ("other", [".fit", ".gain"])
+    change = {"case": "identify", "place": r"^\.fit$", "why": "another search"}
+    assert on_purpose("residuum identify", kind, [".fit"], [change]) == "another search"
+    assert not on_purpose("residuum identify", kind, places, [change])

@@ -11,12 +11,11 @@ import numpy.typing as npt
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.learning.object_wise_validation import Labels, Validation
 from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.bootstrap import weighed
 from residuum.identification.record import Record
 
 Fit = Callable[[Sequence[int]], Diagnoser]
 """Trains a fresh diagnoser on the records of these numbers."""
-_REACH = 0.632
-"""1 − 1/e: the share of objects that a bootstrap sample holds."""
 
 
 def validate_object_wise(fit: Fit, records: Sequence[Record], labels: Sequence[str], objects: Sequence[str]) -> Validation:
@@ -107,9 +106,5 @@ def _combined(truth: Labels, own: npt.NDArray[np.str_], out_of_bag: float, train
     classes = np.unique(np.concatenate([truth, own]))
     shares = [(float(np.mean(truth == name)), float(np.mean(own == name))) for name in classes]
     no_information = sum(p * (1.0 - q) for p, q in shares)
-    worst = min(out_of_bag, no_information)
-    room = no_information - apparent
-    overfitting = (worst - apparent) / room if room > 0 and worst > apparent else 0.0
-    weight = _REACH / (1.0 - (1.0 - _REACH) * overfitting)
-    error = (1.0 - weight) * apparent + weight * worst
+    error, overfitting = weighed(apparent, out_of_bag, no_information)
     return Bootstrap(error, apparent, out_of_bag, no_information, overfitting, trained)

@@ -138,7 +138,8 @@ def regression_sums(
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
         raise NotIdentifiable(
-            f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1} samples in a row without a gap"
+            f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1} samples in a row without a gap; "
+            "record longer, or take a smaller order"
         )
     return total
 

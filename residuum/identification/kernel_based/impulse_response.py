@@ -151,7 +151,7 @@ def identify_impulse_response(
         offset=data.offset(fit.mean),
         hyper_parameters=fit.hyper_parameters[0],
         negative_log_likelihood=fit.negative_log_likelihood,
-        warnings=(*fit.warnings, *_uncovered(longer, delay)),
+        warnings=(*fit.warnings, *uncovered(longer, delay)),
         provenance={**provenance(data, noise_variance, started), "tail": tail},
         longer_response=None if longer is None else longer.mean,
         longer_covariance=None if longer is None else longer.covariance,
@@ -298,12 +298,14 @@ def _warnings(likelihood: MarginalLikelihood, posterior: Posterior, value: float
     return found
 
 
-def _uncovered(longer: Longer | None, delay: int) -> list[str]:
+def uncovered(longer: Longer | None, delay: int, n_inputs: int = 1) -> list[str]:
+    """The warning of a model whose response lasts longer than the records can tell."""
     if longer is None or longer.negligible:
         return []
+    last = delay + len(longer.mean) // n_inputs - 1
     return [
-        f"bounds on the model's error do not cover what lies beyond lag {delay + len(longer.mean) - 1}, for the response lasts "
-        "longer than the records can tell: record longer, or identify with arx or oe"
+        f"bounds on the model's error do not cover what lies beyond lag {last}, for the response lasts longer than the records "
+        "can tell: record longer, or identify with arx or oe"
     ]
 
 

@@ -16,6 +16,9 @@ from residuum.identification.kernel_based.gram import RegressionSums, regression
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
+_APART = 1e-3
+"""Part of its size by which an input must differ from what the others add up to."""
+_PART = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +53,15 @@ def lagged_data(
     """The regression of `output` on lags delay … delay + order − 1 of `inputs`, over one or several experiments.
 
     Raises BadRecord when a channel is absent, or the records differ in sample time or units; NotIdentifiable when
-    an input or the output does not move or no row is complete.
+    an input or the output does not move, inputs move as one, or no row is complete.
     """
     experiments = [records] if isinstance(records, Record) else list(records)
     _check_alike(experiments, [*inputs, output])
-    for name in [*inputs, output]:
-        _check_moves(experiments, name, offset=offset)
+    for name in inputs:
+        _check_moves(experiments, name, "record while it is moved, by steps or at random", offset=offset)
+    _check_moves(experiments, output, "take a channel that answers the input", offset=offset)
+    if len(inputs) > 1:
+        _check_apart(experiments, inputs, offset=offset)
     levels = [_record_sums(record, inputs, output, order, delay, offset=offset) for record in experiments]
     centred = [sums.centred() if offset else sums for sums, _, _ in levels]
     first = experiments[0]
@@ -99,7 +105,25 @@ def _check_alike(records: Sequence[Record], names: Sequence[str]) -> None:
             raise BadRecord(f"{record.source or 'record'}: sample time {record.sample_time} s, others have {first.sample_time} s")
 
 
-def _check_moves(records: Sequence[Record], name: str, *, offset: bool) -> None:
+def _check_apart(records: Sequence[Record], inputs: Sequence[str], *, offset: bool) -> None:
+    """Refuse inputs of which one is a sum of multiples of the others, to a thousandth of its size."""
+    signals = [np.stack([np.asarray(record[name], dtype=float) for name in inputs], axis=1) for record in records]
+    complete = [one[np.isfinite(one).all(axis=1)] for one in signals]
+    centred = np.concatenate([one - one.mean(axis=0) if offset and len(one) else one for one in complete])
+    size = np.linalg.norm(centred, axis=0)
+    if not np.all(size > 0):
+        return  # one that moves only where another is missing: the rows tell
+    eigenvalues, vectors = np.linalg.eigh((centred / size).T @ (centred / size))
+    if eigenvalues[0] > _APART**2:
+        return
+    alike = [repr(name) for name, part in zip(inputs, vectors[:, 0], strict=True) if abs(part) > _PART]
+    raise NotIdentifiable(
+        f"inputs {' and '.join(alike)} move as one (multiples of each other, or sums of them): their effects cannot be told "
+        "apart; leave one out, or record them moving apart"
+    )
+
+
+def _check_moves(records: Sequence[Record], name: str, helps: str, *, offset: bool) -> None:
     """Refuse a signal that is constant (or zero, when its level counts) in every record, or never there."""
     spans = []
     for record in records:
@@ -109,8 +133,9 @@ def _check_moves(records: Sequence[Record], name: str, *, offset: bool) -> None:
             spans.append(highest - lowest > 1e-13 * size if offset else size > 0)
     if not any(spans):
         found = "is constant" if spans and offset else "is zero" if spans else "has no sample"
+        what_helps = helps if spans else "take a channel that was recorded"
         raise NotIdentifiable(
-            f"channel {name!r} {found}: it is persistently exciting of order 0; nothing can be identified from it"
+            f"channel {name!r} {found}: it is persistently exciting of order 0; nothing can be identified from it; {what_helps}"
         )
 
 

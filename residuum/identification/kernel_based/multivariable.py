@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.kernel_based.impulse_response import NoiseVariance, check_settings, fit_impulse_response, provenance
+from residuum.identification.kernel_based.impulse_response import (
+    NoiseVariance,
+    check_settings,
+    fit_impulse_response,
+    provenance,
+    uncovered,
+)
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_bands import PointwiseBands
+from residuum.identification.kernel_based.outlasting import Longer, longer_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
 
@@ -30,10 +37,14 @@ class MultivariableModel:
         `models[i][j]` leads from input j to output i; each is a model of its own with its marginal covariance.
     covariances : tuple of array, shape (n_u·m, n_u·m)
         For every output, over the stacked impulse responses [g_1 … g_nu].
+    longer : tuple of Longer or None
+        For every output the stacked longer responses, where those of the models cut something off; random models that bounds on
+        the error are made from come from them.
     """
 
     models: tuple[tuple[IdentifiedModel, ...], ...]
     covariances: tuple[FloatArray, ...]
+    longer: tuple[Longer | None, ...] = ()
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -60,14 +71,28 @@ class MultivariableModel:
 
     def sample(self, n: int, seed: int | np.random.Generator) -> FloatArray:
         """Impulse responses of `n` random models, shape (n, n_y, n_u, m); responses to different inputs are drawn jointly."""
-        rng, order = np.random.default_rng(seed), self.models[0][0].order
-        drawn = []
-        for row, covariance in zip(self.models, self.covariances, strict=True):
-            mean = np.concatenate([model.impulse_response for model in row])
-            eigenvalues, vectors = np.linalg.eigh(covariance)
-            deviation = rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
-            drawn.append((mean + deviation).reshape(n, len(row), order))
-        return np.stack(drawn, axis=1)
+        rng = np.random.default_rng(seed)
+        return np.stack([_drawn(n, *self._posterior(i), rng, len(row)) for i, row in enumerate(self.models)], axis=1)
+
+    def sample_longer(self, n: int, seed: int | np.random.Generator) -> FloatArray:
+        """The same as long as the data can tell, shape (n, n_y, n_u, M); zeros behind those that have decayed earlier."""
+        rng, drawn = np.random.default_rng(seed), []
+        for i, row in enumerate(self.models):
+            longer = self.longer[i] if self.longer else None
+            mean, covariance = self._posterior(i) if longer is None else (longer.mean, longer.covariance)
+            drawn.append(_drawn(n, mean, covariance, rng, len(row)))
+        M = max(one.shape[2] for one in drawn)
+        return np.stack([np.pad(one, ((0, 0), (0, 0), (0, M - one.shape[2]))) for one in drawn], axis=1)
+
+    def _posterior(self, i: int) -> tuple[FloatArray, FloatArray]:
+        return np.concatenate([model.impulse_response for model in self.models[i]]), self.covariances[i]
+
+
+def _drawn(n: int, mean: FloatArray, covariance: FloatArray, rng: np.random.Generator, n_inputs: int) -> FloatArray:
+    """`n` stacked responses, shape (n, n_inputs, length)."""
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    deviation = rng.standard_normal((n, len(mean))) @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0))).T
+    return np.asarray((mean + deviation).reshape(n, n_inputs, -1))
 
 
 def identify_multivariable(
@@ -80,13 +105,14 @@ def identify_multivariable(
     delay: int = 1,
     noise_variance: NoiseVariance = "marginal",
     offset: bool = True,
+    cover_cut: bool = True,
 ) -> MultivariableModel:
     """Identify the impulse responses from every input to every output.
 
     Each output is a regression on the lags of all inputs with the block-diagonal prior diag(λ_1 K(η_1), …, λ_nu K(η_nu)): every
     path has hyper-parameters of its own, all found together by the marginal likelihood. Outputs are independent given
     the inputs (their noises may be correlated; that is not used). Parameters and refusals as in
-    `identify_impulse_response`.
+    `identify_impulse_response`; `cover_cut` makes the `longer` responses of an output together, for its paths trade off.
 
     Examples
     --------
@@ -101,15 +127,22 @@ def identify_multivariable(
     check_settings(kernel, order, delay, noise_variance)
     if not inputs or not outputs:
         raise BadInput("multivariable identification: needs at least one input and one output")
-    rows, covariances = [], []
+    rows, covariances, longest = [], [], []
     for output in outputs:
         started = time.perf_counter()
         data = lagged_data(records, inputs, output, order, delay, offset=offset)
         fit = fit_impulse_response(data.sums, kernel, len(inputs), noise_variance)
         covariances.append(fit.covariance)
+        longer = None
+        if cover_cut:
+            refit = _refit(records, inputs, output, kernel, delay, noise_variance, offset)
+            longer = longer_response((fit.mean, fit.covariance), order, data.sums.rows, refit, len(inputs))
+        longest.append(longer)
         paths = []
         for j, name in enumerate(inputs):
             block = slice(j * order, (j + 1) * order)
+            M = 0 if longer is None else len(longer.mean) // len(inputs)
+            long = slice(j * M, (j + 1) * M)
             paths.append(
                 IdentifiedModel(
                     method=f"kernel-{kernel}",
@@ -125,10 +158,29 @@ def identify_multivariable(
                     offset=data.offset(fit.mean),
                     hyper_parameters=fit.hyper_parameters[j],
                     negative_log_likelihood=fit.negative_log_likelihood,
-                    warnings=fit.warnings,
+                    warnings=(*fit.warnings, *uncovered(longer, delay, len(inputs))),
+                    longer_response=None if longer is None else longer.mean[long],
+                    longer_covariance=None if longer is None else longer.covariance[long, long],
                     provenance=provenance(data, noise_variance, started),
                     bands=None if fit.bands is None else PointwiseBands(fit.bands, block),
                 )
             )
         rows.append(tuple(paths))
-    return MultivariableModel(tuple(rows), tuple(covariances))
+    return MultivariableModel(tuple(rows), tuple(covariances), tuple(longest))
+
+
+def _refit(
+    records: Record | Sequence[Record],
+    inputs: Sequence[str],
+    output: str,
+    kernel: str,
+    delay: int,
+    noise_variance: NoiseVariance,
+    offset: bool,
+) -> Callable[[int], tuple[FloatArray, FloatArray]]:
+    def fit(length: int) -> tuple[FloatArray, FloatArray]:
+        sums = lagged_data(records, inputs, output, length, delay, offset=offset).sums
+        again = fit_impulse_response(sums, kernel, len(inputs), noise_variance)
+        return again.mean, again.covariance
+
+    return fit

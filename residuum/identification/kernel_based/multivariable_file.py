@@ -10,6 +10,7 @@ import numpy as np
 
 from residuum.identification.errors import BadModel
 from residuum.identification.kernel_based.multivariable import MultivariableModel
+from residuum.identification.kernel_based.outlasting import Longer
 from residuum.identification.linear_models.identified_model_file import identified_from, identified_object
 
 FORMAT, VERSION = "residuum-multivariable-model", 1
@@ -22,6 +23,7 @@ def multivariable_text(model: MultivariableModel) -> str:
         "version": VERSION,
         "models": [[identified_object(path) for path in row] for row in model.models],
         "covariances": [covariance.tolist() for covariance in model.covariances],
+        "longer": [_longer_object(one) for one in model.longer],
     }
     return json.dumps(content)
 
@@ -65,4 +67,27 @@ def multivariable_from(content: dict[str, Any], path: Path) -> MultivariableMode
         size = sum(one.order for one in row)
         if covariance.shape != (size, size):
             raise BadModel(f"{path}: covariance of {row[0].output_name!r} has shape {covariance.shape}; must be ({size}, {size})")
-    return MultivariableModel(models, covariances)
+    longer = tuple(_longer_from(each, path) for each in content.get("longer", []))  # files of older versions have none
+    if longer and len(longer) != len(models):
+        raise BadModel(f"{path}: longer must have an entry an output")
+    for row, one in zip(models, longer, strict=False):
+        if one is not None and (len(one.mean) % len(row) or one.covariance.shape != (len(one.mean), len(one.mean))):
+            raise BadModel(
+                f"{path}: longer responses of {row[0].output_name!r} do not fit {len(row)} inputs and their covariance"
+            )
+    return MultivariableModel(models, covariances, longer)
+
+
+def _longer_object(longer: Longer | None) -> dict[str, Any] | None:
+    if longer is None:
+        return None
+    return {"mean": longer.mean.tolist(), "covariance": longer.covariance.tolist(), "negligible": longer.negligible}
+
+
+def _longer_from(content: dict[str, Any] | None, path: Path) -> Longer | None:
+    if content is None:
+        return None
+    mean, covariance = (np.asarray(content[name], dtype=float) for name in ("mean", "covariance"))
+    if mean.ndim != 1 or not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
+        raise BadModel(f"{path}: longer responses must be finite numbers")
+    return Longer(mean, covariance, bool(content["negligible"]))

@@ -49,25 +49,34 @@ def outlasting(mean: FloatArray, covariance: FloatArray) -> float:
     return float(np.max(np.abs(last) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))))
 
 
-def longer_response(first: Posterior, order: int, rows: int, fit: Callable[[int], Posterior]) -> Longer | None:
+def longer_response(first: Posterior, order: int, rows: int, fit: Callable[[int], Posterior], n_inputs: int = 1) -> Longer | None:
     """The response by which what `order` cuts off is negligible; None when nothing is left at `order` itself.
+
+    Of several inputs, the stacked responses to all of them, of one length; the one that lasts longest decides.
 
     Parameters
     ----------
-    first : mean (p,) and covariance (p, p)
-        The fit at hand, p ≥ order coefficients.
+    first : mean (n_inputs·p,) and covariance (n_inputs·p, n_inputs·p)
+        The fit at hand, p ≥ order coefficients an input.
     rows : int
-        Rows of the regression: a third as many coefficients, and 600, are the most that are tried.
+        Rows of the regression: a third as many coefficients, and 600, are the most that are tried, of all inputs together.
     fit : callable
-        Number of coefficients → their mean and covariance.
+        Number of coefficients an input → their mean and covariance.
     """
     mean, covariance = first
-    if outlasting(mean[:order], covariance[:order, :order]) <= NEGLIGIBLE:
+    if _outlasting(mean, covariance, order, n_inputs) <= NEGLIGIBLE:
         return None
-    most = min(rows // _ROWS_A_COEFFICIENT, _LONGEST)
-    while outlasting(mean, covariance) > NEGLIGIBLE:
-        length = min(round(_GROWTH * len(mean)), most)
-        if length <= len(mean):
+    most = min(rows // _ROWS_A_COEFFICIENT, _LONGEST) // n_inputs
+    while _outlasting(mean, covariance, len(mean) // n_inputs, n_inputs) > NEGLIGIBLE:
+        length = min(round(_GROWTH * len(mean) / n_inputs), most)
+        if length <= len(mean) // n_inputs:
             return Longer(mean, covariance, negligible=False)
         mean, covariance = fit(length)
     return Longer(mean, covariance, negligible=True)
+
+
+def _outlasting(mean: FloatArray, covariance: FloatArray, m: int, n_inputs: int) -> float:
+    """The largest `outlasting` of the inputs' responses, each cut after m coefficients."""
+    p = len(mean) // n_inputs
+    parts = [slice(j * p, j * p + m) for j in range(n_inputs)]
+    return max(outlasting(mean[part], covariance[part, part]) for part in parts)

@@ -82,15 +82,38 @@ def with_stochastic_embedding(
     """
     if noise_bound is not None:
         raise BadInput("uncertainty stochastic-embedding: takes no noise bound; that belongs to set-membership")
-    order = max(_LEAST_LAGS, min(_LAGS, min(record.n for record in records) // 4))
+    return likeliest_embedding(records, model.input_name, model.output_name, delay=model.delay)
+
+
+def likeliest_embedding(
+    records: Sequence[Record], input: str, output: str, *, delay: int = 1, order: int | None = None, offset: bool = True
+) -> IdentifiedModel:
+    """The nominal model of `stochastic_embedding` on four Laguerre functions of the likeliest of seven poles.
+
+    Assumes that what four functions leave over decays and swings about zero (kernel `dc`). Fails, with bands too narrow, where
+    that error is large: a resonance beside a slow mode, of which one pole fits only one.
+
+    Parameters
+    ----------
+    order : int or None
+        Length of the impulse response; None: 100, at most a quarter of the shortest record.
+
+    Raises
+    ------
+    NotIdentifiable
+        The records do not excite the basis.
+    """
+    if order is None:
+        order = max(_LEAST_LAGS, min(_LAGS, min(record.n for record in records) // 4))
+    functions = min(_FUNCTIONS, order)
     tried = [
         stochastic_embedding(
-            records, model.input_name, model.output_name, basis=laguerre_basis(pole, _FUNCTIONS, order), delay=model.delay
+            records, input, output, basis=laguerre_basis(pole, functions, order), delay=delay, offset=offset
         ).nominal
         for pole in _POLES
     ]
     best = int(np.argmin([one.negative_log_likelihood for one in tried]))
-    said = f"stochastic embedding: {_FUNCTIONS} Laguerre functions of pole {_POLES[best]:g}; the nominal model is theirs"
+    said = f"stochastic embedding: {functions} Laguerre functions of pole {_POLES[best]:g}; the nominal model is theirs"
     return replace(tried[best], warnings=(*tried[best].warnings, said))
 
 

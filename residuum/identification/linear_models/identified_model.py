@@ -86,6 +86,10 @@ class IdentifiedModel:
         −log p(y) of the data at the estimate (marginal likelihood for kernel methods).
     warnings : tuple of str
         What a reader must know before using the result, one sentence each.
+    unfit : tuple of str
+        Why no controller is promised for it, one sentence each that says what to record instead.
+    integrates : bool
+        Whether G has a pole at one that was not estimated; `covariance` then is of the summed coefficients of what is before it.
     provenance : mapping
         Records, number of samples used (`n`), seconds, and settings of the estimation.
 
@@ -129,6 +133,8 @@ class IdentifiedModel:
     aic: float | None = None
     bic: float | None = None
     warnings: tuple[str, ...] = ()
+    unfit: tuple[str, ...] = ()
+    integrates: bool = False
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -150,6 +156,7 @@ class IdentifiedModel:
         object.__setattr__(self, "hyper_parameters", MappingProxyType(dict(self.hyper_parameters)))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
         object.__setattr__(self, "warnings", tuple(self.warnings))
+        object.__setattr__(self, "unfit", tuple(self.unfit))
 
     def _check_longer_response(self, m: int) -> None:
         both = self.longer_response, self.longer_covariance
@@ -223,7 +230,8 @@ class IdentifiedModel:
         """G(e^{jωTs}) at ω [rad/s], shape of `omega`."""
         omega = np.asarray(omega, dtype=float)
         if self.is_parametric:
-            return self.transfer_function().frequency_response(omega)
+            with np.errstate(divide="ignore", invalid="ignore"):  # a model that integrates has no static gain
+                return self.transfer_function().frequency_response(omega)
         return np.asarray(self._lag_phasors(omega) @ self.impulse_response)
 
     def frequency_covariance(self, omega: npt.ArrayLike) -> FloatArray:
@@ -269,7 +277,8 @@ class IdentifiedModel:
         """Frequency responses at ω [rad/s] of `n` random models of `sample_longer`, shape (n, len(omega))."""
         omega, rng = np.atleast_1d(np.asarray(omega, dtype=float)), np.random.default_rng(seed)
         if self.parameter_covariance is None:
-            return np.asarray(self.sample_longer(n, rng) @ self._lag_phasors(omega, self.reach).T)
+            drawn = self._before_the_sum(self.sample_longer(n, rng))
+            return np.asarray(drawn @ self._lag_phasors(omega, self.reach).T / self._sum_at(omega))
         z = np.exp(1j * omega * self.sample_time)
         numerators, denominators = self._sample_parameters(n, rng)
         return np.asarray(
@@ -287,7 +296,8 @@ class IdentifiedModel:
         """The same of `n` random models of `sample_longer`, shapes (n, p) and (n, q) or (1, q)."""
         rng = np.random.default_rng(seed)
         if self.parameter_covariance is None:
-            return np.hstack([np.zeros((n, self.delay)), self.sample_longer(n, rng)]), np.ones((1, 1))
+            drawn = self._before_the_sum(self.sample_longer(n, rng))
+            return np.hstack([np.zeros((n, self.delay)), drawn]), np.array([[1.0, -1.0]] if self.integrates else [[1.0]])
         numerators, denominators = self._sample_parameters(n, rng)
         return np.hstack([np.zeros((n, denominators.shape[1] - numerators.shape[1])), numerators]), denominators
 
@@ -305,11 +315,11 @@ class IdentifiedModel:
         √(φᵀ Σ_g φ) over the last m inputs φ, in single precision: its error is below 10⁻⁶ ‖φ‖ √λ, λ the largest eigenvalue.
         """
         u, m = _finite(u, "u"), self.order
-        n = len(u)
+        u, n = np.cumsum(u) if self.integrates else u, len(u)
         size = float(np.max(np.abs(u), initial=0.0)) or 1.0
         lags = np.zeros(n + 2 * m + self.delay, dtype=np.float32)
         lags[self.delay + m - 1 : self.delay + m - 1 + n] = u / size
-        root = _square_root(self.covariance)[::-1]
+        root = self._before_the_sum(_square_root(self.covariance).T).T[::-1]
         scale = float(np.abs(root).max()) or 1.0
         root = np.ascontiguousarray(root / scale, dtype=np.float32)
         std = np.empty(n)
@@ -327,6 +337,15 @@ class IdentifiedModel:
             return simulated
         return np.asarray(y - signal.lfilter(self.noise_denominator, self.noise_numerator, y - simulated))
 
+    def _before_the_sum(self, rows: FloatArray) -> FloatArray:
+        """Impulse responses (rows, m) without the pole at one of a model that integrates; others as they are."""
+        return np.diff(rows, prepend=0.0, axis=1) if self.integrates else rows
+
+    def _sum_at(self, omega: FloatArray) -> ComplexArray:
+        """1 − z⁻¹ of a model that integrates, which divides; else 1."""
+        z = np.exp(1j * omega * self.sample_time)
+        return np.asarray(1 - 1 / z if self.integrates else np.ones_like(z))
+
     def _lag_phasors(self, omega: FloatArray, length: int | None = None) -> ComplexArray:
         lags = self.delay + np.arange(self.order if length is None else length)
         return np.exp(-1j * self.sample_time * np.multiply.outer(omega, lags))
@@ -334,7 +353,9 @@ class IdentifiedModel:
     def _frequency_gradient(self, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """∂G/∂θ at each ω, shape (len(omega), p), and the covariance of θ."""
         if self.parameter_covariance is None or self.numerator is None or self.denominator is None:
-            return self._lag_phasors(omega), self.covariance
+            root = self._before_the_sum(_square_root(self.covariance).T) if self.integrates else None
+            covariance = self.covariance if root is None else root.T @ root
+            return self._lag_phasors(omega) / self._sum_at(omega)[:, None], covariance
         z = np.exp(1j * omega * self.sample_time)
         denominator = np.polyval(self.denominator, z)[:, None]
         by_numerator = np.vander(z, len(self.numerator)) / denominator

@@ -84,6 +84,8 @@ def _typed(name: str, value: Any) -> Any:
         raise TypeError(f"field {name!r} must be an object")
     if name == "delay" and not isinstance(value, int):
         raise TypeError("field 'delay' must be a whole number")
+    if name == "integrates" and not isinstance(value, bool):
+        raise TypeError("field 'integrates' must be true or false")
     if name == "negative_log_likelihood" and value is None:
         return float("nan")
     if name in ("sample_time", "noise_variance", "offset", "negative_log_likelihood"):

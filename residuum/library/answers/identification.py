@@ -60,18 +60,20 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     if not model.input_name:
         return _series_text(model, result)
     gain_unit = _gain_unit(model)
-    gain = float(model.frequency_response(0.0).real)
-    gain_std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
     peak = int(np.argmax(np.abs(model.impulse_response)))
     lines = [
         f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
         f"{result['samples']} samples of {model.sample_time:g} s",
         f"  impulse response  {model.order} coefficients from lag {model.delay}; largest {model.impulse_response[peak]:.4g} "
         f"± {model.std[peak]:.2g}{gain_unit} at {(model.delay + peak) * model.sample_time:g} s",
-        f"  static gain       {gain:.4g} ± {gain_std:.2g}{gain_unit} (one standard deviation)",
+        f"  static gain       {_gain(model)}",
         f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
         f"  fit               {_fits(result['fit_percent'])} of the estimation data",
     ]
+    aside = result.get("assumptions") or {}
+    if aside.get("kept_aside") and not result["held_out_fit_percent"]:
+        kept = _fits([part["fit_percent"] for part in aside["kept_aside"]])
+        lines.append(f"  fit kept aside    {kept} of the last 30 %, by the first 70 %")
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
     if (said := band_says(model)) is not None:
@@ -82,6 +84,15 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     if result["file"]:
         lines.append(f"  written to        {result['file']}")
     return "\n".join(lines)
+
+
+def _gain(model: IdentifiedModel) -> str:
+    if model.integrates:
+        slope = float(np.diff(model.impulse_response, prepend=0.0).sum())
+        return f"none: the model integrates {slope:.4g}{_gain_unit(model)} a sample"
+    gain = float(model.frequency_response(0.0).real)
+    std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
+    return f"{gain:.4g} ± {std:.2g}{_gain_unit(model)} (one standard deviation)"
 
 
 def _series_text(model: IdentifiedModel, result: dict[str, Any]) -> str:

@@ -100,7 +100,20 @@ class Identification(BaseModel, extra="forbid"):
     records: RecordNumbers
     input: Text | None = Field(None, description="Channel of the input; the method `ar` has none.")
     output: Text = Field(description="Channel of the output.")
-    method: Literal["kernel", "ridge", "lasso", "ar", "arx", "fir", "armax", "oe", "bj"] = Field("kernel", description="Method.")
+    method: Literal[
+        "kernel",
+        "ridge",
+        "lasso",
+        "elastic-net",
+        "set-membership",
+        "stochastic-embedding",
+        "ar",
+        "arx",
+        "fir",
+        "armax",
+        "oe",
+        "bj",
+    ] = Field("kernel", description="Method.")
     kernel: Literal["tc", "dc", "ss", "di"] = Field("tc", description="Prior of the impulse response.")
     order: int | None = Field(None, ge=1, le=5000, description="Length of the impulse response, or order of the model.")
     delay: int | None = Field(None, ge=0, le=10_000, description="Samples before the input acts (default: estimated).")
@@ -108,6 +121,12 @@ class Identification(BaseModel, extra="forbid"):
         "own", description="How far to trust the model: by its own covariance, or by an error model from the part kept aside."
     )
     noise_bound: float | None = Field(None, gt=0, le=1e300, description="Largest noise of set-membership [output unit].")
+    integrator: bool = Field(
+        False, description="The plant integrates: identify from the summed input, with a pole at one behind."
+    )
+    check: bool = Field(
+        False, description="Test the residuals on data kept aside, and tell the error on new data by the .632+ bootstrap."
+    )
     save_as: SaveAs = None
 
 
@@ -228,6 +247,8 @@ def identify(request: Request, running: Running, asked: Identification) -> Respo
         offset=True,
         uncertainty=asked.uncertainty,
         noise_bound=asked.noise_bound,
+        integrator=asked.integrator,
+        check=asked.check,
     )
     keep = _keep(request, running, asked.save_as, "identified")
     return accepted(running.jobs.submit("identify", analyses.identify, records, wanted, asked.method, then=keep))

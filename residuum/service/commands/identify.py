@@ -10,7 +10,6 @@ from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import identify_multivariable
 from residuum.identification.kernel_based.multivariable_file import multivariable_text as multivariable_text_of
 from residuum.identification.record import Record
-from residuum.library.answers.identification import identification_text
 from residuum.library.answers.multivariable import multivariable_json, multivariable_text
 from residuum.library.identification_methods import CRITERIA, LAGS, METHODS, UNCERTAINTIES, Request, check_method
 from residuum.library.plant import identified, split_records
@@ -65,6 +64,18 @@ def identify(
     no_offset: Annotated[
         bool, typer.Option("--no-offset", help="Fit no constant level, because the signals are deviations already.")
     ] = False,
+    integrator: Annotated[
+        bool,
+        typer.Option("--integrator", help="The plant integrates: identify from the summed input, with a pole at one behind."),
+    ] = False,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check",
+            help="Test the residuals on data kept aside (white, free of the input, model error model), and tell the error on new "
+            "data by the .632+ bootstrap.",
+        ),
+    ] = False,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -80,7 +91,9 @@ def identify(
         check_output_file(out)
     noise, offset = _noise_variance(noise_variance), not no_offset
     first = inputs[0] if inputs else ""
-    request = Request(first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound)
+    request = Request(
+        first, output[0], order, _delay(delay), kernel, noise, offset, criterion, uncertainty, noise_bound, integrator, check
+    )
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
@@ -91,15 +104,18 @@ def identify(
     if out is not None:
         plant.save(out)
     result = plant.to_dict() | {"file": None if out is None else str(out)}
-    report(result, identification_text(plant.identified, result), as_json=as_json)
+    report(result, plant.report(result), as_json=as_json)
 
 
 def _several(
     records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str], request: Request, method: str, out: Path | None
 ) -> dict[str, Any]:
     """One kernel model of every path; what belongs to single paths alone is refused."""
-    if method != "kernel" or request.uncertainty != "own" or request.delay is None:
-        raise BadInput("several inputs or outputs: need the method kernel, a delay in samples, and the model's own uncertainty")
+    if method != "kernel" or request.uncertainty != "own" or request.delay is None or request.integrator or request.check:
+        raise BadInput(
+            "several inputs or outputs: need the method kernel, a delay in samples, the model's own uncertainty, no integrator "
+            "and no check"
+        )
     estimation, held_out = split_records(records)
     order = LAGS if request.order is None else request.order
     model = identify_multivariable(

@@ -15,7 +15,7 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
-from residuum.library.identification_methods import METHODS, Request
+from residuum.library.identification_methods import Request, identified_by
 from residuum.service.work.fleet_source import FleetSource, Folder
 
 
@@ -57,7 +57,7 @@ class Reidentify:
     def __call__(self, file: str) -> dict[str, Any]:
         """`{"by": …, "model": …}` or `{"by": …, "refused": …}`."""
         try:
-            model = METHODS[self.method]([self.source.read(file)], self.request)
+            model = identified_by(self.method, [self.source.read(file)], self.request)
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         told = {

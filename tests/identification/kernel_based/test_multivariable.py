@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.multivariable import identify_multivariable
+from residuum.identification.kernel_based.multivariable_file import load_multivariable, multivariable_text
 from residuum.identification.record import Record
 
 UNITS = {"valve": "%", "heater": "kW", "level": "m", "temperature": "K"}
@@ -59,3 +60,49 @@ def test_response_has_one_entry_a_path():
 def test_a_channel_may_be_used_once():
     with pytest.raises(BadRecord, match="may be used once"):
         identify_multivariable(plant(4), ["valve", "valve"], ["level"])
+
+
+def slow_plant(seed, n=3000):
+    """Two paths of which one lasts far longer than 30 samples."""
+    rng = np.random.default_rng(seed)
+    valve, heater = rng.standard_normal((2, n))
+    level = signal.lfilter([0, 0.3], [1, -0.97], valve) + signal.lfilter([0, 1.0], [1, -0.4], heater)
+    channels = {"valve": valve, "heater": heater, "level": level + 0.3 * rng.standard_normal(n)}
+    return Record(channels, {name: UNITS[name] for name in channels}, 2.0)
+
+
+def test_random_models_hold_what_the_order_cuts_off(tmp_path):
+    """At the static gain the cut response misses 40 %; its own draws do not know of it, those of the longer one do."""
+    model = identify_multivariable(slow_plant(4), ["valve", "heater"], ["level"], order=30)
+    gains, longer = (drawn[:, 0].sum(axis=2) for drawn in (model.sample(400, 0), model.sample_longer(400, 0)))
+    truth = np.array([10.0, 1.0 / 0.6])
+    assert abs(gains[:, 0].mean() - truth[0]) > 5 * gains[:, 0].std()
+    assert np.all(np.abs(longer.mean(axis=0) - truth) < 3 * longer.std(axis=0))
+    path = model.models[0][0]
+    np.testing.assert_allclose(path.sample_longer(4000, 1).std(axis=0), np.sqrt(np.diag(path.longer_covariance)), rtol=0.1)
+    file = tmp_path / "plant.json"
+    file.write_text(multivariable_text(model))
+    read = load_multivariable(file)
+    np.testing.assert_array_equal(read.sample_longer(5, 2), model.sample_longer(5, 2))
+    file.write_text(multivariable_text(model).replace('"longer": [{', '"later": [{'))
+    np.testing.assert_array_equal(load_multivariable(file).sample_longer(5, 2), read.sample(5, 2))  # as older files
+
+
+def test_nothing_is_added_where_all_paths_have_decayed():
+    model = identify_multivariable(plant(5, mixing=0.0), ["valve", "heater"], ["level", "temperature"], order=100)
+    assert model.longer == (None, None)
+    np.testing.assert_array_equal(model.sample_longer(3, 0), model.sample(3, 0))
+
+
+@pytest.mark.parametrize("third", [False, True])
+def test_inputs_that_move_as_one_are_named_and_refused(third):
+    record = plant(6, mixing=0.0)
+    valve, heater = record["valve"], record["heater"]
+    copied = {"copy": 2.0 * valve - (3.0 * heater if third else 0.0)}
+    joined = Record({**record.channels, **copied}, {**record.units, "copy": "V"}, 2.0)
+    named = "'valve' and 'heater' and 'copy'" if third else "'valve' and 'copy'"
+    with pytest.raises(NotIdentifiable, match=f"inputs {named} move as one .* leave one out, or record them moving apart"):
+        identify_multivariable(joined, ["valve", "heater", "copy"], ["level"], order=10)
+    nearly = joined.channels["copy"] + 0.01 * np.random.default_rng(0).standard_normal(record.n)
+    apart = Record({**record.channels, "copy": nearly}, joined.units, 2.0)
+    assert identify_multivariable(apart, ["valve", "heater", "copy"], ["level"], order=10).inputs[2] == "copy"

@@ -5,8 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.linear_models.error_models import ERROR_MODELS
+from residuum.identification.linear_models.error_models import ERROR_MODELS, likeliest_embedding
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
+from residuum.identification.linear_models.stochastic_embedding import laguerre_basis
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
@@ -61,3 +62,14 @@ def test_the_noise_bound_decides_what_is_possible(low_order):
     assert np.trace(wide.covariance) > np.trace(narrow.covariance)
     with pytest.raises(BadInput, match="takes no noise bound"):
         ERROR_MODELS["model-error"](low_order, [record(2)], 0.3)
+
+
+def test_an_embedding_as_a_method_is_least_squares_on_the_filtered_inputs():
+    data = record(3)
+    model = likeliest_embedding([data], "u", "y", order=60)
+    pole = float(next(text for text in model.warnings if "Laguerre" in text).split("pole ")[1].split(";")[0])
+    basis = laguerre_basis(pole, 4, 60)
+    filtered = np.stack([lfilter(np.r_[0.0, one], [1.0], data["u"]) for one in basis.T], axis=1)[60:]
+    design = np.column_stack([filtered, np.ones(len(filtered))])
+    theta = np.linalg.lstsq(design, data["y"][60:], rcond=None)[0]
+    np.testing.assert_allclose(model.impulse_response, basis @ theta[:4], atol=5e-3)

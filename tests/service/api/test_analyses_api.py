@@ -87,6 +87,16 @@ def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault
     assert refused("POST", "/api/v1/models/trusted/residual-views", json=asked | {"offset": 0})[0] == 422
 
 
+def test_identify_by_elastic_net_and_check_it(client, plant, tmp_path):
+    number = upload(client, plant[0], tmp_path / "checked.csv")
+    asked = {"records": [number], "input": "u", "output": "y", "method": "elastic-net", "order": 30, "delay": 1, "check": True}
+    job = result(client, client.post("/api/v1/identify", json=asked))
+    assert job["state"] == "done", job
+    assert job["result"]["method"] == "elastic-net"
+    assert job["result"]["check"]["parts"][0]["input_correlation"]["p_value"] > 1e-6
+    assert job["result"]["check"]["bootstrap"]["error"] > 0
+
+
 def test_a_controller_is_designed_for_a_stored_model(client, plant, tmp_path):
     number = upload(client, plant[0], tmp_path / "a.csv")
     asked = {"records": [number], "input": "u", "output": "y", "method": "oe", "order": 1, "delay": 1, "save_as": "controlled"}

@@ -177,3 +177,36 @@ def test_several_inputs_and_outputs_make_one_model_of_every_path(tmp_path, capsy
     (tmp_path / "wrong.json").write_text(out.read_text().replace("covariances", "covariance"))
     with pytest.raises(BadModel, match="covariances"):
         load_multivariable(tmp_path / "wrong.json")
+
+
+@pytest.mark.parametrize("method", ["elastic-net", "set-membership", "stochastic-embedding"])
+def test_other_views_of_the_error_are_methods_as_well(record_file, capsys, method):
+    assert identify(record_file, "--order", "30", "--delay", "3", "--method", method, "--json") == DONE
+    result = json.loads(capsys.readouterr().out)
+    truth = 0.8 ** np.arange(30)
+    assert np.linalg.norm(result["impulse_response"] - truth) < 0.3 * np.linalg.norm(truth)
+    assert result["method"] == method
+
+
+def test_check_tests_what_was_kept_aside_and_tells_the_error_on_new_data(record_file, capsys):
+    assert identify(record_file, "--method", "oe", "--order", "1", "--delay", "3", "--check", "--json") == DONE
+    check = json.loads(capsys.readouterr().out)["check"]
+    assert check["passed"]
+    assert check["parts"][0]["samples"] == 300
+    assert check["parts"][0]["whiteness"] is None
+    assert check["parts"][0]["input_correlation"]["passed"]
+    assert not check["parts"][0]["model_error"]["falsified"]
+    assert check["bootstrap"]["error"] == pytest.approx(0.04, rel=0.2)
+    assert identify(record_file, "--method", "arx", "--order", "1", "--delay", "3", "--check") == DONE
+    said = capsys.readouterr().out
+    assert "white: no (p" in said
+    assert "falsified at" in said
+    assert "by the .632+ bootstrap of" in said
+
+
+def test_check_and_noise_bound_are_refused_where_they_mean_nothing(record_file, capsys):
+    assert run(["identify", str(record_file), "--output", "speed", "--method", "ar", "--check"]) == BAD_INPUT
+    assert "needs a model with an input" in capsys.readouterr().err
+    both = ["--input", "voltage", "--output", "speed", "--output", "voltage"]
+    assert run(["identify", str(record_file), *both, "--check"]) == BAD_INPUT
+    assert "no check" in capsys.readouterr().err

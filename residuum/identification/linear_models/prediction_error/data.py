@@ -54,9 +54,11 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
     y_level, y_scale = _level_and_scale(ys, offset)
     where = records[0].source or "record"
     if y_scale == 0.0:
-        raise NotIdentifiable(f"{where}, channel {output!r}: does not move; there is nothing to identify")
+        raise NotIdentifiable(
+            f"{where}, channel {output!r}: does not move; there is nothing to identify: take one that answers the input"
+        )
     if input is not None and u_scale == 0.0:
-        raise NotIdentifiable(f"{where}, channel {input!r}: does not move (excites order 0); an input must excite the system")
+        raise NotIdentifiable(f"{where}, channel {input!r}: does not move (excites order 0): record while it is moved")
     u_scale = u_scale or 1.0
     pairs = tuple(((u - u_level) / u_scale, (y - y_level) / y_scale) for u, y in zip(us, ys, strict=True))
     return Signals(pairs, u_level, y_level, u_scale, y_scale)
@@ -65,8 +67,10 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
 def _complete(record: Record, name: str) -> FloatArray:
     signal = np.asarray(record[name], dtype=float)
     missing = np.flatnonzero(np.isnan(signal))
+    where = record.source or "record"
+    if missing.size == signal.size:
+        raise BadRecord(f"{where}, channel {name!r}: has no sample; take a channel that was recorded")
     if missing.size:
-        where = record.source or "record"
         raise BadRecord(
             f"{where}, channel {name!r}: sample {int(missing[0])} is missing; prediction error methods need every sample "
             "(the kernel method does not)"

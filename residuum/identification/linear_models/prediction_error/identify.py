@@ -134,7 +134,9 @@ def _possible(wanted: Sequence[Orders], data: Signals, held_out: Sequence[Fold],
     where = records[0].source or "record"
     if not enough:
         least = min(orders.count for orders in wanted)
-        raise NotIdentifiable(f"{where}: has {data.n} samples; {least} parameters need at least {5 * least}")
+        raise NotIdentifiable(
+            f"{where}: has {data.n} samples; {least} parameters need at least {5 * least}: record longer, or take a smaller order"
+        )
     possible = [orders for orders in enough if all(fold.allows(orders) for fold in held_out)]
     if not possible:
         raise NotIdentifiable(f"{where}: cross-validation leaves too few samples for any candidate; use fewer folds or BIC")

@@ -1,11 +1,15 @@
-"""Ridge and lasso regression of FIR and ARX models, the penalty chosen by blocked cross-validation.
+"""Ridge, lasso and elastic-net regression of FIR and ARX models, the penalty chosen by blocked cross-validation.
 
-    ridge   θ̂ = arg min Σ (y − φᵀθ)² + λ ‖θ‖₂²           lasso   θ̂ = arg min Σ (y − φᵀθ)² / (2n) + λ ‖θ‖₁
+    ridge         θ̂ = arg min Σ (y − φᵀθ)² + λ ‖θ‖₂²
+    lasso         θ̂ = arg min Σ (y − φᵀθ)² / (2n) + λ ‖θ‖₁
+    elastic net   θ̂ = arg min Σ (y − φᵀθ)² / (2n) + λ (ρ ‖θ‖₁ + (1 − ρ)/2 ‖θ‖₂²),   ρ between .1 and .9 by cross-validation, too
 
 Signals are scaled to unit power first, so that one λ serves all coefficients. (A.8)–(A.13) of the source, appendix A.3.
 
 A ridge treats the first lag like the last; the kernels (`identify_impulse_response`) know that a stable response decays, and do
-better on FIR models. The lasso is for responses of which few lags matter (pure delays, echoes, sparse couplings).
+better on FIR models. The lasso is for responses of which few lags matter (pure delays, echoes, sparse couplings); of neighbouring
+lags that a slow input hardly tells apart it keeps one at random, where the elastic net (H. Zou, T. Hastie, J. Royal Stat. Soc. B
+67, 2005) keeps them together. All three shrink: where noise is small beside the response, least squares is nearer to the truth.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import Lasso, LassoCV, Ridge, RidgeCV
+from sklearn.linear_model import ElasticNet, ElasticNetCV, Lasso, LassoCV, Ridge, RidgeCV
 
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
@@ -34,14 +38,20 @@ from residuum.identification.record import Record
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
-PENALTIES = ("ridge", "lasso")
-_STRENGTHS = {"ridge": np.geomspace(1e-4, 1e6, 21), "lasso": np.geomspace(1e-6, 1.0, 49)}
+PENALTIES = ("ridge", "lasso", "elastic-net")
+_STRENGTHS = {
+    "ridge": np.geomspace(1e-4, 1e6, 21),
+    "lasso": np.geomspace(1e-6, 1.0, 49),
+    "elastic-net": np.geomspace(1e-6, 1.0, 25),
+}
+_MIXES = (0.1, 0.5, 0.9)
+"""ρ that cross-validation chooses from."""
 _SWEEPS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """θ, level, λ, covariance over σ², degrees of freedom, warnings; in scaled units."""
+    """θ, level, λ, covariance over σ², degrees of freedom, warnings, ρ of an elastic net; in scaled units."""
 
     theta: FloatArray
     level: float
@@ -49,6 +59,7 @@ class _Fit:
     covariance: FloatArray
     freedom: float
     warnings: tuple[str, ...]
+    mix: float | None = None
 
 
 def identify_regularised(
@@ -59,6 +70,7 @@ def identify_regularised(
     orders: Orders,
     penalty: str = "ridge",
     strength: float | None = None,
+    mix: float | None = None,
     offset: bool = True,
     folds: int = 5,
 ) -> IdentifiedModel:
@@ -70,9 +82,11 @@ def identify_regularised(
         Complete; regressors do not reach across their seams.
     orders : Orders
         Of A and B only. More coefficients than samples are allowed: the penalty determines them.
-    penalty : {"ridge", "lasso"}
+    penalty : {"ridge", "lasso", "elastic-net"}
     strength : float or None
         λ for signals of unit power; None: the smallest mean square error on held-out blocks of time.
+    mix : float or None
+        ρ of the elastic net, 0 < ρ ≤ 1; None: chosen with the strength, .5 where that is given.
     offset : bool
         Estimate a constant level as well (it is not penalised).
     folds : int
@@ -82,13 +96,13 @@ def identify_regularised(
     -------
     IdentifiedModel
         `hyper_parameters` holds `strength` and `degrees_of_freedom`. Its covariance is, for the ridge, that of the posterior
-        with the prior θ ~ N(0, σ²/λ); for the lasso, that of least squares on the coefficients it kept, as if they had been
-        known beforehand: too small, and the model's warnings say so.
+        with the prior θ ~ N(0, σ²/λ); for the lasso, that of least squares on the coefficients it kept, and for the elastic net
+        that of a ridge on them, as if they had been known beforehand: too small, and the model's warnings say so.
 
     Raises
     ------
     BadInput
-        Unknown penalty, orders with F, C or D, a strength that is not positive.
+        Unknown penalty, orders with F, C or D, a strength that is not positive, a mix outside (0, 1] or of another penalty.
     BadRecord, NotIdentifiable
         As `identify`; records too short for the regressor or the folds.
 
@@ -101,15 +115,21 @@ def identify_regularised(
     7
     """
     started = time.perf_counter()
-    _check(orders, penalty, strength)
+    _check(orders, penalty, strength, mix)
     data = signals(records, input, output, offset=offset)
     where = records[0].source or "record"
     if min(len(y) for _, y in data.pairs) < orders.memory + 10:
-        raise NotIdentifiable(f"{where}: every record needs {orders.memory + 10} samples, ten beyond the reach of the regressor")
+        raise NotIdentifiable(
+            f"{where}: every record needs {orders.memory + 10} samples, ten beyond the reach of the regressor; record longer, or "
+            "take a smaller order"
+        )
     phi, target = regression(data, orders)
     splits = _splits(data, orders, folds) if strength is None else []
     with one_thread_if_small(phi.shape[1]):
-        fit = (_ridge if penalty == "ridge" else _lasso)(phi, target, splits, strength, offset)
+        if penalty == "elastic-net":
+            fit = _elastic_net(phi, target, splits, strength, mix, offset)
+        else:
+            fit = (_ridge if penalty == "ridge" else _lasso)(phi, target, splits, strength, offset)
     residual = target - phi @ fit.theta - fit.level
     n = len(target)
     variance = float(residual @ residual) / max(n - fit.freedom - int(offset), 1.0)
@@ -117,6 +137,8 @@ def identify_regularised(
     described["method"] = f"{described['method']}-{penalty}"
     described["warnings"] = fit.warnings
     described["hyper_parameters"] = {"strength": fit.strength, "degrees_of_freedom": fit.freedom}
+    if fit.mix is not None:
+        described["hyper_parameters"]["mix"] = fit.mix
     described["provenance"] |= {"seconds": time.perf_counter() - started}
     # y = φᵀθ + level is A (y − y₀) = B u: y₀ = level / A(1)
     polynomials = Polynomials.from_vector(fit.theta, orders)
@@ -125,13 +147,15 @@ def identify_regularised(
     )
 
 
-def _check(orders: Orders, penalty: str, strength: float | None) -> None:
+def _check(orders: Orders, penalty: str, strength: float | None, mix: float | None) -> None:
     if penalty not in PENALTIES:
         raise BadInput(f"penalty {penalty!r}: must be one of {', '.join(PENALTIES)}")
     if orders.nf or orders.nc or orders.nd or not orders.nb:
         raise BadInput(f"regularised regression: orders are {orders}; must have B, may have A, nothing else")
     if strength is not None and not (np.isfinite(strength) and strength > 0):
         raise BadInput(f"strength {strength!r}: must be a positive number")
+    if mix is not None and not (penalty == "elastic-net" and 0 < mix <= 1):
+        raise BadInput(f"mix {mix!r}: belongs to the elastic net, and must lie between 0 and 1")
 
 
 def _splits(data: Signals, orders: Orders, count: int) -> list[tuple[IntArray, IntArray]]:
@@ -189,6 +213,43 @@ def _lasso(
     covariance[np.ix_(kept, kept)] = np.linalg.pinv(centred.T @ centred, hermitian=True)
     says += _at_edge("lasso", strength)
     return _Fit(theta, float(found.intercept_), strength, covariance, float(len(kept)), tuple(says))
+
+
+def _elastic_net(
+    phi: FloatArray,
+    target: FloatArray,
+    splits: list[tuple[IntArray, IntArray]],
+    strength: float | None,
+    mix: float | None,
+    offset: bool,
+) -> _Fit:
+    """Degrees of freedom: tr Φ_A (Φ_AᵀΦ_A + nλ(1 − ρ) I)⁻¹ Φ_Aᵀ of the coefficients A that it kept.
+
+    R. J. Tibshirani, J. Taylor, Annals of Statistics 40 (2012).
+    """
+    says = ["the covariance takes the lags that the elastic net kept as known beforehand; it is too small"]
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always", ConvergenceWarning)
+        if strength is None:
+            mixes = _MIXES if mix is None else (mix,)
+            search = ElasticNetCV(
+                l1_ratio=list(mixes), alphas=_STRENGTHS["elastic-net"], fit_intercept=offset, cv=splits, max_iter=_SWEEPS
+            ).fit(phi, target)
+            strength, mix = float(search.alpha_), float(search.l1_ratio_)
+        mix = 0.5 if mix is None else mix
+        raised.clear()
+        found = ElasticNet(strength, l1_ratio=mix, fit_intercept=offset, max_iter=_SWEEPS).fit(phi, target)
+    if any(issubclass(warning.category, ConvergenceWarning) for warning in raised):
+        says.append("the elastic net did not converge; its coefficients are not to be trusted")
+    theta = np.asarray(found.coef_)
+    kept = np.flatnonzero(theta)
+    centred = (phi - phi.mean(axis=0) if offset else phi)[:, kept]
+    gram = centred.T @ centred
+    inverse = np.linalg.pinv(gram + len(target) * strength * (1 - mix) * np.eye(len(kept)), hermitian=True)
+    covariance = np.zeros((len(theta), len(theta)))
+    covariance[np.ix_(kept, kept)] = inverse
+    says += _at_edge("elastic-net", strength)
+    return _Fit(theta, float(found.intercept_), strength, covariance, float(np.sum(inverse * gram)), tuple(says), mix)
 
 
 def _at_edge(penalty: str, strength: float) -> tuple[str, ...]:

@@ -43,18 +43,20 @@ def identified_model(
     gain = data.y_scale / data.u_scale
     num, den, jacobian = _plant(polynomials)
     scale = np.r_[np.full(len(num), gain), np.ones(len(den) - 1)]
-    parameter_covariance = (jacobian @ covariance @ jacobian.T) * np.outer(scale, scale)
+    root = _square_root(covariance)
+    along = scale[:, None] * (jacobian @ root)
     g, dg = _impulse_response(polynomials)
+    dg = gain * (dg @ root)
     noise_num, noise_den = _noise(polynomials)
     return IdentifiedModel(
         impulse_response=g * gain,
-        covariance=(dg @ covariance @ dg.T) * gain**2,
+        covariance=dg @ dg.T,
         noise_variance=innovation_variance * data.y_scale**2,
         delay=polynomials.orders.delay,
         offset=data.y_level + level * data.y_scale - float(num.sum() / den.sum()) * gain * data.u_level,
         numerator=num * gain,
         denominator=den,
-        parameter_covariance=parameter_covariance,
+        parameter_covariance=along @ along.T,
         noise_numerator=noise_num,
         noise_denominator=noise_den,
         **described,
@@ -80,6 +82,17 @@ def description(
             "orders": orders_text(orders),
         },
     }
+
+
+def _square_root(covariance: FloatArray) -> FloatArray:
+    """B with B Bᵀ = Σ: J B (J B)ᵀ stays a covariance where J Σ Jᵀ, of badly known parameters, loses its symmetry to rounding.
+
+    Parameters of unequal size are brought to unit variance first; those that were not estimated keep rows of zeros.
+    """
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(std > 0, std, 1.0)
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / np.outer(size, size))
+    return np.asarray(std[:, None] * vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
 
 
 def _plant(p: Polynomials) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
 from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
 from residuum.identification.linear_models.prediction_error.criterion import Criterion
 from residuum.identification.linear_models.prediction_error.data import signals
@@ -158,3 +159,22 @@ def a_gap(x):
 def test_refusals(records, order, error, rule):
     with pytest.raises(error, match=rule):
         identify(STRUCTURES["arx"], records, "u", "y", order=order)
+
+
+def test_a_model_that_hardly_knows_its_parameters_has_a_covariance_still(tmp_path):
+    """A drift is no output error model: its poles lie at one, their gradients grow over 400 lags, and rounding with them."""
+    rng = np.random.default_rng(0)
+    u = np.cumsum(0.1 * rng.normal(size=1500))
+    record = Record({"u": u, "y": np.cumsum(u) + rng.normal(size=1500)}, {"u": "V", "y": "m"}, 1.0)
+    model = identify(STRUCTURES["oe"], [record], "u", "y", order=3)
+    save_identified(model, tmp_path / "m.json")
+    np.testing.assert_array_equal(load_identified(tmp_path / "m.json").covariance, model.covariance)
+    np.testing.assert_array_equal(model.covariance, model.covariance.T)
+    np.testing.assert_array_equal(model.parameter_covariance, model.parameter_covariance.T)
+
+
+def test_a_channel_without_a_sample_is_not_sent_to_another_method():
+    record = simulated("arx", 0, n=200)
+    empty = Record({"u": record["u"], "y": np.full(200, np.nan)}, {"u": "V", "y": "m"}, 0.1)
+    with pytest.raises(BadRecord, match="'y': has no sample; take a channel that was recorded"):
+        identify(STRUCTURES["arx"], [empty], "u", "y", order=1)

@@ -13,6 +13,9 @@ const METHODS = {
   kernel: "kernel-based impulse response",
   ridge: "impulse response, ridge",
   lasso: "impulse response, lasso",
+  "elastic-net": "impulse response, elastic net",
+  "set-membership": "impulse response, set membership",
+  "stochastic-embedding": "stochastic embedding",
   arx: "ARX",
   fir: "FIR",
   armax: "ARMAX",
@@ -76,7 +79,9 @@ export function identifyPage(place, query) {
       save_as: asked.name,
       ...(Number(asked.order) ? { order: Number(asked.order) } : {}),
       uncertainty: asked.uncertainty,
-      ...(asked.uncertainty === "set-membership" && Number(asked.bound) ? { noise_bound: Number(asked.bound) } : {}),
+      ...([asked.uncertainty, asked.method].includes("set-membership") && Number(asked.bound)
+        ? { noise_bound: Number(asked.bound) }
+        : {}),
     };
     runIn(result, "Identifying", "/identify", body, (model, signal) => drawModel(result, model, bench, signal), leaving);
   }
@@ -107,7 +112,7 @@ export function identifyPage(place, query) {
             "data-key": key,
             onchange: (event) => {
               asked[key] = event.target.value;
-              if (key === "record" || key === "uncertainty") drawForm();
+              if (["record", "uncertainty", "method"].includes(key)) drawForm();
             },
           },
           options.map(([value, text]) => h("option", { value, selected: value === asked[key] }, text)),
@@ -156,7 +161,7 @@ export function identifyPage(place, query) {
         choose("method", "method", Object.entries(METHODS)),
         type("order", "order (empty: chosen)", { type: "number", min: 1, max: 5000 }),
         choose("uncertainty", "uncertainty from", Object.entries(UNCERTAINTIES)),
-        asked.uncertainty === "set-membership"
+        [asked.uncertainty, asked.method].includes("set-membership")
           ? type("bound", "largest noise (empty: 1.1 × least)", { type: "number", step: "any", min: 0 })
           : null,
         type("name", "store as", { pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}", required: true }),

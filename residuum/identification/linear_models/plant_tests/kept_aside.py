@@ -1,0 +1,86 @@
+"""How a model fares on data that its fit has not seen, and how much of the input's effect it misses there.
+
+The error r = y − ŷ of the simulation is regressed on the input: what that explains (adjusted R²) the model misses, what it does
+not is noise, so that a poor fit of a noisy record is no fault of the model's.
+
+    missing = R² var r / (var y − (1 − R²) var r)       part of the response's power
+
+Fails where the data kept aside excite less than the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.linear_models.fit import simulated_beside
+from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.residual_tests import input_correlation_test
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+KEPT_ASIDE = 0.3
+"""The last part of a record that no split note divides."""
+_MOST_LAGS, _SAMPLES_A_LAG = 80, 12
+_LEVEL, _TOO_MUCH = 1e-4, 0.1
+_WORSE_THAN_A_CONSTANT = -5.0
+
+
+@dataclass(frozen=True)
+class KeptAside:
+    """Of one part kept aside.
+
+    Attributes
+    ----------
+    fit_percent : float
+        100 (1 − ‖y − ŷ‖/‖y − mean y‖).
+    missing : float
+        Part of the response's power that the input explains and the model does not.
+    p_value : float
+        That the error is free of the input.
+    """
+
+    fit_percent: float
+    missing: float
+    p_value: float
+
+    @property
+    def fails(self) -> bool:
+        """Worse than a constant, or more than a tenth of the response's power (a third of its size) is missing."""
+        return self.fit_percent < _WORSE_THAN_A_CONSTANT or (self.missing > _TOO_MUCH and self.p_value < _LEVEL)
+
+
+def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAside:
+    """The model on the samples of `record` from `first` on; those before only give the input its past.
+
+    Raises BadRecord for a part too short to have a fit.
+    """
+    y, residual = simulated_beside(model, record, first)
+    fit = 100 * (1 - float(np.nanstd(residual) / np.nanstd(y)))
+    u = np.asarray(record[model.input_name], dtype=float)[first:]
+    n = int(np.isfinite(residual).sum())
+    lags = max(2, min(_MOST_LAGS, n // _SAMPLES_A_LAG))
+    try:
+        p_value = input_correlation_test(residual, u, lags=lags).p_value
+    except NotIdentifiable:
+        return KeptAside(fit, 0.0, 1.0)
+    noise = float(np.nanvar(residual)) * (1 - _explained(residual, u, lags))
+    response = float(np.nanvar(y)) - noise
+    missing = (float(np.nanvar(residual)) - noise) / response if response > 0 else 0.0
+    return KeptAside(fit, missing, p_value)
+
+
+def _explained(residual: FloatArray, u: FloatArray, lags: int) -> float:
+    """Adjusted R² of the residual on the last `lags` inputs, 0 at least."""
+    past = np.lib.stride_tricks.sliding_window_view(u, lags)[:, ::-1]
+    t = residual[lags - 1 :]
+    known = np.isfinite(past).all(axis=1) & np.isfinite(t)
+    X, t = past[known], t[known]
+    if len(t) <= 2 * lags:
+        return 0.0
+    X, t = X - X.mean(axis=0), t - t.mean()
+    left = t - X @ np.linalg.lstsq(X, t, rcond=1e-8)[0]
+    return max(0.0, 1.0 - float(left @ left) / (len(t) - lags - 1) / (float(t @ t) / (len(t) - 1)))
