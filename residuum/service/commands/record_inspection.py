@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.first_rows import first_rows
 from residuum.identification.record_formats.logger_file import LoggerFile
+from residuum.identification.record_formats.read_apart import read_safely
 
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
@@ -16,7 +17,7 @@ _Column = tuple[int, str, str, int]
 
 def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a file whose format says how it is read; the reader's refusal where it is not."""
-    record = read_record(file, options)
+    record = read_safely(file, options)
     columns = [(k, name, record.units[name], int(record.missing(name).sum())) for k, name in enumerate(record.names, start=1)]
     samples: dict[str, Any] = {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True}
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
