@@ -18,7 +18,8 @@ from pathlib import Path
 from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats import MAY_CRASH, ReadOptions, read_record
+from residuum.identification.record_formats import MAY_CRASH, read_record
+from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
 
 _REFUSED = 2
