@@ -81,9 +81,8 @@ async def add_record(
     if time is not None and time_column is not None:
         raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
     said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column or time}
-    said |= {"missing": missing or []}
     with remedies_in_query():
-        how = reading(said | {"sample_time": sample_time}, map or (), unit or ())
+        how = reading(said | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
         content = await body_of(request)
         bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
         record = await running.reading(_read, filename, content, running.settings, how.options, bus)
