@@ -15,6 +15,7 @@ from residuum.identification.physics import (
     estimate,
     load_model,
     match,
+    measured_parts,
     read_model,
 )
 from residuum.identification.record import Record as MeasuredRecord
@@ -105,7 +106,7 @@ class Model(DescribedModel):
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
-        given = as_records(records)
+        given = measured_parts(self.physical, as_records(records), map)
         return Comparison(self._given, _names(given), compare(self.physical, given, map, **options))
 
     def explain(
@@ -149,7 +150,7 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
-        given = as_records(records)
+        given = measured_parts(self.physical, as_records(records), map)
         with told(progress) as tell:
             ensure_compiled(tell)
             found = explain(
@@ -212,7 +213,14 @@ class Model(DescribedModel):
         with told(progress) as tell:
             ensure_compiled(tell)
             found = improve(
-                self.physical, as_records(records), map, add=wanted, effects=effects, seconds=seconds, tell=tell, **options
+                self.physical,
+                measured_parts(self.physical, as_records(records), map),
+                map,
+                add=wanted,
+                effects=effects,
+                seconds=seconds,
+                tell=tell,
+                **options,
             )
         return Improvement(Model(found.model), found)
 
@@ -244,7 +252,7 @@ class Model(DescribedModel):
         from residuum.library.estimation import estimated  # noqa: PLC0415
         from residuum.library.improvement import Estimation  # noqa: PLC0415
 
-        given = as_records(records)
+        given = measured_parts(self.physical, as_records(records), map)
         found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
         result = found.estimate
         return Estimation(Model(result.model), self._given, _names(given), method, found.held_out_rmse, result, found.experiments)

@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record as MeasuredRecord
-from residuum.identification.record_formats import ReadOptions, read_record
+from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.record import Record, shown
 from residuum.library.table_columns import as_frame, heads, numbers, units_of
 from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
@@ -66,7 +67,7 @@ def read(
     [0.0, 1.0, 1.0]
     """
     options = ReadOptions(resample=resample, sample_time=sample_time, units=dict(units or {}))
-    return shown(read_record(Path(path), options).rename(rename or {}))
+    return shown(read_safely(Path(path), options).rename(rename or {}))
 
 
 def from_arrays(

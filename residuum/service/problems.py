@@ -16,6 +16,7 @@ from starlette.responses import Response
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.bad_bodies import BadBody, TooLarge, UnsupportedBody
+from residuum.service.remedies_over_http import said_over_http
 from residuum.service.request_ids import HEADER, request_id
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
@@ -58,7 +59,9 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(BadInput)
     async def _bad_input(_request: Request, error: BadInput) -> Response:
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
-        return problem(status, str(error), _kebab(type(error).__name__), {"Retry-After": "5"} if status == 429 else None)
+        return problem(
+            status, said_over_http(str(error)), _kebab(type(error).__name__), {"Retry-After": "5"} if status == 429 else None
+        )
 
     @app.exception_handler(RequestValidationError)
     async def _not_valid(_request: Request, error: RequestValidationError) -> Response:

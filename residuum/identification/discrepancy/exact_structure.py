@@ -9,6 +9,7 @@ from residuum.identification.discrepancy.completeness import at_the_noise
 from residuum.identification.discrepancy.experiments_to_blame import searched
 from residuum.identification.discrepancy.held_values import wrongly_held
 from residuum.identification.discrepancy.judged_experiments import experiments_and_base
+from residuum.identification.discrepancy.last_look import keep_what_shows
 from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
 from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.physics import Experiment, PhysicalModel, candidates
@@ -78,4 +79,5 @@ def _exact(
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])
         found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
+    keep_what_shows(found, experiments)
     return Exact(found, experiments, finer, doubted)

@@ -11,11 +11,11 @@ from residuum.identification.discrepancy.policy.acceptance import ACCEPT
 from residuum.identification.discrepancy.policy.likelihood import LOWER_TOP
 from residuum.identification.discrepancy.policy.trials import GENERALISED_SHARE
 from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.structure_comparison import likelier, rival_of, schwarz, simulates_no_worse
+from residuum.identification.discrepancy.soundness import at_estimate, is_sound
+from residuum.identification.discrepancy.structure_comparison import likelier, rival_of, schwarz
 from residuum.identification.discrepancy.structure_fits import refit
 from residuum.identification.discrepancy.structures import Structure
-from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, candidates, conditions_at
-from residuum.identification.physics.effects.base import Conditions, Effect
+from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
 from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import side_by_side
 
@@ -90,29 +90,4 @@ def simplified(screen: Screen, refitted: Mapping[Key, Structure]) -> dict[Key, S
 def _grown_starts(id: str, target: str, special: Structure, experiments: Sequence[Experiment]) -> Sequence[Mapping[str, float]]:
     longest = int(np.argmax([e.n for e in experiments]))
     effect = find_effect(id)
-    return effect.grown(*_at_estimate(special, Key(effect.generalises, target), experiments, longest, effect))
-
-
-def is_sound(structure: Structure, key: Key, screen: Screen) -> bool:
-    """Whether an effect leaves no larger simulation error, and can be told from an unknown load."""
-    return simulates_no_worse(structure, screen.base) and _shows(structure, key, screen.experiments)
-
-
-def _shows(structure: Structure, key: Key, experiments: Sequence[Experiment]) -> bool:
-    """Whether in one of the experiments the effect, as it was estimated, can be told from an unknown load."""
-    effect = find_effect(key[0])
-    if type(effect).shows is Effect.shows:
-        return True
-    longest_first = sorted(range(len(experiments)), key=lambda k: -experiments[k].n)
-    return any(effect.shows(*_at_estimate(structure, key, experiments, k)) for k in longest_first)
-
-
-def _at_estimate(
-    structure: Structure, key: Key, experiments: Sequence[Experiment], k: int, beside: Effect | None = None
-) -> tuple[dict[str, float], Conditions]:
-    """An effect's values where it was estimated, and the conditions for it (or one `beside` it) in the k-th experiment."""
-    simulator = Simulator(structure.model)
-    X = simulator.run_vectors(experiments[k], structure.initial[k], simulator.p(), substeps=structure.substeps[k]).X
-    label = f"{structure.label_of(key)}."
-    values = {n.removeprefix(label): v for n, v in structure.model.values.items() if n.startswith(label)}
-    return values, conditions_at(structure.model, beside or find_effect(key[0]), key[1], experiments[k], X)
+    return effect.grown(*at_estimate(special, Key(effect.generalises, target), experiments, longest, effect))

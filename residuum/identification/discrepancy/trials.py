@@ -12,7 +12,8 @@ from residuum.identification.discrepancy.policy.acceptance import ALIKE
 from residuum.identification.discrepancy.policy.likelihood import CLOSE, FAR_BEHIND, POLISH_GAIN, POLISHES
 from residuum.identification.discrepancy.policy.trials import MOST_GLIMPSES, PROMISING_GAIN, SECOND_LOOKS, STARTS_WITH_STATES
 from residuum.identification.discrepancy.score_test import Screen, Screened
-from residuum.identification.discrepancy.special_cases import grown, is_sound, simplified, that_say_more
+from residuum.identification.discrepancy.soundness import is_sound
+from residuum.identification.discrepancy.special_cases import grown, simplified, that_say_more
 from residuum.identification.discrepancy.structure_comparison import is_done, likelier, rival_of, schwarz, within_a_sample
 from residuum.identification.discrepancy.structure_fits import glimpse, refit
 from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, root_mean_squares, times_its_innovations

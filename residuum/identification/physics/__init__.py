@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from residuum.identification.physics.model import EffectUse, Key, PhysicalModel, candidates, find_effect
     from residuum.identification.physics.simulate.block_means import block_means
     from residuum.identification.physics.simulate.coloured_covariance import with_coloured_noise
-    from residuum.identification.physics.simulate.experiment import Experiment, match
+    from residuum.identification.physics.simulate.experiment import Experiment, match, measured_parts
     from residuum.identification.physics.simulate.kalman import (
         Filter,
         MissingTerm,
@@ -68,6 +68,7 @@ __all__ = [
     "load_model",
     "block_means",
     "match",
+    "measured_parts",
     "missing_terms",
     "noise_floor",
     "read_model",
@@ -85,7 +86,7 @@ _PLACES = {
     "model": ("EffectUse", "Key", "PhysicalModel", "candidates", "find_effect"),
     "simulate.block_means": ("block_means",),
     "simulate.coloured_covariance": ("with_coloured_noise",),
-    "simulate.experiment": ("Experiment", "match"),
+    "simulate.experiment": ("Experiment", "match", "measured_parts"),
     "simulate.kalman": ("Filter", "MissingTerm", "Noise", "Smoothed", "missing_terms", "noise_floor", "tune"),
     "simulate.operating_conditions": ("balance_variables", "conditions_at"),
     "simulate.simulation": ("Simulation", "Simulator"),

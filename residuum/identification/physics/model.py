@@ -306,6 +306,12 @@ def _declared(effect: Effect, site: Site, given: Mapping[str, float], fixed: tup
         raise BadModel(f"effect {effect.id!r}: no parameter {unknown[0]!r}; there are {', '.join(declared)}")
     for name, value in given.items():
         declared[name] = replace(declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value))
+    for low, high in effect.ordered:
+        if not declared[low].value < declared[high].value:
+            raise BadModel(
+                f"effect {effect.id!r}: parameter {low!r} is {declared[low].value:g} and {high!r} is {declared[high].value:g}; "
+                f"{low!r} must be below {high!r}"
+            )
     return declared | {name: replace(declared[name], fixed=True) for name in fixed}
 
 

@@ -31,6 +31,8 @@ LOGGERS = {**dict.fromkeys((".txt", ".tsv", ".dat"), read_csv), ".lvm": read_lvm
 """What loggers call their text files; nothing is written under these endings."""
 OLDER = {".mdf": read_mdf}
 """Formats of earlier days, read only."""
+MAY_CRASH = (".mat", ".mf4", ".mdf")
+"""Formats whose readers a damaged file can end with a segmentation fault (see `read_apart`)."""
 CAN_LOGS = (".blf", ".asc", ".log", ".trc")
 """Logs of CAN buses: a DBC file says what is in them, and the service, which knows buses, reads them."""
 WRITERS: dict[str, Callable[[Record, str | Path], None]] = {
@@ -86,4 +88,15 @@ def write_record(record: Record, path: str | Path) -> None:
     WRITERS[ending](record, path)
 
 
-__all__ = ["CAN_LOGS", "LOGGERS", "OLDER", "READERS", "WRITERS", "ReadOptions", "parse_csv", "read_record", "write_record"]
+__all__ = [
+    "CAN_LOGS",
+    "LOGGERS",
+    "MAY_CRASH",
+    "OLDER",
+    "READERS",
+    "WRITERS",
+    "ReadOptions",
+    "parse_csv",
+    "read_record",
+    "write_record",
+]

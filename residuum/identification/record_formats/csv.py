@@ -60,7 +60,8 @@ def _is_ours(content: bytes) -> bool:
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
     try:
-        found = understand(content, source, decimal=options.decimal, time_form=options.time_form, time_column=options.time_column)
+        said = {"decimal": options.decimal, "time_form": options.time_form, "time_column": options.time_column}
+        found = understand(content, source, **said, missing=options.missing)
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
         if "--decimal" not in str(error) and "--time" not in str(error):

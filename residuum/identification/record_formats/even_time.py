@@ -61,6 +61,15 @@ def even_columns(
     )
 
 
+def usual_step(time: FloatArray) -> tuple[float, bool]:
+    """(step [s], whether all are alike) of rising instants, shape (n,), as reading them gives it; the median of uneven ones."""
+    try:
+        return even_columns(time[None], "", resample=False)[0], True
+    except BadRecord:
+        grid = on_grid(time)
+        return float(np.median(np.diff(time))) if grid is None else grid[0], False
+
+
 def _only_rounded(time: FloatArray) -> bool:
     """Whether even stamps were only rounded to so many decimals: a logger's 0.00325 s written as 0.003, 0.007, 0.010.
 

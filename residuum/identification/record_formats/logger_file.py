@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.even_time import on_grid
+from residuum.identification.record_formats.even_time import on_grid, usual_step
 from residuum.identification.record_formats.first_rows import first_rows
 from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
-from residuum.identification.record_formats.logger_mapping import LoggerMapping, table
+from residuum.identification.record_formats.logger_mapping import SAY_DUPLICATES, LoggerMapping, table
 from residuum.identification.record_formats.logger_text import (
     MISSING,
     cells_of,
@@ -28,6 +28,7 @@ from residuum.identification.record_formats.logger_text import (
     with_unit,
 )
 from residuum.identification.record_formats.logger_time import CLOCKS, FORMS, SINCE_START, number_form, seconds_of, stamp_form
+from residuum.identification.record_formats.no_value import without_overload
 
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
@@ -376,7 +377,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
     if pairs:
         equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in pairs)
         mapping = replace(mapping, duplicates="first" if equal else "refuse")
-        why = "the rows are equal" if equal else "the rows differ"
+        why = "the rows are equal" if equal else f"the rows differ: {SAY_DUPLICATES}"
         guesses["duplicates"] = (
             mapping.duplicates,
             f"{len(pairs)} rows repeat a stamp, first row {rows[pairs[0][1]]}; {why}",
@@ -388,17 +389,20 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
             f"{source}: all rows have one time stamp, {stamp[:40]!r}; export the times with more digits, or write the seconds "
             "since the start into a column 'time [s]'"
         )
-    step = float(np.median(forward))
+    step, even = usual_step(np.unique(stamps - stamps.min()) / 1e9)
+    told = [without_overload(name, column) for name, column in zip(mapping.names.values(), values, strict=True)]
+    values = np.stack([column for column, _ in told])
     gaps = np.flatnonzero(steps / 1e9 > 1.5 * step)
     samples = {
         "rows": len(rows),
         "sample_time": step,
         "rate": 1 / step,
-        "even": bool((np.abs(forward - step) <= 0.01 * step).all()),
+        "even": even,
         "gaps": [{"after_row": rows[k], "seconds": float(steps[k]) / 1e9} for k in gaps[:20]],
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
+        "notes": [note for _, notes in told for note in notes],
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }

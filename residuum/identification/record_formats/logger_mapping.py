@@ -155,6 +155,10 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
     return times, np.array(values).T, rows
 
 
+SAY_DUPLICATES = "set the mapping's `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
+"""The way on where rows of one stamp differ."""
+
+
 def say_missing(cell: str) -> str:
     """The command that says of a cell that it means no value."""
     return f"`residuum inspect FILE --missing {cell[:40]!r} --out FILE{ENDING}` says so"
@@ -227,8 +231,8 @@ def _ordered(
     if mapping.duplicates == "refuse":
         row = rows[int(np.argmax(same)) + 1]
         raise BadRecord(
-            f"{source}, row {row}: time stamp stands twice; set the mapping's `duplicates` to `spread` "
-            "(even steps until the next stamp), `first` or `mean`"
+            f"{source}, row {row}: time stamp stands twice; {SAY_DUPLICATES} "
+            f"(`residuum inspect FILE --out FILE{ENDING}` writes it)"
         )
     notes.append(f"{int(same.sum())} rows of a time stamp that stands twice: {mapping.duplicates}")
     starts = np.flatnonzero(np.concatenate([[True], ~same]))

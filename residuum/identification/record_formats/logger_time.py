@@ -16,6 +16,7 @@ PER_SECOND = {
     "nanoseconds": Fraction(1, 10**9),
     "minutes": Fraction(60),
     "hours": Fraction(3600),
+    "seconds since 1904": Fraction(1),
     "epoch s": Fraction(1),
     "epoch ms": Fraction(1, 1000),
     "epoch us": Fraction(1, 10**6),
@@ -49,7 +50,17 @@ _DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})(?:[T ,]+(.*))?", re.A
 _CLOCK = re.compile(
     r"(\d+):(\d\d)(?::(\d\d)(?:([.,:])(\d+))?)?\s*([AaPp][Mm])?\s*(Z|UTC|[+-]\d\d:?\d\d|[+-]\d\d)?", re.ASCII | re.IGNORECASE
 )
-_EPOCHS = (("epoch s", 1e9, 2.2e9), ("epoch ms", 1e12, 2.2e12), ("epoch us", 1e15, 2.2e15), ("epoch ns", 1e18, 2.2e18))
+_1904 = "seconds since 1904"
+_SINCE_1904 = 2_082_844_800
+"""Seconds from 1904-01-01, where LabVIEW and old Macintoshes begin to count, to 1970-01-01 (both UTC)."""
+_EPOCHS = (
+    ("epoch s", 1e9, 2.2e9),
+    (_1904, 1e9 + _SINCE_1904, 2.2e9 + _SINCE_1904),
+    ("epoch ms", 1e12, 2.2e12),
+    ("epoch us", 1e15, 2.2e15),
+    ("epoch ns", 1e18, 2.2e18),
+)
+"""Forms of numbers that count from an epoch, and the numbers that are then of our days: these do not overlap."""
 
 
 def seconds_of(unit: str) -> float | None:
@@ -78,10 +89,10 @@ def number_form(name: str, unit: str, values: npt.NDArray[np.float64]) -> tuple[
 
 
 def _epoch_form(unit: str, low: float, high: float) -> tuple[str, str] | None:
-    """The unit in which numbers from `low` to `high` are times since 1970 of our days."""
+    """The unit in which numbers from `low` to `high` are times of our days, since 1970 or 1904."""
     for form, least, most in _EPOCHS:
         if least <= low and high <= most and (not unit or UNITS.get(unit.lower()) == _plain(form)):
-            return form, f"{low:.0f} is {_date(low, form)} as seconds since 1970"
+            return form, f"{low:.0f} is {_date(low, form)} as seconds since {1904 if form == _1904 else 1970}"
     return None
 
 
@@ -95,13 +106,14 @@ def _excel_form(words: list[str], values: npt.NDArray[np.float64]) -> tuple[str,
 
 
 def _plain(form: str) -> str:
-    return UNITS[form.split()[1]]
+    return "seconds" if form == _1904 else UNITS[form.split()[1]]
 
 
 def _date(value: float, form: str) -> str:
     if form == "datenum":
         return f"{datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=value - _DATENUM_1970):%Y-%m-%d %H:%M}"
-    return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]), UTC):%Y-%m-%d %H:%M}"
+    since = _SINCE_1904 if form == _1904 else 0
+    return f"{datetime.fromtimestamp(value * float(PER_SECOND[form]) - since, UTC):%Y-%m-%d %H:%M}"
 
 
 def stamp_form(cells: list[str]) -> tuple[str, str] | None:
@@ -167,7 +179,8 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     """
     if form in PER_SECOND:
         number(cell, decimal)
-        return round(Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", "")) * PER_SECOND[form] * 10**9)
+        count = Fraction(cell.replace(",", ".") if decimal == "," else cell.replace(",", "")) * PER_SECOND[form]
+        return round((count - (_SINCE_1904 if form == _1904 else 0)) * 10**9)
     if form == "excel":
         microseconds = round(number(cell, decimal) * 86_400_000_000)
         return (microseconds + int((_EXCEL_EPOCH - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * 10**6) * 1000

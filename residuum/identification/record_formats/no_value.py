@@ -21,14 +21,18 @@ def without_overloads(record: Record) -> Record:
     """The record with overloads missing; the notes tell how many, and which numbers may be marks for no value."""
     channels, notes = dict(record.channels), list(record.notes)
     for name, signal in record.channels.items():
-        over = np.abs(signal) >= OVERLOAD  # a comparison with NaN is false
-        if over.any():
-            notes.append(
-                f"{NO_VALUE}{name}: {int(over.sum())} samples of {signal[over][0]:.9g} are an overload, taken as missing"
-            )
-            channels[name] = np.where(over, np.nan, signal)
-        notes += [f"{NO_VALUE}{name}: {_said(value, count)}" for value, count in _marks(np.asarray(channels[name]))]
+        channels[name], told = without_overload(name, signal)
+        notes += told
     return record if notes == list(record.notes) else replace(record, channels=channels, notes=tuple(notes))
+
+
+def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:
+    """A channel, shape (n,), with overloads missing, and the notes on it and on what may be a mark for no value."""
+    notes, over = [], np.abs(signal) >= OVERLOAD  # a comparison with NaN is false
+    if over.any():
+        notes.append(f"{NO_VALUE}{name}: {int(over.sum())} samples of {signal[over][0]:.9g} are an overload, taken as missing")
+        signal = np.where(over, np.nan, signal)
+    return signal, notes + [f"{NO_VALUE}{name}: {_said(value, count)}" for value, count in _marks(np.asarray(signal))]
 
 
 def _said(value: float, count: int) -> str:

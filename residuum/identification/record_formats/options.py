@@ -1,6 +1,6 @@
 """What a reader must be told where a file does not say it itself."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from residuum.identification.errors import BadRecord
@@ -21,6 +21,8 @@ class ReadOptions:
         For files that carry no units.
     decimal, time_form, time_column : str or None
         Of a logger's file, where its text leaves them open: the decimal sign, the form of its times, the name of their column.
+    missing : sequence of str
+        Of a logger's file: cells that mean no value, beside those that loggers write.
     """
 
     resample: bool = False
@@ -29,6 +31,7 @@ class ReadOptions:
     decimal: str | None = None
     time_form: str | None = None
     time_column: str | None = None
+    missing: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if self.sample_time is not None and not self.sample_time > 0:

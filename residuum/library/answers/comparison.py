@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
 from residuum.identification.residual_analysis.locate import Region
 
@@ -60,7 +61,7 @@ def region_json(region: Region) -> dict[str, Any]:
 
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
-    lines = []
+    lines = [f"{name}: an experiment of its own, for an input was not measured before or after" for name in _parts(comparison)]
     for name, output in comparison.outputs.items():
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
@@ -78,3 +79,8 @@ def comparison_text(comparison: Comparison) -> str:
     )
     lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
     return "\n".join(lines)
+
+
+def _parts(comparison: Comparison) -> list[str]:
+    """Names of records that are parts of one with holes."""
+    return [name for name in comparison.records if PART in name]

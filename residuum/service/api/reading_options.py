@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from starlette.datastructures import QueryParams
 
@@ -18,11 +19,12 @@ _OF_THE_FILE = {
     "unit": "CHANNEL=UNIT, once a channel: the unit of a column that has none.",
     "time": "Name of the column of times.",
     "resample": "true: accept uneven time stamps; longer holes stay missing.",
+    "missing": "CELL, once a spelling: what means no value in a logger's file, such as OL or -999.9.",
     "decimal": "Decimal sign of a logger's file that leaves it open: . or ,",
     "time_form": f"Form of a logger's times: {', '.join(FORMS)}.",
 }
 READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
-"""Key and meaning of what may be said of a body that is a file; several of `unit` and `map` are taken."""
+"""Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and `missing` are taken."""
 _KEYS = {
     "sample-time": ("sample_time", "SECONDS"),
     "resample": ("resample", "true"),
@@ -33,6 +35,8 @@ _KEYS = {
 }
 """Option of the command line → key of the query, and what stands for its value."""
 _OPTION = re.compile(rf"--({'|'.join(_KEYS)})\b(?![-\w])( [\w]+=[^\s,;)]+|(?<=--time) (?:'[^']+'|seconds\b))?")
+_MISSING = re.compile(r"`residuum inspect FILE --missing ('[^']*'|[^\s`]+) --out FILE[^`]*` says so")
+"""What a mapping settles for the commands, and a key of the query here."""
 _COMMAND = re.compile(r"(`[^`]*`)")
 _BESIDE = re.compile(r" \(`residuum inspect FILE` with it [^)]*\)$")
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -52,6 +56,8 @@ class Reading(NamedTuple):
 def reading_of(query: QueryParams) -> Reading:
     """What a query says of reading; BadInput names the key that is malformed."""
     said: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form") if key in query}
+    if "missing" in query:
+        said["missing"] = query.getlist("missing")
     if "time" in query:
         said["time_column"] = query["time"]
     if "resample" in query:
@@ -87,8 +93,10 @@ def _in_query(says: str) -> str:
 
     >>> _in_query("say --time 'day first' or --time 'month first'")
     "say ?time_form='day first' or ?time_form='month first'"
+    >>> _in_query("if it means no value, `residuum inspect FILE --missing 'OL' --out FILE.mapping.yaml` says so")
+    'if it means no value, say ?missing=OL'
     """
-    says = _BESIDE.sub("", says)
+    says = _MISSING.sub(lambda found: f"say ?missing={quote(found[1].strip(chr(39)))}", _BESIDE.sub("", says))
     return "".join(part if part.startswith("`") else _OPTION.sub(_key, part) for part in _COMMAND.split(says))
 
 

@@ -63,6 +63,7 @@ async def add_record(
         float | None, Query(description="Seconds between samples, for files that do not say it.", gt=0, allow_inf_nan=False)
     ] = None,
     unit: Annotated[list[str] | None, Query(description=READING_OPTIONS["unit"], max_length=256)] = None,
+    missing: Annotated[list[str] | None, Query(description=READING_OPTIONS["missing"], max_length=64)] = None,
     map: Annotated[list[str] | None, Query(description=READING_OPTIONS["map"], max_length=256)] = None,
     dbc: Annotated[
         str | None,
@@ -81,7 +82,7 @@ async def add_record(
         raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
     said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column or time}
     with remedies_in_query():
-        how = reading(said | {"sample_time": sample_time}, map or (), unit or ())
+        how = reading(said | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
         content = await body_of(request)
         bus = None if dbc is None else await run_in_threadpool(known_dbc, running.settings, running.store, dbc)
         record = await running.reading(_read, filename, content, running.settings, how.options, bus)

@@ -52,7 +52,9 @@ SIGNAL_QUERY = [
     query_parameter("t0", "number", ".npy: time of the first sample [s]."),
     query_parameter("channel", "string", ".npy: `name [unit]`, once a row of the array.", repeated=True),
     *(
-        query_parameter(name, "string", f"CSV, NPZ: {says}" if name != "map" else says, repeated=name in ("map", "unit"))
+        query_parameter(
+            name, "string", f"CSV, NPZ: {says}" if name != "map" else says, repeated=name in ("map", "unit", "missing")
+        )
         for name, says in READING_OPTIONS.items()
     ),
     query_parameter("dbc", "string", f"DBC file of a watched machine, by its name, for a CAN log ({', '.join(CAN_LOGS)})."),

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 import typer
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS
+from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS, ReadOptions
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.lvm import LONGEST_HEAD, has_head
 from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.record_inspection import of_logger_file, of_record_file
-from residuum.service.commands.records import DbcFile, is_can_log
+from residuum.service.commands.records import DbcFile, Resample, SampleTime, Units, is_can_log, pairs
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -32,6 +32,9 @@ def inspect_command(
     ] = None,
     dbc: DbcFile = None,
     register_map: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="Register map of a Modbus device.")] = None,
+    resample: Resample = False,
+    sample_time: SampleTime = None,
+    units: Units = None,
     as_json: AsJson = False,
 ) -> None:
     """Show how a logger's file is understood: columns, units, times, rate, gaps. Write a mapping file for it.
@@ -44,7 +47,8 @@ def inspect_command(
     elif dbc is not None or is_can_log(Path(file)):
         report(*_log(Path(file), dbc), as_json=as_json)
     elif _says_itself(Path(file)):
-        report(*of_record_file(Path(file)), as_json=as_json)
+        options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
+        report(*of_record_file(Path(file), options), as_json=as_json)
     else:
         _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
 

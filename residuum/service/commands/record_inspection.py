@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.record_formats import read_record
+from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.first_rows import first_rows
 from residuum.identification.record_formats.logger_file import LoggerFile
+from residuum.identification.record_formats.read_apart import read_safely
 
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
 
 
-def of_record_file(file: Path) -> tuple[dict[str, Any], str]:
+def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a file whose format says how it is read; the reader's refusal where it is not."""
-    record = read_record(file)
+    record = read_safely(file, options)
     columns = [(k, name, record.units[name], int(record.missing(name).sum())) for k, name in enumerate(record.names, start=1)]
     samples: dict[str, Any] = {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True}
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
@@ -28,9 +29,9 @@ def of_record_file(file: Path) -> tuple[dict[str, Any], str]:
 def of_logger_file(file: Path, found: LoggerFile) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a logger's text file, as it is understood."""
     mapping, samples = found.mapping, dict(found.samples)
-    missing, rows = samples.pop("missing"), samples.pop("first_rows")
+    missing, rows, notes = samples.pop("missing"), samples.pop("first_rows"), samples.pop("notes")
     columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]
-    shown = _shown(file, columns, samples, rows)
+    shown = _shown(file, columns, samples, rows) | {"notes": notes}
     shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
     shown["mapping"] = mapping.to_yaml()
     return shown, _text(shown)
@@ -51,8 +52,8 @@ def _shown(file: Path, columns: Sequence[_Column], samples: dict[str, Any], rows
 
 def _text(shown: dict[str, Any]) -> str:
     samples, columns = shown["samples"], shown["columns"]
-    lines = [f"{shown['file']}: {samples['rows']} rows of {samples['sample_time']:.6g} s, {len(columns)} channels"]
-    lines[0] += f", {samples['rate']:.6g} Hz"
+    lines = [f"{shown['file']}: {_rows(samples)}, {len(columns)} channels"]
+    lines[0] += "" if samples["duplicates"] else f", {samples['rate']:.6g} Hz"
     lines += [f"  {guess['what']}: {guess['value']!r} ({guess['reason']})" for guess in shown["guesses"]]
     lines += [f"  {note}" for note in shown["notes"]]
     lines += [f"  column {c['column']}: {c['name']} [{c['unit']}], {c['missing']} missing" for c in columns]
@@ -67,3 +68,10 @@ def _text(shown: dict[str, Any]) -> str:
     if not samples["even"]:
         lines.append("  steps are uneven: the commands take it with --resample")
     return "\n".join(lines)
+
+
+def _rows(samples: dict[str, Any]) -> str:
+    """How many rows, and how far apart they are; where stamps stand several times nobody knows yet."""
+    if repeated := samples["duplicates"]:
+        return f"{samples['rows']} rows, {samples['rows'] - repeated} stamps {samples['sample_time']:.6g} s apart"
+    return f"{samples['rows']} rows of {samples['sample_time']:.6g} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 from typing import Any
@@ -10,6 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import structlog
 from starlette.exceptions import HTTPException
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from residuum.service.problems import problem
@@ -24,6 +26,10 @@ log = structlog.get_logger()
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""
 
+_DRAINED = 4
+"""Times the longest body that is taken: so much is read and thrown away before it is refused."""
+_PATIENCE = 5.0
+"""Seconds of silence after which no more of a body that is thrown away is waited for."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _BURST = 2.0
 """Seconds of the allowed rate that a client may ask for at once."""
@@ -55,9 +61,10 @@ _PAGES = [
 class Gate:
     """ASGI middleware around the whole app.
 
-    A body over the limit is refused by its declared length before any of it is read, or as soon as what came exceeds
-    the limit. When the service listens on this machine alone, a request must name it as this machine does (a foreign
-    name pointed at 127.0.0.1 is the usual way into a local service), and a page of another origin may not write.
+    A body over the limit is refused by its declared length, or as soon as what came exceeds the limit; of one that is not far
+    over it the rest is taken and thrown away, for its sender looks for an answer only then. When the service listens on
+    this machine alone, a request must name it as this machine does (a foreign name pointed at 127.0.0.1 is the usual way into a
+    local service), and a page of another origin may not write.
     """
 
     def __init__(
@@ -118,9 +125,10 @@ class Gate:
         if not length.isdigit():
             return problem(400, "Content-Length: is not a number", "bad-request")
         if len(length) > 18 or int(length) > self.settings.body_limit:
-            return problem(
-                413, f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken", "too-large", _CLOSE
-            )
+            says = f"body: {length.decode()[:20]} bytes; at most {self.settings.body_limit} are taken"
+            refusal, most = problem(413, says, "too-large", _CLOSE), _DRAINED * self.settings.body_limit
+            asks_first = b"expect" in headers
+            return refusal if asks_first or len(length) > 18 or int(length) > most else _after_the_body(refusal, most)
         if (wrapped := _wrapped(headers)) is not None:
             return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
         host = headers.get(b"host", b"").decode("latin-1")
@@ -179,10 +187,36 @@ class Gate:
             message = await receive()
             taken += len(message.get("body", b""))
             if taken > self.settings.body_limit:
-                raise HTTPException(413, f"body: more than {self.settings.body_limit} bytes came; no more are taken")
+                if message.get("more_body"):
+                    await _throw_away(receive, _DRAINED * self.settings.body_limit - taken)
+                raise HTTPException(413, f"body: more than {self.settings.body_limit} bytes came; no more are taken", _CLOSE)
             return message
 
         return limited
+
+
+def _after_the_body(refusal: Response, most: int) -> ASGIApp:
+    """A refusal that is sent when all of the body has come, and was thrown away.
+
+    Most clients send everything before they look for an answer; a connection that is closed in the middle resets theirs, and the
+    answer is lost. One that asks first (`Expect: 100-continue`), or announces far too much, is answered at once.
+    """
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        await _throw_away(receive, most)
+        await refusal(scope, receive, send)
+
+    return answer
+
+
+async def _throw_away(receive: Receive, most: int) -> None:
+    """Take what is left of a body, at most so many bytes, and as long as it keeps coming."""
+    with contextlib.suppress(TimeoutError):
+        more = True
+        while more and most > 0:
+            message = await asyncio.wait_for(receive(), _PATIENCE)
+            most -= len(message.get("body", b""))
+            more = message.get("more_body", False)
 
 
 def _wrapped(headers: dict[bytes, bytes]) -> str | None:

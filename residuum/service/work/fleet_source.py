@@ -15,7 +15,8 @@ from sqlalchemy import select
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import OLDER, READERS, read_record
+from residuum.identification.record_formats import OLDER, READERS
+from residuum.identification.record_formats.read_apart import read_safely
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.storage.tables import windows
@@ -56,7 +57,7 @@ class Folder:
 
     def read(self, item: str) -> Record:
         """The record of a file."""
-        return read_record(item)
+        return read_safely(item)
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class Bucket:
             try:
                 with files.open(item, "rb") as there, here.open("wb") as copy:
                     shutil.copyfileobj(there, copy)
-                return _named(read_record(here), item)
+                return _named(read_safely(here), item)
             except BadInput as error:
                 raise BadInput(str(error).replace(str(here), item)) from None
             except OSError as error:

@@ -18,6 +18,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
+from residuum.service.remedies_over_http import said_over_http
 from residuum.service.store import NotFound
 
 log = structlog.get_logger()
@@ -169,7 +170,7 @@ class Jobs:
             try:
                 outcome = then(outcome)
             except BadInput as error:
-                state, outcome = JobState.REFUSED, str(error)
+                state, outcome = JobState.REFUSED, said_over_http(str(error))
             except Exception as error:  # what was computed cannot be kept: the job has failed, and says why
                 state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
         self._finish(job, state, outcome)
@@ -226,6 +227,6 @@ def _work_on(channel: Connection[Any, Any]) -> None:
             try:
                 channel.send((JobState.DONE.value, dict(work(progress, *arguments))))
             except BadInput as error:
-                channel.send((JobState.REFUSED.value, " ".join(str(error).split())))
+                channel.send((JobState.REFUSED.value, said_over_http(" ".join(str(error).split()))))
             except Exception:
                 channel.send((JobState.FAILED.value, traceback.format_exc()))

@@ -9,22 +9,22 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import orjson
 
 from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
+from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
 from residuum.service.bad_bodies import BadBody, TooLarge
 from residuum.service.work.limited_process import run_limited, within_limits
 
 _OF_READING = (*vars(errors).values(), BadBody, TooLarge)
 _REFUSALS = {each.__name__: each for each in _OF_READING if isinstance(each, type) and issubclass(each, BadInput)}
 """What reading may raise, by the name under which the process tells it: a refusal is the same as without a process."""
-_DESCRIPTION = "record.json"
 
 
 def read_upload(
@@ -67,19 +67,8 @@ def _read(content: bytes, ending: str, name: str, how: Mapping[str, object], mem
 
 
 def _load(file: Path, name: str) -> Record:
-    described = orjson.loads((file.parent / _DESCRIPTION).read_bytes())
-    names = list(described["units"])
-    channels = {each: np.load(file.parent / f"{number}.npy", allow_pickle=False) for number, each in enumerate(names)}
-    notes = tuple(note.replace(file.name, name) for note in described["notes"])
-    return Record(channels, described["units"], described["sample_time"], described["t0"], notes=notes, source=name)
-
-
-def _keep(record: Record, folder: Path) -> None:
-    for number, each in enumerate(record.names):
-        np.save(folder / f"{number}.npy", record[each], allow_pickle=False)
-    units = {each: record.units[each] for each in record.names}
-    described = {"units": units, "sample_time": record.sample_time, "t0": record.t0, "notes": list(record.notes)}
-    (folder / _DESCRIPTION).write_bytes(orjson.dumps(described))
+    record = load_plain(file.parent, name)
+    return replace(record, notes=tuple(note.replace(file.name, name) for note in record.notes))
 
 
 def _record(file: Path, how: Mapping[str, Any]) -> Record:
@@ -101,7 +90,7 @@ def _record(file: Path, how: Mapping[str, Any]) -> Record:
 def main(memory: int, seconds: int, name: str, described: str) -> int:
     """Read a file within the limits; gives the exit status."""
     file = Path(name)
-    return within_limits(lambda: _keep(_record(file, orjson.loads(described)), file.parent), memory, seconds)
+    return within_limits(lambda: keep_plain(_record(file, orjson.loads(described)), file.parent), memory, seconds)
 
 
 if __name__ == "__main__":

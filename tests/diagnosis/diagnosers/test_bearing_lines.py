@@ -12,7 +12,7 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.vibration.bearing_frequencies import BearingFrequencies, orders_from_geometry
 from residuum.diagnosis.vibration.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.fault_lines import line_evidence
+from residuum.diagnosis.vibration.fault_lines import _best, line_evidence
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
@@ -192,9 +192,26 @@ def test_settings_and_speed_are_checked():
     assert slow.verdict is Verdict.NOT_ASSESSABLE and "sampling rate" in slow.reason
 
 
-def windows(name, rate=12000):
-    x = next(value.ravel() for key, value in loadmat(RIG / name).items() if key.endswith("DE_time"))
-    return [acceleration(x[k : k + rate], rate) for k in range(0, x.size - rate + 1, rate)]
+def windows(name, rate=12000, seconds=1, sensor="DE"):
+    x, n = next(value.ravel() for key, value in loadmat(RIG / name).items() if key.endswith(f"{sensor}_time")), seconds * rate
+    return [acceleration(x[k : k + n], rate) for k in range(0, x.size - n + 1, n)]
+
+
+@real
+@pytest.mark.parametrize("sensor", ["DE", "FE"])
+def test_no_healthy_block_of_two_seconds_names_a_part(sensor):
+    plain = Bearing(orders=ORDERS, speed_rpm=1796)
+    blocks = windows("97_Normal_0.mat", seconds=2, sensor=sensor)
+    assert len(blocks) == 10 and {plain.score(block).verdict for block in blocks} == {Verdict.HEALTHY}
+
+
+def test_a_second_look_costs_what_chance_gains_by_it():
+    """A part at one of two frequencies stands out by the better one, less ln 2 / ln 5 deciles."""
+    grid, bands = np.geomspace(50.0, 200.0, 1001), [(0.0, 6000.0)]
+    height = np.interp(grid, [50, 70, 72, 140, 142, 200], [0, 3, 3, 7, 7, 0])[None, :]
+    once, twice = (_best(centres, grid, bands, height, height, height) for centres in ([141.0], [141.0, 71.0]))
+    assert twice.expected == once.expected == 141.0 and twice.depth == once.depth
+    assert once.prominence - twice.prominence == pytest.approx(np.log(2) / np.log(5))
 
 
 @real

@@ -153,3 +153,28 @@ def test_milliseconds_behind_a_colon_are_a_number():
 def test_times_with_too_few_digits_are_refused_with_the_way_on():
     with pytest.raises(BadRecord, match=r"all rows have one time stamp, '1\.71015E\+09'; export the times with more digits"):
         read(text([f"{1710151110 + k:.5E}" for k in range(N)], head="time,p [bar]"))
+
+
+@pytest.mark.parametrize("head", ["Time (s),p [bar]", "time,p [bar]"])
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_seconds_since_1904_are_told_from_those_since_1970(head, step):
+    """LabVIEW counts from 1904-01-01 UTC; the number of such a day lies 2 082 844 800 s above that since 1970."""
+    found, record = read(text([f"{1710151110 + 2082844800 + k * step:.3f}" for k in range(N)], head=head))
+    assert "2024-03-11 09:58 as seconds since 1904" in str(found.guesses)
+    assert record.t0 == pytest.approx(1710151110.0) and record.sample_time == pytest.approx(step)
+
+
+def test_the_step_of_rounded_stamps_is_that_of_all_of_them():
+    """Hours to six decimals are 3.6 ms apart: the middle of single steps would be 0.08 % off."""
+    found, record = read(text([f"{k / 3600:.6f}" for k in range(N)], head="t [h],p [bar]"))
+    assert found.samples["even"] and found.samples["sample_time"] == record.sample_time == pytest.approx(1.0, rel=1e-4)
+
+
+def test_what_means_no_value_is_told_where_the_file_is_understood():
+    rows = [f"{k},{v:.3f},{t:.1f}" for k, (v, t) in enumerate(zip(VALUES, 20 + VALUES / 1000, strict=True))]
+    rows[7], rows[9] = "7,9.99999999e+37,20.5", "9,500.000,-999.9"
+    samples = understand("\n".join(["time [s],U [V],T [K]", *rows]).encode(), "log.csv").samples
+    assert samples["missing"] == {"U": 1, "T": 0}
+    assert ["U: 1 samples of 9.99999999e+37" in samples["notes"][0], "T: 1 samples of -999.9" in samples["notes"][1]] == [
+        True
+    ] * 2

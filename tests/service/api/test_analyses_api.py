@@ -287,3 +287,10 @@ def test_bad_requests_for_analyses(refused, client, plant, tmp_path):
 def test_the_catalogue_of_effects_is_listed(client):
     effects = {each["effect"]: each for each in client.get("/api/v1/effects").json()["items"]}
     assert {"coulomb-friction", "backlash", "ambient-loss"} <= set(effects) and effects["coulomb-friction"]["equation"]
+
+
+def test_a_stored_record_without_a_unit_is_refused_with_the_way_over_http(client):
+    content = "time [s],voltage,speed [rad/s]\n" + "\n".join(f"{k / 100},{k % 9},{k % 7}" for k in range(400))
+    number = client.post("/api/v1/records?filename=a.csv", content=content).json()["id"]
+    job = result(client, client.post("/api/v1/models/gate-drive/compare", json={"records": [number]}))
+    assert job["state"] == "refused" and "POST /records?unit=voltage=V" in job["error"] and "--unit" not in job["error"], job

@@ -1,6 +1,8 @@
 """Who may in: sizes, hosts, origins, keys and roles, and what every answer carries."""
 
 import contextlib
+import http.client
+import json
 import re
 import socket
 
@@ -30,6 +32,28 @@ def test_a_chunked_body_is_cut_off_at_the_limit(run_service):
         head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
         with contextlib.suppress(ConnectionError):  # the answer may come, and the connection end, before all is sent
             connection.sendall(head.encode() + b"".join(b"10000\r\n" + b"x" * 65536 + b"\r\n" for _ in range(3)))
+        assert connection.recv(65536).startswith(b"HTTP/1.1 413")
+
+
+def test_a_body_somewhat_over_the_limit_gets_its_answer(run_service):
+    """A client that sends all before it looks for an answer must find one, not a connection that was reset."""
+    service = run_service(body_limit=4_000_000)
+    for chunked in (False, True):
+        connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
+        body = iter([bytes(1_000_000)] * 6) if chunked else bytes(6_000_000)
+        head = {"Content-Type": "text/csv"} | ({"Transfer-Encoding": "chunked"} if chunked else {})
+        connection.request("POST", "/api/v1/records?filename=a.csv", body, encode_chunked=chunked, headers=head)
+        answer = connection.getresponse()
+        assert answer.status == 413 and answer.headers["Connection"] == "close"
+        assert "4000000" in json.loads(answer.read())["detail"]
+
+
+def test_a_client_that_asks_first_is_not_told_to_send(run_service):
+    service = run_service(body_limit=1_000_000)
+    with socket.create_connection(("127.0.0.1", service.port)) as connection:
+        head = "POST /api/v1/records?filename=a.csv HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2000000\r\n"
+        connection.sendall(head.encode() + b"Expect: 100-continue\r\n\r\n")
+        connection.settimeout(60)
         assert connection.recv(65536).startswith(b"HTTP/1.1 413")
 
 

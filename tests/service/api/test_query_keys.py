@@ -144,3 +144,12 @@ def test_a_resampled_channel_is_told_by_its_name(client):
     content = table(["time [s]", "a [V]"], [["0", "1"], ["1", "2"], ["2.5", "3"], ["3.5", "3"], ["4.5", "3"]])
     notes = client.post("/api/v1/records?filename=a.csv&resample=true", content=content).json()["notes"]
     assert notes[0].startswith("a resampled to 1 s")
+
+
+def test_a_cell_that_means_no_value_is_said_in_the_query(client, refused):
+    """What a mapping settles for the commands is a key here; the refusal names it."""
+    content = table(["Time (s)", "U (V)"], [[f"{k}", "OL" if k == 7 else f"{20 + k / 4}"] for k in range(60)])
+    status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
+    assert status == 422 and detail.endswith("say ?missing=OL")
+    stored = client.post("/api/v1/records?filename=a.csv&missing=OL", content=content)
+    assert stored.status_code == 201 and stored.json()["n"] == 60

@@ -58,3 +58,24 @@ def test_every_format_is_shown_in_one_shape(tmp_path, capsys):
         assert shown["without_unit"] == ["duty"] and len(shown["first_rows"]) == 3
         shapes.append((sorted(shown), sorted(shown["samples"]), sorted(shown["columns"][0])))
     assert shapes[0] == shapes[1]
+
+
+def test_the_options_that_refusals_of_inspect_name_are_its_own(tmp_path, capsys):
+    bare = tmp_path / "bare.mat"
+    savemat(bare, {"gs": np.sin(np.arange(50.0))})
+    assert run(["inspect", str(bare)]) == BAD_INPUT and "--sample-time" in capsys.readouterr().err
+    assert run(["inspect", str(bare), "--sample-time", "0.01", "--unit", "gs=g"]) == DONE
+    assert "50 rows of 0.01 s" in (shown := capsys.readouterr().out) and "gs [g]" in shown
+    uneven = tmp_path / "uneven.mat"
+    savemat(uneven, {"time": np.array([0, 0.1, 0.25, 0.3, 0.4]), "u": np.arange(5.0)})
+    assert run(["inspect", str(uneven)]) == BAD_INPUT and "--resample" in capsys.readouterr().err
+    assert run(["inspect", str(uneven), "--resample"]) == DONE and "resampled to" in capsys.readouterr().out
+
+
+def test_rows_of_one_stamp_are_given_no_rate(tmp_path, capsys):
+    file = tmp_path / "whole.csv"
+    rows = [f"2024-03-11 09:58:{30 + k // 10},{k % 7}" for k in range(100)]
+    file.write_text("\n".join(["Timestamp,p [bar]", *rows]))
+    assert run(["inspect", str(file)]) == DONE
+    shown = capsys.readouterr().out
+    assert "100 rows, 10 stamps 1 s apart" in shown and "Hz" not in shown and "`spread`" in shown

@@ -198,6 +198,9 @@ class Effect(ABC):
         `innovations` (what the noise cannot predict of an output), `error` (all the error of an output).
     natural_bounds : tuple of str
         Parameters that may well lie on a bound; any other estimate on a bound is another effect, or none, in disguise.
+    ordered : tuple of (str, str)
+        Pairs of parameters of which the first lies below the second (the ends of a travel): where it does not there is no such
+        machine, and no estimate comes out.
     generalises : str
         Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
         (`grown`).
@@ -231,6 +234,7 @@ class Effect(ABC):
     rest: ClassVar[float] = 0.0
     follows: ClassVar[tuple[str, ...]] = ()
     natural_bounds: ClassVar[tuple[str, ...]] = ()
+    ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     generalises: ClassVar[str] = ""
     every_sample: ClassVar[bool] = False
     exact: ClassVar[bool] = True

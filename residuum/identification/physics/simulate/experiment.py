@@ -15,6 +15,10 @@ from residuum.identification.physics.simulate.block_means import block_means
 from residuum.identification.record import Record
 
 Array = npt.NDArray[np.float64]
+PART = "(part "
+"""How the name of a part of a record goes on."""
+SHORTEST_PART = 50
+"""Samples between two holes of an input, at least, for a record to be cut there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +117,31 @@ def match(
     inputs = {name: replace(signal, absent=name in lacking) for name, signal in model.inputs.items()}
     model = replace(model, inputs=MappingProxyType(inputs))
     return model, [_experiment(model, record, columns, hold) for record in records]
+
+
+def measured_parts(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None) -> list[Record]:
+    """The records, those with holes in an input cut there: every part is an experiment with first states of its own.
+
+    A hole is where an input was not measured: what the machine did meanwhile nobody knows, and no simulation goes on after it.
+    Where what is left between the holes is shorter than `SHORTEST_PART` samples (an input that is there at every other sample
+    only), the record stays as it is, and `match` refuses it.
+    """
+    inputs = [(mapping or {}).get(name, name) for name in model.inputs]
+    return [part for record in records for part in _between_holes(record, [name for name in inputs if name in record.names])]
+
+
+def _between_holes(record: Record, inputs: Sequence[str]) -> list[Record]:
+    lacking = np.zeros(record.n, dtype=bool)
+    for name in inputs:
+        lacking |= record.missing(name)
+    if not lacking.any():
+        return [record]
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], lacking, [True]]).astype(np.int8)))
+    parts = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    if not parts or min(stop - start for start, stop in parts) < SHORTEST_PART:
+        return [record]
+    named = [(record.window(start, stop), number) for number, (start, stop) in enumerate(parts, start=1)]
+    return [replace(part, source=f"{record.source} {PART}{k}: {part.t0:.6g} to {part.time[-1]:.6g} s)") for part, k in named]
 
 
 def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]:

@@ -17,6 +17,7 @@ from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate import integration
 from residuum.identification.physics.simulate.block_means import means_in_blocks
 from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.physics.simulate.possible import Possible
 from residuum.identification.work import count_samples
 
 Array = npt.NDArray[np.float64]
@@ -139,6 +140,7 @@ class Simulator:
         self._state = {name: k for k, name in enumerate(self.kernel.states)}
         values = model.values
         self._p = np.array([values.get(name, 0.0) for name in self.kernel.parameters])
+        self._possible = Possible.of(model, self._index)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -213,9 +215,14 @@ class Simulator:
         slopes: Sequence[str] = (),
         substeps: Sequence[int],
     ) -> Runs:
-        """`run_vectors` of several experiments, each from its own first states and with its own steps a sample, at one go."""
+        """`run_vectors` of several experiments, each from its own first states and with its own steps a sample, at one go.
+
+        Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no estimation goes there.
+        """
         joined = _Joined.of(experiments)
         X, Y, dY = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
+        if not self._possible(p):
+            X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
             if e.known and slopes:
                 of_known = [name.removeprefix("initial:") in e.known for name in slopes]

@@ -13,8 +13,14 @@ _DEPTHS = np.array([0.001, 0.005, 0.03])
 
 
 def _bend(position: Array, force: Array) -> float:
-    """Where, in the upper half of the travel, a force that falls evenly from there on explains most of the force."""
-    q = np.linspace(np.median(position), np.max(position), 60, endpoint=False)
+    """Where, in the upper half of the travel, a force that falls evenly from there on explains most of the force.
+
+    A machine that is at this end for more than half of the time has no upper half: then the end itself.
+    """
+    middle, end = float(np.median(position)), float(np.max(position))
+    if middle == end:
+        return end
+    q = np.linspace(middle, end, 60, endpoint=False)
     beyond = [np.maximum(position - each, 0.0) for each in q]
     explained = [min(float(force @ b), 0.0) ** 2 / float(b @ b) for b in beyond]
     return float(q[int(np.argmax(explained))])
@@ -35,6 +41,7 @@ class EndStop(Effect):
     needs = ("position", "velocity")
     sizes = ("k", "d")
     natural_bounds = ("d",)
+    ordered = (("q_min", "q_max"),)
     follows = ("lack",)
     generalises = "end-stop"
     rest = 0.001
@@ -63,6 +70,8 @@ class EndStop(Effect):
             ends += [(above, low - span), (high + span, -below), (above, -below)]
         found = []
         for q_max, q_min in ends:
+            if not q_min < q_max:  # both bends at the middle of the travel: a spring
+                continue
             k = conditions.magnitude / max(high - q_max, q_min - low, 1e-6 * span)
             found.append({"k": k, "d": 2.0 * float(np.sqrt(k * conditions.storage)), "q_max": q_max, "q_min": q_min})
         return found

@@ -1,0 +1,79 @@
+"""Files whose readers are C code are read in a process of its own: a damaged one can end that process, and nothing else.
+
+SciPy's reader of MAT files and the one of MDF files have been ended by damaged files with a segmentation fault, which no `except`
+sees. The process costs half a second; other formats are read by Python, or by libraries that withstood mutated files.
+
+As a program (`python -m residuum.identification.record_formats.read_apart FILE FOLDER OPTIONS`) it leaves the record in FOLDER; a
+refusal is its class and one line on standard output, and exit status 2.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from residuum.identification import errors
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats import MAY_CRASH, read_record
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
+
+_REFUSED = 2
+_HERE = str(Path(__file__).resolve().parents[3])
+"""Where this package is found: the process imports the same one."""
+
+
+def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
+    """`read_record`, in a process of its own where the file's reader is C code that a damaged file may end.
+
+    Raises what `read_record` raises, and BadRecord where reading ended the process.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in MAY_CRASH or not path.is_file():
+        return read_record(path, options)
+    with tempfile.TemporaryDirectory(prefix="residuum-record-") as folder:
+        told = json.dumps(asdict(options) | {"units": dict(options.units)})
+        found = os.environ.get("PYTHONPATH")
+        done = subprocess.run(
+            [sys.executable, "-m", __name__, str(path), folder, told],
+            env=os.environ | {"PYTHONPATH": _HERE + (os.pathsep + found if found else "")},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        if done.returncode == 0:
+            return load_plain(Path(folder), str(path))
+    if done.returncode == _REFUSED and done.stdout:
+        kind, _, says = done.stdout.decode("utf-8", "replace").partition("\n")
+        raise getattr(errors, kind, BadRecord)(says)
+    raise BadRecord(
+        f"{path}: reading it ended the process that did ({_ending(done.returncode)}): the file is damaged; save it anew"
+    )
+
+
+def _ending(status: int) -> str:
+    return f"signal {-status}" if status < 0 else f"exit status {status}"
+
+
+def main(file: str, folder: str, told: str) -> int:
+    """Read a file and leave its record in the folder; gives the exit status."""
+    out, sys.stdout = sys.stdout, sys.stderr  # a library's chatter is no refusal
+    try:
+        keep_plain(read_record(file, ReadOptions(**json.loads(told))), Path(folder))
+    except BadInput as error:
+        out.buffer.write(f"{type(error).__name__}\n{error}".encode("utf-8", "replace"))
+        out.flush()
+        return _REFUSED
+    except MemoryError:
+        out.write(f"BadRecord\n{file}: reading it takes more memory than there is")
+        out.flush()
+        return _REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

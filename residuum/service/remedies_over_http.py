@@ -1,0 +1,25 @@
+"""What refusals name as the way on, said to a client: the library speaks of options of commands and of Python.
+
+Files that come with the request are spoken of in `api/reading_options`; this is for records that are stored already.
+"""
+
+import re
+from urllib.parse import quote
+
+_PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
+_UNIT = re.compile(r"--unit ([^\s=,;)]+)=([^\s,;)]+)")
+_MAP = re.compile(r"--map ([^\s=,;)]+)=([^\s,;)]+)")
+
+
+def said_over_http(says: str) -> str:
+    """A refusal whose way on is one of the interface: a key of the query with which the record is stored, or of the body.
+
+    >>> said_over_http("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}")
+    "unit none is no '%'; say it, POST /records?unit=duty=%25 if it is in that"
+    >>> said_over_http("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}")
+    'map one of them: "mapping": {"u": "COLUMN"} in the body'
+    """
+    if "--" not in says:
+        return says
+    says = _UNIT.sub(lambda found: f"POST /records?unit={quote(found[1])}={quote(found[2], safe='/*')}", _PYTHON.sub("", says))
+    return _MAP.sub(lambda found: f'"mapping": {{"{found[1]}": "{found[2]}"}} in the body', says)
