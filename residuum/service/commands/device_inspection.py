@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.device_reading import ChannelReading, as_plain, read_device
+from residuum.service.fieldbus.device_reading import MISSING, ChannelReading, as_plain, read_device
 from residuum.service.fieldbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import map_file
 
@@ -31,8 +31,8 @@ def inspect_device(address: str, map_path: Path) -> tuple[dict[str, Any], str]:
 
 def _lines(reading: ChannelReading) -> list[str]:
     words = " ".join(f"{word:04X}" for word in reading.words)
-    value = "missing" if reading.value is None else f"{reading.value:.8g} {reading.unit}".rstrip()
-    remark = f"   ({reading.remark})" if reading.remark not in ("", "missing") else ""
+    value = MISSING if reading.value is None else f"{reading.value:.8g} {reading.unit}".rstrip()
+    remark = f"   ({reading.remark})" if reading.remark not in ("", MISSING) else ""
     lines = [f"  {reading.stream}.{reading.channel}, {reading.function} {reading.address}: {words} = {value}{remark}"]
     if reading.orders:
         marked = (f"{name} {_number(number)}{' *' * (name == reading.plausible)}" for name, number in reading.orders.items())

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.service.fieldbus.channel_registers import NUMBERS, ChannelRegisters, Order, Registers, ordered
 from residuum.service.fieldbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
-from residuum.service.fieldbus.register_blocks import PolledStream, read_blocks
+from residuum.service.fieldbus.register_blocks import Place, PolledStream, read_blocks
 from residuum.service.fieldbus.register_map import Pages, RegisterMap, StreamRegisters, read_page
 
 _ORDERS: tuple[tuple[Order, Order], ...] = (("big", "big"), ("little", "big"), ("big", "little"), ("little", "little"))
+MISSING = "missing"
+"""Remark on a reading that means, as the map says, that there is no value."""
 _USUAL = 2.0
 """Power of ten that measured values are mostly nearest to."""
 _FURTHEST = 9.0
@@ -89,7 +93,17 @@ async def _stream(
     polled = PolledStream(stream, stream.poll, base)
     read, refused = await read_blocks(client, polled.blocks())
     refusals += [f"{name}: {each}" for each in refused]
-    values = polled.samples(read)
+    return readings_of(name, stream, polled, read, polled.samples(read))
+
+
+def readings_of(
+    name: str,
+    stream: StreamRegisters,
+    polled: PolledStream,
+    read: Mapping[Place, int],
+    values: Mapping[str, npt.NDArray[np.float64]],
+) -> list[ChannelReading]:
+    """Each channel of which every register was read."""
     return [
         _reading(name, channel, where, places[0], tuple(read[place] for place in places), float(values[channel][0]))
         for channel, where in stream.channels.items()
@@ -183,7 +197,7 @@ def _remark(where: ChannelRegisters, words: tuple[int, ...], value: float) -> st
     for word in ordered(np.array([words], np.uint16), where.word_order, where.byte_order)[0].tolist():
         raw = raw << 16 | word
     if math.isnan(value):
-        return "missing"
+        return MISSING
     if raw in _NOT_THERE.get(where.type, ()):
         signed = raw - (1 << 16 * where.width) if where.type.startswith("int") and raw >> (16 * where.width - 1) else raw
         return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"

@@ -48,11 +48,12 @@ class SourceHealth:
         Monotonic seconds; wall-clock jumps must not matter.
 
     `remarks` are sentences that hold as long as the source does, such as a message without a counter; with one, quality is
-    `uncounted` instead of `good`.
+    `uncounted` instead of `good`. `doubts` are, by stream, sentences about values that look wrong; with one, it is `doubtful`.
     """
 
     def __init__(self, stale_after: float = 2.0, clock: Callable[[], float] = time.monotonic) -> None:
         self.remarks: Sequence[str] = ()
+        self.doubts: dict[str, Sequence[str]] = {}
         self._counts = dict.fromkeys(COUNTERS, 0)
         self._frames = self._samples = 0
         self._seen: float | None = None
@@ -98,10 +99,15 @@ class SourceHealth:
                 "samples_per_second": sum(entry[2] for entry in recent) / span,
                 "counters": dict(self._counts),
                 "last_trouble": self._trouble,
-                "remarks": list(self.remarks),
+                "remarks": [*self.remarks, *self._doubts()],
             }
 
     def _quality(self, age: float | None) -> str:
         if age is None:
             return "never-seen"
-        return "stale" if age > self._stale_after else "uncounted" if self.remarks else "good"
+        if age > self._stale_after:
+            return "stale"
+        return "doubtful" if self._doubts() else "uncounted" if self.remarks else "good"
+
+    def _doubts(self) -> list[str]:
+        return [sentence for sentences in list(self.doubts.values()) for sentence in sentences]

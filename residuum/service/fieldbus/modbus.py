@@ -13,6 +13,8 @@ from pymodbus.exceptions import ModbusException
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.channel_registers import Registers
+from residuum.service.fieldbus.device_reading import readings_of
+from residuum.service.fieldbus.doubtful_channels import DoubtfulChannels
 from residuum.service.fieldbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
 from residuum.service.fieldbus.register_blocks import PolledStream, read_blocks
 from residuum.service.fieldbus.register_map import (
@@ -250,6 +252,7 @@ class _PolledReader:
         self.period = stream.sample_time
         self._name, self._polled, self._source = name, polled, source
         self._blocks = polled.blocks()
+        self._doubtful, self._stream = DoubtfulChannels(), stream
         self._started: float | None = None
         self._last = -1
 
@@ -269,7 +272,10 @@ class _PolledReader:
         if self._last >= 0 and number > self._last + 1:
             self._source.health.count("lost", number - self._last - 1, f"{self._name}: the device was polled too late")
         self._last = number
-        self._source.deliver(Block(self._name, np.array([number], np.int64), self._polled.samples(read)), 1)
+        values = self._polled.samples(read)
+        self._doubtful.look(readings_of(self._name, self._stream, self._polled, read, values))
+        self._source.health.doubts[self._name] = self._doubtful.sentences
+        self._source.deliver(Block(self._name, np.array([number], np.int64), values), 1)
 
 
 def _stream_reader(name: str, stream: StreamRegisters, base: int, source: ModbusSource) -> _PagedReader | _PolledReader:

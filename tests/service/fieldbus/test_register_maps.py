@@ -94,6 +94,24 @@ def test_what_means_that_there_is_no_value_is_missing(write_map):
     assert read["there"] == 0x7FFF and health["modbus_exceptions"] == 0
 
 
+def test_polled_values_that_look_wrong_are_doubtful_and_the_remark_says_what_to_write(write_map):
+    held = [*in_registers("f", 1500.25, "little", "big"), 0x8000, *in_registers("f", 230.1, "big", "big"), 0xFFFF]
+    channels = {
+        "power": {"register": 0, "type": "float32"},
+        "temperature": {"register": 2, "type": "int16", "scale": 0.1},
+        "voltage": {"register": 3, "type": "float32"},
+        "spare": {"register": 5, "missing": 0xFFFF},
+    }
+    with SmallDevice(holding=dict(enumerate(held))) as device:
+        _, health = first_block(device, write_map(channels), lambda health: health.snapshot()["quality"] == "doubtful")
+        power, temperature = health.snapshot()["remarks"]
+        assert power.startswith("meter.power: CDAB looks more like") and "missing: -32768" in temperature
+        channels["power"]["word_order"] = "little"
+        channels["temperature"]["missing"] = -32768
+        _, health = first_block(device, write_map(channels), lambda health: health.snapshot()["samples"] > 25)
+    assert (health.snapshot()["quality"], health.snapshot()["remarks"]) == ("good", [])
+
+
 def test_bit_fields_scale_registers_and_every_table(write_map):
     channels = {
         "flag": {"register": 0, "type": "bit", "bit": 15},

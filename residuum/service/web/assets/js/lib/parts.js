@@ -18,6 +18,7 @@ const STATES = {
   normal: ["healthy", "Normal"],
   good: ["healthy", "Good"],
   uncounted: ["unsure", "No counter: losses cannot be seen"],
+  doubtful: ["unsure", "Values look wrong"],
   stale: ["faulty", "Stale"],
   "never-seen": ["idle", "Never seen"],
 };

@@ -54,6 +54,7 @@ function row(name, source) {
         {},
         losses(source.counters ?? {}),
         source.last_trouble ? h("div", { class: "muted small" }, source.last_trouble) : null,
+        (source.remarks ?? []).map((remark) => h("div", { class: "small" }, remark)),
       ),
     ),
   );
