@@ -81,6 +81,10 @@ class Model(DescribedModel):
     ('coulomb-friction@axis',)
     """
 
+    def _measured(self, records: Records, map: Mapped) -> list[MeasuredRecord]:
+        """The records, cut where an input was not measured."""
+        return measured_parts(self.physical, as_records(records), map)
+
     def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
         """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
 
@@ -106,7 +110,7 @@ class Model(DescribedModel):
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
-        given = measured_parts(self.physical, as_records(records), map)
+        given = self._measured(records, map)
         return Comparison(self._given, _names(given), compare(self.physical, given, map, **options))
 
     def explain(
@@ -150,7 +154,7 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
-        given = measured_parts(self.physical, as_records(records), map)
+        given = self._measured(records, map)
         with told(progress) as tell:
             ensure_compiled(tell)
             found = explain(
@@ -214,7 +218,7 @@ class Model(DescribedModel):
             ensure_compiled(tell)
             found = improve(
                 self.physical,
-                measured_parts(self.physical, as_records(records), map),
+                self._measured(records, map),
                 map,
                 add=wanted,
                 effects=effects,
@@ -252,7 +256,7 @@ class Model(DescribedModel):
         from residuum.library.estimation import estimated  # noqa: PLC0415
         from residuum.library.improvement import Estimation  # noqa: PLC0415
 
-        given = measured_parts(self.physical, as_records(records), map)
+        given = self._measured(records, map)
         found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
         result = found.estimate
         return Estimation(Model(result.model), self._given, _names(given), method, found.held_out_rmse, result, found.experiments)

@@ -47,6 +47,11 @@ class Assumptions:
     aside: tuple[KeptAside, ...]
     late: bool = False
 
+    @property
+    def worst(self) -> KeptAside | None:
+        """The part kept aside on which the fit is poorest."""
+        return min(self.aside, key=lambda part: part.fit_percent, default=None)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON."""
         integrator, feedback = self.integrator, self.feedback
@@ -94,7 +99,7 @@ def _unfit(model: IdentifiedModel, method: str, found: Assumptions) -> list[str]
             f"the input acts after {found.dead_time} samples, later than the model's last input lag; identify with method "
             f"bj and `delay` estimate (or {found.dead_time})"
         )
-    worst = min(found.aside, key=lambda part: part.fit_percent, default=None)
+    worst = found.worst
     if worst is not None and any(part.fails for part in found.aside) and not found.late:
         says.append(
             f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what the model misses; try another "
@@ -109,7 +114,7 @@ def _remarks(method: str, found: Assumptions, trusted: bool) -> list[str]:
         says.append("the input answers the output's noise (feedback): the model is as right as its noise model is")
     if found.integrator is not None and found.integrator.wanders:
         says.append("the output wanders by itself (a root at one that the input does not reach): its level tells little")
-    worst = min(found.aside, key=lambda part: part.fit_percent, default=None)
+    worst = found.worst
     if trusted and worst is not None and worst.fit_percent < _POOR_FIT:
         says.append(f"on data kept aside the fit is {worst.fit_percent:.0f} %; as far as they tell the rest is noise")
     return says

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.discrepancy.completeness import is_incomplete
 from residuum.identification.discrepancy.exact_structure import Exact
@@ -20,13 +19,12 @@ from residuum.identification.discrepancy.search_state import Search
 from residuum.identification.discrepancy.structures import times_each_its_innovations
 from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, unseen
 from residuum.identification.discrepancy.visibility import undetectable
-from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics import PhysicalModel
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 from residuum.identification.unseen_blocks.comparing import share
+from residuum.identification.unseen_blocks.remaining import Remaining
 from residuum.identification.work import begun
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured: bool, began: float) -> Explanation:
@@ -36,8 +34,9 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
     found, experiments = exact.found, exact.experiments
     blocks, free = blocks_of(experiments), free_term(found.best, experiments)
     judgement = _judged(exact, free, structured=structured) if searched else Judgement("unknown-effect", (), 0.0, 1.0, 1.0)
-    squares = {} if blocks is None else _unseen(judgement.candidates, found, blocks)
-    candidates = judgement.candidates if blocks is None else _with_shares(judgement.candidates, squares, found, blocks)
+    candidates, remaining, errors = judgement.candidates, None, None
+    if blocks is not None:
+        candidates, remaining, errors = _on_unseen(judgement.candidates, found, blocks)
     return Explanation(
         verdict=judgement.verdict,
         candidates=candidates,
@@ -52,8 +51,8 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
         drifting=found.drifting,
         left=_left(found),
         held=held_values(model, exact.doubted, found.best),
-        remaining=None if blocks is None else remaining_of(found.base, found.best, blocks),
-        blocks=None if blocks is None else _block_errors(squares, found, blocks),
+        remaining=remaining,
+        blocks=errors,
         work=begun(),
         seconds=time.perf_counter() - began,
         exact=exact,
@@ -68,32 +67,20 @@ def _judged(exact: Exact, free: FreeTerm | None, *, structured: bool) -> Judgeme
     return judgement
 
 
-Squares = Mapping[tuple[int, Key], FloatArray]
-"""Sums of squared errors on unseen blocks (blocks, outputs) with a candidate at its step."""
-
-
-def _unseen(candidates: Sequence[Candidate], found: Search, blocks: Blocks) -> Squares:
-    """Those of the candidates whose structures are known."""
+def _on_unseen(
+    candidates: Sequence[Candidate], found: Search, blocks: Blocks
+) -> tuple[tuple[Candidate, ...], Remaining, BlockErrors]:
+    """On blocks that no fit has seen: the candidates with the shares that they take away, what remains, and errors by block."""
     steps = range(min(len(found.before), len(found.alternatives)))
     there = {(c.step, c.key): found.alternatives[c.step].get(c.key) for c in candidates if c.step in steps}
-    return {at: unseen(structure, blocks) for at, structure in there.items() if structure is not None}
-
-
-def _with_shares(candidates: Sequence[Candidate], squares: Squares, found: Search, blocks: Blocks) -> tuple[Candidate, ...]:
-    """The candidates with the share of the error's power that each takes away on unseen blocks."""
-    before = {step: unseen(found.before[step], blocks) for step in {step for step, _ in squares}}
-    listed = []
-    for c in candidates:
-        there = squares.get((c.step, c.key))
-        value = None if there is None else Quantity(*share(before[c.step], there), "")
-        listed.append(replace(c, share=value))
-    return tuple(listed)
-
-
-def _block_errors(squares: Squares, found: Search, blocks: Blocks) -> BlockErrors:
-    alone = {key: there for (step, key), there in squares.items() if step == 0}
-    before, after = unseen(found.base, blocks), unseen(found.best, blocks)
-    return block_errors(found.best.model, blocks.record, blocks.times, blocks.count, before, after, alone)
+    squares = {at: unseen(structure, blocks) for at, structure in there.items() if structure is not None}
+    base, best = unseen(found.base, blocks), unseen(found.best, blocks)
+    before = {k: base if found.before[k] is found.base else unseen(found.before[k], blocks) for k in {k for k, _ in squares}}
+    shares = {(k, key): Quantity(*share(before[k], after), "") for (k, key), after in squares.items()}
+    told = tuple(replace(c, share=shares.get((c.step, c.key))) for c in candidates)
+    alone = {key: after for (k, key), after in squares.items() if k == 0}
+    errors = block_errors(found.best.model, blocks.record, blocks.times, blocks.count, base, best, alone)
+    return told, remaining_of(base, best, found.best, blocks), errors
 
 
 def _left(found: Search) -> dict[str, tuple[float, str, float]]:

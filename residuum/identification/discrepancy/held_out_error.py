@@ -11,7 +11,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.held_out import Split, held_out_rmse
 from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.structures import Structure, innovation_scales
-from residuum.identification.discrepancy.unseen_errors import blocks_of, remaining_of
+from residuum.identification.discrepancy.unseen_errors import blocks_of, remaining_of, unseen
 from residuum.identification.physics import Experiment, PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.prediction_windows import in_windows
@@ -31,7 +31,8 @@ class HeldOutError:
         finer: int,
     ) -> None:
         self.testing = _reduced(base.model, parts.testing, mapping, experiments, finer)
-        self.base, self.blocks = base, blocks_of(experiments)
+        self.blocks = blocks_of(experiments)
+        self.before = None if self.blocks is None else unseen(base, self.blocks)
         self.o = int(np.nanargmax(base.rmse / innovation_scales(base.noises)))
         self.output = list(base.model.outputs)[self.o]
         self.unit = base.model.outputs[self.output].unit
@@ -42,7 +43,9 @@ class HeldOutError:
 
     def step(self, added: str | None, structure: Structure, error: float | None = None) -> Step:
         """The line of a history; its `error` where it is known already."""
-        remaining = None if self.blocks is None else remaining_of(self.base, structure, self.blocks)
+        remaining = None
+        if self.blocks is not None and self.before is not None:
+            remaining = remaining_of(self.before, unseen(structure, self.blocks), structure, self.blocks)
         return Step(added, self.error(structure) if error is None else error, remaining=remaining)
 
     def errors(self, structure: Structure) -> FloatArray:

@@ -99,9 +99,8 @@ def _whitened(structure: Structure, values: FloatArray) -> tuple[FloatArray, Flo
     return out[..., 0], out[..., 1:]
 
 
-def remaining_of(base: Structure, best: Structure, blocks: Blocks) -> Remaining:
-    """What `best` leaves on unseen blocks of what `base` left."""
-    before, after = unseen(base, blocks), unseen(best, blocks)
+def remaining_of(before: FloatArray, after: FloatArray, best: Structure, blocks: Blocks) -> Remaining:
+    """What `best` leaves on unseen blocks; `before` and `after` are sums of squares (blocks, outputs) of the base and of it."""
     noise = innovation_scales(best.noises)
     seen = (blocks.count.sum(axis=0) > 0.0) & (noise > 0.0)
     times = np.sqrt(after[:, seen].sum(axis=0) / blocks.count[:, seen].sum(axis=0)) / noise[seen]

@@ -71,12 +71,11 @@ def effect_curves(
     effects: Sequence[tuple[str, str, Mapping[str, float]]],
 ) -> Mapping[str, Any]:
     """What each effect (id, balance, values) would add to its balance, along every axis of the model's simulation."""
-    model, loaded = model_of(name, text), [Record(*parts) for parts in records]
-    found = []
+    loaded, found = [Record(*parts) for parts in records], []
+    model, experiments = match(model_of(name, text), loaded, mapping)
     for index, (id, balance, values) in enumerate(effects):
         progress(index / len(effects), id)
-        matched, experiments = match(model, loaded, mapping)
-        for axis, curve in term_curves.effect_curves(matched, experiments, Key(id, balance), values, loaded):
+        for axis, curve in term_curves.effect_curves(model, experiments, Key(id, balance), values, loaded):
             found.append({"effect": id, "balance": balance, "axis": axis.name, "at": curve.at, "value": curve.mean})
     return {"curves": found}
 

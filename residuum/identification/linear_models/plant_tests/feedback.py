@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from residuum.identification.linear_models.plant_tests.long_autoregression import LongAutoregression
+from residuum.identification.linear_models.plant_tests.long_autoregression import LongAutoregression, complete_rows, ridged
 
 FloatArray = npt.NDArray[np.float64]
 _INPUT_PAST, _NOISE_PAST = 30, 10
@@ -73,16 +73,11 @@ def _rows(u: FloatArray, e: FloatArray, first_lag: int) -> tuple[FloatArray, Flo
         return np.zeros((0, columns)), np.zeros(0)
     past = np.lib.stride_tricks.sliding_window_view(u, _INPUT_PAST + 1)[:, ::-1]
     noise = np.lib.stride_tricks.sliding_window_view(e, _INPUT_PAST + 1)[:, ::-1]
-    X, t = np.hstack([past[:, 1:], noise[:, 1 - first_lag : _NOISE_PAST]]), past[:, 0]
-    known = np.isfinite(X).all(axis=1) & np.isfinite(t)
-    X, t = X[known], t[known]
-    return (X - X.mean(axis=0), t - t.mean()) if len(t) else (X, t)
+    X, t, _ = complete_rows(np.hstack([past[:, 1:], noise[:, 1 - first_lag : _NOISE_PAST]]), past[:, 0])
+    return X, t
 
 
 def _left(X: FloatArray, t: FloatArray) -> float:
     """Sum of squares that the regression leaves."""
-    gram = X.T @ X
-    gram[np.diag_indices_from(gram)] *= 1 + 1e-10
-    gram[np.diag_indices_from(gram)] += 1e-10
-    left = t - X @ np.linalg.solve(gram, X.T @ t)
+    left = t - X @ np.linalg.solve(ridged(X.T @ X), X.T @ t)
     return float(left @ left)

@@ -116,20 +116,29 @@ def _rows(u: FloatArray, y: FloatArray, P: int, first_lag: int, Q: int) -> tuple
     past = np.lib.stride_tricks.sliding_window_view(y, m + 1)[:, ::-1]
     driven = np.lib.stride_tricks.sliding_window_view(u, m + 1)[:, ::-1]
     X, t = np.hstack([past[:, 1 : P + 1], driven[:, first_lag : Q + 1]]), y[m:]
-    known = np.isfinite(X).all(axis=1) & np.isfinite(t)
+    X, t, known = complete_rows(X, t)
+    return X, t, m + known
+
+
+def complete_rows(X: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+    """Regressors and target about their means, rows with a missing sample left out, and which rows are left."""
+    known = np.flatnonzero(np.isfinite(X).all(axis=1) & np.isfinite(t))
     X, t = X[known], t[known]
-    if len(t):
-        X, t = X - X.mean(axis=0), t - t.mean()
-    return X, t, m + np.flatnonzero(known)
+    return (X - X.mean(axis=0), t - t.mean(), known) if len(t) else (X, t, known)
+
+
+def ridged(gram: FloatArray) -> FloatArray:
+    """A Gram matrix that can be inverted where columns say the same."""
+    found = gram.copy()
+    found[np.diag_indices_from(found)] *= 1 + _RIDGE
+    found[np.diag_indices_from(found)] += _RIDGE
+    return found
 
 
 def _solved(
     gram: FloatArray, cross: FloatArray, t: FloatArray, columns: npt.NDArray[np.int_], X: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    G = gram[np.ix_(columns, columns)].copy()
-    G[np.diag_indices_from(G)] *= 1 + _RIDGE
-    G[np.diag_indices_from(G)] += _RIDGE
-    inverse = np.asarray(np.linalg.inv(G), dtype=float)
+    inverse = np.asarray(np.linalg.inv(ridged(gram[np.ix_(columns, columns)])), dtype=float)
     theta = inverse @ cross[columns]
     e = t - X[:, columns] @ theta
     variance = max(float(e @ e) / max(len(t) - len(columns), 1), _RESOLUTION)
