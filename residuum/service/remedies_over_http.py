@@ -17,9 +17,9 @@ def said_over_http(says: str) -> str:
     >>> said_over_http("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}")
     "unit none is no '%'; say it, POST /records?unit=duty=%25 if it is in that"
     >>> said_over_http("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}")
-    'map one of them: "mapping": {"u": "COLUMN"} in the body'
+    'map one of them: "map": {"u": "COLUMN"} in the body'
     """
     if "--" not in says:
         return says
     says = _UNIT.sub(lambda found: f"POST /records?unit={quote(found[1])}={quote(found[2], safe='/*')}", _PYTHON.sub("", says))
-    return _MAP.sub(lambda found: f'"mapping": {{"{found[1]}": "{found[2]}"}} in the body', says)
+    return _MAP.sub(lambda found: f'"map": {{"{found[1]}": "{found[2]}"}} in the body', says)

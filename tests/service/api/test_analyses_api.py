@@ -268,6 +268,7 @@ def test_what_a_command_refuses_is_the_jobs_one_line(client, plant, tmp_path):
     number = upload(client, plant[0], tmp_path / "a.csv")
     job = result(client, client.post("/api/v1/models/linear-axis/compare", json={"records": [number]}))
     assert job["state"] == "refused" and "force" in job["error"] and "/tmp" not in job["error"]
+    assert '"map": {"force": "COLUMN"} in the body' in job["error"]  # the key that the routes take
 
 
 def test_bad_requests_for_analyses(refused, client, plant, tmp_path):
