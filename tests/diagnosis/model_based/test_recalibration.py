@@ -41,4 +41,4 @@ def test_a_new_friction_is_not_learned(judge):
 def test_healthy_windows_are_learned_from(judge):
     for first in (300, 400, 500):
         judge.refuse_learning([_axis(first + seed) for seed in range(12)])
-    assert judge.relearned([_axis(600 + seed) for seed in range(12)]).baseline.scatter.windows == 12
+    assert judge.relearned([_axis(600 + seed) for seed in range(12)]).baseline.windows == 12
