@@ -24,7 +24,7 @@ _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance":
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A hypothesis (None: `unknown`), its probability, sizes with standard deviations, sample where it began, and what is alike."""
+    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it began, and what is alike."""
 
     hypothesis: Hypothesis | None
     probability: float
