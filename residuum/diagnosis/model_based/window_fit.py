@@ -129,7 +129,7 @@ class _Problem:
         states = [name for name in self.simulator.free_states if name not in fitter.window.known]
         self.k, self.q, self.nx = len(keep), len(names), len(states)
         self.mean = fitter.mean[keep]
-        self.prior = np.linalg.cholesky(np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])).T
+        self.prior = _root_of_inverse(fitter.covariance[np.ix_(keep, keep)])
         self.at = [self.simulator.states.index(name) for name in states]
         self.columns = self.simulator.columns(names)
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
@@ -253,6 +253,13 @@ class _Problem:
             if name in simulator.free_states and name not in e.known and self.fitter.count[o]:
                 x0[simulator.states.index(name)] = e.Y[self.fitter.known[:, o], o][0]
         return x0
+
+
+def _root_of_inverse(covariance: Array) -> Array:
+    """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each other."""
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
 
 
 def _bounded_step(H: Array, g: Array, z: Array, lower: Array, upper: Array, damping: float) -> Array:
