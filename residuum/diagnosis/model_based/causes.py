@@ -111,7 +111,8 @@ def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    open_ = (np.diag(np.linalg.pinv(H / scale / scale[:, None], rcond=1e-12, hermitian=True)) / scale**2)[k:]
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    open_ = (np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]  # what nothing tells is wide open
     if own and own[0] in fitter.free:
         return np.sqrt(open_ + np.diag(fitter.covariance)[[fitter.free.index(name) for name in own]])
     return np.sqrt(open_ + usual)
