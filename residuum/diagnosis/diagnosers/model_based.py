@@ -127,7 +127,7 @@ class ModelBased(Diagnoser):
             f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain` tells more"
             for m in missing
         ]
-        says += [f"  window {b.sources[k]} stands apart from the others: is it healthy?" for k in b.apart if k < len(b.sources)]
+        says += [f"  {b.sources[k]} stands apart from the others: is it healthy?" for k in b.apart if k < len(b.sources)]
         says.append(f"  {b.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated")
         told = {"windows": b.windows, "parameters": values, "missing_physics": missing, "apart": list(b.apart)}
         return told | {"rate_without_extrapolation": alone, "says": says}

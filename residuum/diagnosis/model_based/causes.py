@@ -110,7 +110,7 @@ def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-200))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     open_ = (np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]  # what nothing tells is wide open
     if own and own[0] in fitter.free:
