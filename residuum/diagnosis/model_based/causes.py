@@ -21,6 +21,9 @@ Array = npt.NDArray[np.float64]
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
 """Order of what cannot be told apart: what changed before what is new."""
 
+_LARGEST = 1e100
+"""Information that can be inverted."""
+
 
 @dataclass(frozen=True, eq=False)
 class Cause:
@@ -62,8 +65,8 @@ def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -
 
 def _unknown(baseline: Baseline, fitter: WindowFitter, features: Array, healthy: Fit, best: Tried) -> float:
     """Probability that something else is there too: the part of the excess that the best cause leaves; 0 where that is usual."""
-    if baseline.surprise(features, best.fit).max() <= UNEXPLAINED:
-        return 0.0
+    if best.hypothesis.seen is not None or baseline.surprise(features, best.fit).max() <= UNEXPLAINED:
+        return 0.0  # noise and lost readings are what is left: they take nothing away from it
     excess = fitter.nats(healthy) - fitter.healthy_logs()
     taken = fitter.nats(healthy) - fitter.nats(best.fit)
     return float(np.clip(1.0 - taken / max(excess, 1e-12), LEAST_UNKNOWN, 1.0))
@@ -110,7 +113,9 @@ def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-200))
+    if not np.all(np.abs(H) < _LARGEST):  # at sizes where the slopes overflow nothing is known of them
+        return np.full(len(fit.own), np.nan)
+    scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     open_ = (np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]  # what nothing tells is wide open
     if own and own[0] in fitter.free:
