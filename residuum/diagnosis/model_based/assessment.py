@@ -163,9 +163,9 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
     onset = record.t0 + cause.onset * record.sample_time if cause.onset else None
     value = std = None
     healthy: tuple[float, float] | None = None
-    if h is not None and len(cause.size):
+    if h is not None and len(cause.size) and np.isfinite(cause.std[0]):  # a size of which nothing is known is not told
         times = record.sample_time if h.in_samples else 1.0
-        value, std = float(cause.size[0]) * times, float(np.nan_to_num(cause.std[0])) * times
+        value, std = float(cause.size[0]) * times, float(cause.std[0]) * times
         healthy = _usual_band(baseline, found, h.label, times)
     size = None
     if value is not None and std is not None and h is not None:
