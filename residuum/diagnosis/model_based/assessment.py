@@ -33,11 +33,12 @@ class NotAssessable(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A window in the baseline's terms, its features, and its own values."""
+    """A window in the baseline's terms, its features, its own values, and the offset that each reading seems to have."""
 
     window: Experiment
     features: Array
     fit: Fit
+    offsets: Array
 
 
 @one_thread()
@@ -47,7 +48,7 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         seen = seen_window(baseline, record)
     except NotAssessable as refused:
         return Finding.not_assessable(name, str(refused))
-    found = detected(baseline, seen.fit, seen.features)
+    found = detected(baseline, seen.fit, seen.offsets, seen.features)
     level = min(0.5, false_alarms_per_day * baseline.seconds / SECONDS_A_DAY)
     deviation, limit = (float(stats.norm.isf(max(p, _RAREST))) for p in (found.p, level))
     faulty = deviation > limit
@@ -94,7 +95,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
         raise NotAssessable(
             "the window says next to nothing of any value of the model: let its inputs move as they did in the healthy windows"
         )
-    return Seen(window, features, fit)
+    return Seen(window, features, fit, baseline.offsets_in(window, features))
 
 
 def _experiment(baseline: Baseline, record: Record) -> Experiment:

@@ -16,9 +16,9 @@ from scipy import stats
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
-from residuum.diagnosis.model_based.policy import POWER, STEPS, WIDE
+from residuum.diagnosis.model_based.policy import LOOK, POWER, STEPS, WIDE
 from residuum.diagnosis.model_based.scatter import Scatter
-from residuum.diagnosis.model_based.variant import Variant
+from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, log_power
 from residuum.identification.errors import BadInput
@@ -52,8 +52,8 @@ class Baseline:
     model : PhysicalModel
         With its healthy values and the effects `mended` (labels) that every healthy window lacks beside it.
     kind : KindOfRun
-    values, errors : Scatter
-        Of the free values, and of the logarithms of error power.
+    values, errors, offsets : Scatter
+        Of the free values, of the logarithms of error power, and of the offset that each output seems to have.
     usual : mapping of hypothesis to Usual
     information : array, shape (values,)
         Least of a healthy window on each value.
@@ -72,6 +72,7 @@ class Baseline:
     whitening: Whitening
     values: Scatter
     errors: Scatter
+    offsets: Scatter
     usual: Mapping[str, Usual]
     information: Array
     typical: Array
@@ -115,6 +116,14 @@ class Baseline:
         there = np.tile(self.measured, 2)
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
+    def offsets_in(self, window: Experiment, features: Array) -> Array:
+        """The offset of each output that explains a window best beside values in their healthy scatter, shape (outputs,)."""
+        fitter, found = self.fitter(window, features), np.zeros(len(self.model.outputs))
+        for o in np.flatnonzero(self.measured):
+            fit = fitter.fit(Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted)), LOOK)
+            found[o] = 0.0 if fit is None else fit.own[0]
+        return found
+
     def usual_gain(self, hypothesis: Hypothesis) -> float:
         """[nat] Of a hypothesis in healthy windows."""
         known = self.usual.get(hypothesis.label)
@@ -137,7 +146,7 @@ class Baseline:
             "mended": list(self.mended),
             "beside": list(self.kind.beside),
             "usual": {label: {"gain": u.gain, "sizes": u.sizes.tolist()} for label, u in self.usual.items()},
-            "freedom": [self.values.freedom, self.errors.freedom],
+            "freedom": [self.values.freedom, self.errors.freedom, self.offsets.freedom],
             "sample_time": self.sample_time,
             "seconds": self.seconds,
             "windows": self.windows,
@@ -145,7 +154,7 @@ class Baseline:
             "sources": list(self.sources),
             "settings": dict(settings),
         }
-        scatters = {"values": self.values, "errors": self.errors}
+        scatters = {"values": self.values, "errors": self.errors, "offsets": self.offsets}
         arrays = {f"{name}_{part}": getattr(scatter, part) for name, scatter in scatters.items() for part in ("B", "S", "M")}
         arrays |= {part: getattr(self.whitening, part) for part in ("filters", "sigma", "inflation", "steps")}
         arrays |= {"centre": self.kind.centre, "spread": self.kind.spread}
@@ -169,7 +178,7 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> 
     asked, model = (with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model"))
     scatters = [
         Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
-        for name, freedom in zip(("values", "errors"), meta["freedom"], strict=True)
+        for name, freedom in zip(("values", "errors", "offsets"), meta["freedom"], strict=True)
     ]
     usual = {label: Usual(float(u["gain"]), np.array(u["sizes"], dtype=float)) for label, u in meta["usual"].items()}
     return Baseline(
@@ -178,8 +187,7 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> 
         tuple(meta["mended"]),
         KindOfRun(tuple(meta["beside"]), arrays["centre"], arrays["spread"]),
         Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"]),
-        scatters[0],
-        scatters[1],
+        *scatters,
         usual,
         arrays["information"],
         arrays["typical"],

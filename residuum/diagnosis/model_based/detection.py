@@ -1,4 +1,5 @@
-"""Whether a window is healthy: its values by Hotelling's T², each by itself, and its error power, at one rate of false alarms.
+"""Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by itself, its error power, and
+offsets of its readings.
 
 References
 ----------
@@ -17,7 +18,7 @@ from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.window_fit import Fit, information
 
 Array = npt.NDArray[np.float64]
-_TESTS = 3
+_TESTS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +34,14 @@ class Detected:
     surprise: Array
 
 
-def detected(baseline: Baseline, fit: Fit, features: Array) -> Detected:
+def detected(baseline: Baseline, fit: Fit, offsets: Array, features: Array) -> Detected:
     """Hold the window's own estimate against healthy ones; Bonferroni's bound over the tests."""
     mean, covariance = baseline.values.at(features)
     z, freedom = baseline.surprise(features, fit), baseline.values.freedom
     each = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
+    usual, scatter = baseline.offsets.at(features)
+    t = np.abs(offsets - usual) / np.sqrt(np.diag(scatter))
+    each.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
         d, H = fit.others - mean, information(fit, k)
         T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)  # (S + H⁻¹)⁻¹, where H may be singular

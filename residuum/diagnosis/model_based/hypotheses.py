@@ -37,8 +37,6 @@ class Hypothesis:
         Window and sample → the way that begins there, where the beginning is a size of its own.
     seen : function or None
         Where it is seen in what the healthy fit leaves: fitter and healthy fit → its fit.
-    mends : bool
-        Whether a model may have it for good.
     in_samples : bool
         Whether its size counts samples.
     """
@@ -50,7 +48,6 @@ class Hypothesis:
     variants: Callable[[Experiment, Array], list[Variant]] = lambda e, X: []
     begin: Callable[[Experiment, int], Variant] | None = None
     seen: Callable[[WindowFitter, Fit], Fit | None] | None = None
-    mends: bool = False
     in_samples: bool = False
 
     @property
@@ -92,7 +89,7 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
     parameters = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
     unit = parameters[effect.sizes[0]].unit if effect.sizes else ""
     name = key.effect.removeprefix(f"{effect.place}-")
-    return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X), mends=True)
+    return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X))
 
 
 def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list[Variant]:

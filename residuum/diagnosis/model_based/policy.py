@@ -17,10 +17,8 @@ EM_STEPS = 200
 STILL = 0.05
 """[of its size] As what the spread of a feature counts at least, and below which a signal stands. Chosen."""
 
-MENDED, CALIBRATED = 2, 8
-"""Effects that may mend the model, and healthy windows on which every hypothesis is tried. Chosen."""
-ALWAYS = 3.0
-"""[standard errors over windows] By which an effect has to gain to be missing physics. Chosen."""
+CALIBRATED = 8
+"""Healthy windows in which missing physics is sought, and every hypothesis tried. Chosen."""
 
 LOOK, STEPS = 2, 8
 """Gauss-Newton steps of a look and of a fit. Chosen."""

@@ -6,7 +6,7 @@ then each window's own estimate, whose mean and scatter carry all that is inexac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +16,11 @@ from scipy import stats
 from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import (
-    ALWAYS,
     APART,
     CALIBRATED,
     CUT_INTO,
     FEWEST_SAMPLES,
     FEWEST_WINDOWS,
-    MENDED,
     OPEN,
 )
 from residuum.diagnosis.model_based.scatter import Scatter
@@ -32,10 +30,13 @@ from residuum.diagnosis.model_based.window_fit import Fit, information, log_powe
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import EffectUse, Estimate, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.policy import TIE
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT
+from residuum.identification.unseen_blocks.search import Wanted, search
+from residuum.identification.work import at_most
 
 Array = npt.NDArray[np.float64]
 
@@ -72,20 +73,34 @@ def train(
             here = here.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
     climbed = climb_at_likelier_timing(data_of(here, experiments))
     data, found = climbed.data, climbed.found
-    while wide := _undetermined(asked, found):
+    while wide := [name for name in _open(found) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
         asked, here = (_held(one, wide) for one in (asked, data.model))
         data = data_of(here, data.experiments)
         found = climb(data).found
-    here = found.model
-    for turn in range(MENDED + 1):
-        learned = _learned(asked, here, data.experiments, [record.source for record in records])
-        learned, better = _calibrated(learned, data.experiments)
-        if better is None or turn == MENDED:
-            return learned
-        here = climb(data_of(better, data.experiments)).found.model
-    raise AssertionError("unreachable: the last turn returns")
+    learned = _learned(asked, _mended(found.model, data), data.experiments, [record.source for record in records])
+    return _calibrated(learned, data.experiments)
+
+
+def _mended(model: PhysicalModel, data: Data) -> PhysicalModel:
+    """The model at its healthy values, with what it lacks on blocks of healthy windows that no fit has seen."""
+    few = [data.experiments[k] for k in _some(len(data.experiments))]
+    try:
+        with at_most(MOST_EFFORT):
+            best = search(data_of(model, few), Wanted(held=False), turn=False).best
+    except (BadRecord, NotIdentifiable):
+        return model
+    if not best.keys:
+        return model
+    found = climb(data_of(best.model, data.experiments)).found
+    own = [use.label for use in model.effects]
+    return _held(found.model, [name for name in _open(found) if name.rpartition(".")[0] not in ("", *own)])
+
+
+def _some(windows: int) -> list[int]:
+    """Windows on which every hypothesis is tried, evenly over all of them."""
+    return np.unique(np.linspace(0, windows - 1, CALIBRATED).astype(int)).tolist()
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:
@@ -121,13 +136,11 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [replace(e, hold=hold) for e in experiments]
 
 
-def _undetermined(asked: PhysicalModel, found: Estimate) -> list[str]:
+def _open(found: Estimate) -> list[str]:
+    """Values that all healthy windows together leave open."""
     now = found.model.values
-    return [
-        name
-        for name, std in zip(found.parameters, found.std, strict=True)
-        if name in asked.parameters and not std < OPEN * max(abs(now[name]), 1e-300)
-    ]
+    each = zip(found.parameters, found.std, strict=True)
+    return [name for name, std in each if not std < OPEN * max(abs(now[name]), 1e-300)]
 
 
 def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:
@@ -143,8 +156,13 @@ def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermi
 
 
 def _held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
-    held = {name: replace(p, fixed=p.fixed or name in names) for name, p in model.parameters.items()}
-    return replace(model, parameters=held)
+    """The model with these values, by full name, no longer free."""
+    effects = tuple(replace(use, parameters=_fixed(use.parameters, names, f"{use.label}.")) for use in model.effects)
+    return replace(model, parameters=_fixed(model.parameters, names), effects=effects)
+
+
+def _fixed(parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = "") -> dict[str, Parameter]:
+    return {name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +193,7 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
     model = model.with_values(dict(zip(model.free, values.B[0].tolist(), strict=True)))
     diagonals = np.array([np.diag(h) for h in told]).reshape(len(told), len(start))
     mended = tuple(use.label for use in model.effects if use.label not in [own.label for own in asked.effects])
+    unasked = np.zeros((len(told), len(model.outputs)))  # offsets are, once the values' scatter is known
     input_spans, spans = (np.array([np.ptp(x(e), axis=0) for e in experiments]).min(axis=0) for x in (_inputs, _readings))
     return Baseline(
         asked,
@@ -184,6 +203,7 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
         whitening,
         values,
         errors,
+        Scatter.of(each.F, unasked, None, unasked[0] + 1.0),
         {},
         diagonals.min(axis=0),
         np.median(diagonals, axis=0),
@@ -232,23 +252,22 @@ def _apart(F: Array, x: Array) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> tuple[Baseline, PhysicalModel | None]:
-    """What each hypothesis gains in healthy windows and how its sizes scatter there; the model with what is always there."""
-    every, always = [], []
-    for k in np.unique(np.linspace(0, len(experiments) - 1, CALIBRATED).astype(int)):
+def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
+    """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets in all of them."""
+    F = np.array([baseline.kind.features(e) for e in experiments])
+    offsets = np.array([baseline.offsets_in(e, f) for e, f in zip(experiments, F, strict=True)])
+    baseline = replace(baseline, offsets=Scatter.of(F, offsets, None, 1e-6 * baseline.spans + 1e-300))
+    every = []
+    for k in _some(len(experiments)):
         fitter = baseline.fitter(experiments[k], baseline.kind.features(experiments[k]))
         healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
         every.append((fitter, fitter.nats(healthy), found))
     usual = {}
     for h in baseline.hypotheses:
         there = [(f, null, t.fit) for f, null, found in every if (t := found.get(h.label))]
-        net = np.array([null - f.nats(fit) for f, null, fit in there])
         gains = [max(null - f.nats(fit) + f.price(fit) - fit.paid, 0.0) for f, null, fit in there]
         usual[h.label] = Usual(float(np.mean(gains)) if gains else 0.0, _sizes([fit for *_, fit in there]))
-        if h.mends and len(there) == len(every) and net.mean() > max(2.0 * TIE, ALWAYS * net.std(ddof=1) / np.sqrt(len(net))):
-            always.append((float(net.mean()), there[int(np.argmax(net))][2].variant.model))
-    better = max(always, key=lambda each: each[0])[1] if always else None
-    return replace(baseline, usual=usual), better
+    return replace(baseline, usual=usual)
 
 
 def _sizes(fits: Sequence[Fit]) -> Array:

@@ -61,6 +61,11 @@ def amplified(y: Array, sizes: Array) -> Array:
     return np.asarray(y * (1.0 + sizes[0]))
 
 
+def shifted(y: Array, sizes: Array) -> Array:
+    """The signal so much higher."""
+    return np.asarray(y + sizes[0])
+
+
 def held(y: Array, sizes: Array) -> Array:
     """The signal at one value."""
     return np.full_like(y, sizes[0])
