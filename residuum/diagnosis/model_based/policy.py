@@ -17,8 +17,12 @@ EM_STEPS = 200
 STILL = 0.05
 """[of its size] As what the spread of a feature counts at least, and below which a signal stands. Chosen."""
 
-CALIBRATED = 8
-"""Healthy windows in which missing physics is sought, and every hypothesis tried. Chosen."""
+SEARCHED, CALIBRATED = 1, 8
+"""Healthy windows in which missing physics is sought, and in which every hypothesis is tried. Chosen."""
+SEARCH = 1e9
+"""[samples] Of work in one such search. Chosen."""
+ALWAYS = 3.0
+"""[standard errors over windows] By which the error has to fall in them for an effect to be missing physics. Chosen."""
 
 LOOK, STEPS = 2, 8
 """Gauss-Newton steps of a look and of a fit. Chosen."""

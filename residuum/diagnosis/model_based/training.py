@@ -6,7 +6,7 @@ then each window's own estimate, whose mean and scatter carry all that is inexac
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy import stats
 
 from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
+from residuum.diagnosis.model_based.mending import evenly, held, mended
 from residuum.diagnosis.model_based.policy import (
     APART,
     CALIBRATED,
@@ -30,13 +31,9 @@ from residuum.diagnosis.model_based.window_fit import Fit, information, log_powe
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import EffectUse, Estimate, Experiment, PhysicalModel, estimate, match
-from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT
-from residuum.identification.unseen_blocks.search import Wanted, search
-from residuum.identification.work import at_most
 
 Array = npt.NDArray[np.float64]
 
@@ -76,31 +73,11 @@ def train(
     while wide := [name for name in _open(found) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
-        asked, here = (_held(one, wide) for one in (asked, data.model))
+        asked, here = (held(one, wide) for one in (asked, data.model))
         data = data_of(here, data.experiments)
         found = climb(data).found
-    learned = _learned(asked, _mended(found.model, data), data.experiments, [record.source for record in records])
-    return _calibrated(learned, data.experiments)
-
-
-def _mended(model: PhysicalModel, data: Data) -> PhysicalModel:
-    """The model at its healthy values, with what it lacks on blocks of healthy windows that no fit has seen."""
-    few = [data.experiments[k] for k in _some(len(data.experiments))]
-    try:
-        with at_most(MOST_EFFORT):
-            best = search(data_of(model, few), Wanted(held=False), turn=False).best
-    except (BadRecord, NotIdentifiable):
-        return model
-    if not best.keys:
-        return model
-    found = climb(data_of(best.model, data.experiments)).found
-    own = [use.label for use in model.effects]
-    return _held(found.model, [name for name in _open(found) if name.rpartition(".")[0] not in ("", *own)])
-
-
-def _some(windows: int) -> list[int]:
-    """Windows on which every hypothesis is tried, evenly over all of them."""
-    return np.unique(np.linspace(0, windows - 1, CALIBRATED).astype(int)).tolist()
+    better, experiments = mended(found.model, data.experiments, _sized(found.model, data.experiments))
+    return _calibrated(_learned(asked, better, experiments, [record.source for record in records]), experiments)
 
 
 def windows_of(records: Sequence[Record]) -> list[Record]:
@@ -155,16 +132,6 @@ def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermi
     )
 
 
-def _held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
-    """The model with these values, by full name, no longer free."""
-    effects = tuple(replace(use, parameters=_fixed(use.parameters, names, f"{use.label}.")) for use in model.effects)
-    return replace(model, parameters=_fixed(model.parameters, names), effects=effects)
-
-
-def _fixed(parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = "") -> dict[str, Parameter]:
-    return {name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()}
-
-
 @dataclass(frozen=True, eq=False)
 class _Windows:
     """Each window's own fit, and its features."""
@@ -180,8 +147,7 @@ class _Windows:
 def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[Experiment], sources: Sequence[str]) -> Baseline:
     """The baseline before its hypotheses are tried."""
     start = np.array([model.values[name] for name in model.free])
-    rms = np.nan_to_num(estimate(model, experiments, free=()).rmse)
-    whitening = Whitening.plain(np.maximum(rms, 1e-9))
+    whitening = _sized(model, experiments)
     for _ in range(2):
         whitening = Whitening.of([fit.error for fit in _each_alone(model, experiments, start, whitening)])
     kind = KindOfRun.of(experiments)
@@ -217,6 +183,11 @@ def _learned(asked: PhysicalModel, model: PhysicalModel, experiments: Sequence[E
         _apart(each.F, np.column_stack([each.theta, power])),
         list(sources),
     )
+
+
+def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening:
+    """Nothing is known of errors yet but their size."""
+    return Whitening.plain(np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9))
 
 
 def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: Array, whitening: Whitening) -> list[Fit]:
@@ -258,7 +229,7 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
     offsets = np.array([baseline.offsets_in(e, f) for e, f in zip(experiments, F, strict=True)])
     baseline = replace(baseline, offsets=Scatter.of(F, offsets, None, 1e-6 * baseline.spans + 1e-300))
     every = []
-    for k in _some(len(experiments)):
+    for k in evenly(len(experiments), CALIBRATED):
         fitter = baseline.fitter(experiments[k], baseline.kind.features(experiments[k]))
         healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
         every.append((fitter, fitter.nats(healthy), found))
