@@ -156,7 +156,7 @@ class Baseline:
         }
         scatters = {"values": self.values, "errors": self.errors, "offsets": self.offsets}
         arrays = {f"{name}_{part}": getattr(scatter, part) for name, scatter in scatters.items() for part in ("B", "S", "M")}
-        arrays |= {part: getattr(self.whitening, part) for part in ("filters", "sigma", "inflation", "steps")}
+        arrays |= {part: getattr(self.whitening, part) for part in ("filters", "sigma", "inflation", "steps", "most_steps")}
         arrays |= {"centre": self.kind.centre, "spread": self.kind.spread}
         own = ("information", "typical", "input_spans", "spans", "measured", "hold")
         save_stored(path, kind, _VERSION, meta, arrays | {name: getattr(self, name) for name in own})
@@ -186,7 +186,7 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> 
         model,
         tuple(meta["mended"]),
         KindOfRun(tuple(meta["beside"]), arrays["centre"], arrays["spread"]),
-        Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"]),
+        Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"], arrays["most_steps"]),
         *scatters,
         usual,
         arrays["information"],

@@ -172,7 +172,8 @@ def _noisier(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     louder = float(fitter.louder(healthy.white)[o])
     power = healthy.power.copy()
     power[:, o] /= louder  # half of what the likelihood would give: what has a structure is told by what explains it
-    return replace(healthy, power=power, own=np.array([np.sqrt(louder**2 - 1.0) * fitter.whitening.sigma[o]]))
+    more = max(float(fitter.steps(healthy.white)[o] - fitter.whitening.steps[o]), 0.0)
+    return replace(healthy, power=power, own=np.array([np.sqrt(more / fitter.whitening.amplified[o])]))
 
 
 def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:

@@ -88,7 +88,7 @@ def _lacking(model: PhysicalModel, windows: Sequence[Experiment]) -> list[tuple[
             continue
         one = _physics(there)
         keys = tuple(use.key for use in one.effects)
-        if one.effects != model.effects and keys not in found:
+        if len(keys) > len(model.effects) and keys not in found:
             found[keys] = [(one, windows), (one, turned_timing(windows))]
     return [each for both in found.values() for each in both]
 

@@ -85,6 +85,7 @@ def _fitted(F: Array, x: Array, information: Sequence[Array] | None, floor: Arra
             V = np.array([np.linalg.inv(P + h) for h in information])
             told = zip(V, F @ B, information, x, strict=True)
             post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in told]).reshape(n, p)
+    B, S, M = (np.ascontiguousarray(x) for x in (B, S, M))  # as they are loaded: the order decides the last digit
     return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
 
 

@@ -29,14 +29,15 @@ class Whitening:
         RMS of whitened healthy errors.
     inflation : array, shape (outputs,)
         By which correlation that is left divides the number of samples.
-    steps : array, shape (outputs,)
-        Half the mean square of steps from sample to sample, in sigma²: the most that is usual of their white part.
+    steps, most_steps : array, shape (outputs,)
+        Half the mean square of steps from sample to sample, in sigma²: what is usual of their white part, and the most.
     """
 
     filters: Array
     sigma: Array
     inflation: Array
     steps: Array
+    most_steps: Array
 
     def white(self, values: Array, known: Flags) -> Array:
         """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was measured."""
@@ -50,12 +51,18 @@ class Whitening:
             out[:, o] = np.where(there, y, 0.0) / self.sigma[o]
         return out
 
+    @property
+    def amplified(self) -> Array:
+        """By how much whitening multiplies the steps' power of white noise, in sigma², shape (outputs,)."""
+        steps = np.diff(self.filters, axis=1, prepend=0.0, append=0.0)
+        return np.asarray(0.5 * np.sum(steps**2, axis=1) / self.sigma**2)
+
     @classmethod
     def plain(cls, sigma: Array) -> Whitening:
         """None but the division by these sizes."""
         filters = np.zeros((len(sigma), WHITENING + 1))
         filters[:, 0] = 1.0
-        return cls(filters, sigma, np.ones(len(sigma)), np.ones(len(sigma)))
+        return cls(filters, sigma, *np.ones((3, len(sigma))))
 
     @classmethod
     def of(cls, errors: Sequence[Array]) -> Whitening:
@@ -72,7 +79,7 @@ class Whitening:
             steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
             found.filters[o, : len(a)], found.sigma[o] = a, sigma
             found.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
-            found.steps[o] = np.mean(steps) + 2.0 * np.std(steps)
+            found.steps[o], found.most_steps[o] = np.mean(steps), np.mean(steps) + 2.0 * np.std(steps)
         return found
 
 

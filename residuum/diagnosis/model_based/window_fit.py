@@ -82,10 +82,14 @@ class WindowFitter:
         count = np.array([np.bincount(self.block, v, BLOCKS) for v in self.known.T]).T
         return np.where(count > 0, total / np.maximum(count, 1), 1.0)
 
-    def louder(self, white: Array) -> Array:
-        """By how much white noise has grown, told by steps from sample to sample, shape (outputs,)."""
+    def steps(self, white: Array) -> Array:
+        """Half the mean square of steps from sample to sample in the usual block, shape (outputs,)."""
         steps = np.concatenate([np.zeros((1, white.shape[1])), np.diff(white, axis=0) / np.sqrt(2.0)])
-        return np.sqrt(np.maximum(np.median(self.blocks(steps), axis=0) / self.whitening.steps, 1.0))
+        return np.asarray(np.median(self.blocks(steps), axis=0))
+
+    def louder(self, white: Array) -> Array:
+        """By how much white noise has grown beyond the most that is usual, told by steps, shape (outputs,)."""
+        return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
 
     def logs(self, fit: Fit) -> Array:
         """[nat] What each block costs, shape (blocks,)."""

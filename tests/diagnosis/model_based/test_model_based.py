@@ -157,10 +157,10 @@ def test_a_window_that_stands_apart_is_told_when_training():
 
 def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its_place():
     windows = axis_windows(6)[0]
-    again = watched().relearned(windows[:10])
+    again = watched().relearned(windows[:8])
     assert again.baseline.mended == watched().baseline.mended and not again.model.effects
     use = watched().baseline.stand_ins[0]
     improved = load_model("linear-axis").with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
-    accepted = watched().relearned(windows[:10], improved)
+    accepted = watched().relearned(windows[:8], improved)
     assert accepted.baseline.mended == () and accepted.baseline.asked.effects == improved.effects
     assert accepted.score(windows[22]).verdict is Verdict.HEALTHY

@@ -27,14 +27,14 @@ def test_a_noisy_sensor_is_told_as_the_sensor():
 def test_new_play_of_a_drive_is_told_as_a_second_body():
     machine = MACHINES["gate-drive"](97, {"coulomb-friction": {}}, profile="rich")
     found = []
-    for k in range(22):
-        if k == 20:
+    for k in range(14):
+        if k == 12:
             machine._y[2:4] = machine._y[0:2]
             machine.drive = machine.drive._replace(two_bodies=True, gap=0.5)
-        run = machine.simulate(8.0)
+        run = machine.simulate(5.0)
         found.append(Record(dict(run.channels), dict(run.units), run.sample_time, t0=run.t0, source=f"window {k}"))
     drive = load_model("gate-drive").with_effect("coulomb-friction", "shaft", {"tau_c": 0.02})
-    judge = ModelBased(model=drive, fix_undetermined=True).fit(found[:20])
-    for record in found[20:]:
+    judge = ModelBased(model=drive, fix_undetermined=True).fit(found[:12])
+    for record in found[12:]:
         finding = judge.score(record)
         assert first(finding) in ("backlash@shaft", "elastic-transmission@shaft")
