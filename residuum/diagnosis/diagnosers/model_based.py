@@ -87,11 +87,12 @@ class ModelBased(Diagnoser):
     def relearned(self, healthy: Sequence[Record], model: PhysicalModel | None = None) -> Self:
         """Learned anew from these windows, with another model where one is given.
 
-        What the model lacked when it was trained first stays what it lacks. NothingLearned where a fault is probable in them.
+        What the model lacked when it was trained first stays what it lacks. NothingLearned where a fault is probable in them, or
+        a new effect that the other model does not have.
         """
         known = () if self._baseline is None else self._baseline.stand_ins
-        if model is None:
-            self.refuse_learning(healthy)
+        if self._baseline is not None:
+            refuse_recalibration(self._baseline, healthy, [] if model is None else [use.key for use in model.effects])
         other = copy.copy(self)
         other.model = self.baseline.asked if model is None else model
         other._baseline = train(other.model, healthy, fix_undetermined=self.fix_undetermined, known=known)

@@ -176,10 +176,10 @@ class Baseline:
 
 def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> Baseline:
     asked, model = (with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model"))
-    scatters = [
+    values, errors, offsets = (
         Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
         for name, freedom in zip(("values", "errors", "offsets"), meta["freedom"], strict=True)
-    ]
+    )
     usual = {label: Usual(float(u["gain"]), np.array(u["sizes"], dtype=float)) for label, u in meta["usual"].items()}
     return Baseline(
         asked,
@@ -187,7 +187,9 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> 
         tuple(meta["mended"]),
         KindOfRun(tuple(meta["beside"]), arrays["centre"], arrays["spread"]),
         Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"], arrays["most_steps"]),
-        *scatters,
+        values,
+        errors,
+        offsets,
         usual,
         arrays["information"],
         arrays["typical"],

@@ -39,6 +39,8 @@ class Hypothesis:
         Where it is seen in what the healthy fit leaves: fitter and healthy fit → its fit.
     in_samples : bool
         Whether its size counts samples.
+    key : Key or None
+        The effect that the healthy model lacks.
     """
 
     kind: str
@@ -49,6 +51,7 @@ class Hypothesis:
     begin: Callable[[Experiment, int], Variant] | None = None
     seen: Callable[[WindowFitter, Fit], Fit | None] | None = None
     in_samples: bool = False
+    key: Key | None = None
 
     @property
     def label(self) -> str:
@@ -89,7 +92,7 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
     parameters = {p.name: p for p in effect.parameters(model.site(key.target, effect))}
     unit = parameters[effect.sizes[0]].unit if effect.sizes else ""
     name = key.effect.removeprefix(f"{effect.place}-")
-    return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X))
+    return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X), key=key)
 
 
 def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list[Variant]:

@@ -1,7 +1,7 @@
 """Missing physics of a watched machine: what its model lacks in healthy windows, each at values of its own.
 
-Over all windows together the scatter of values hides it. So it is sought in single windows by the judge of missing physics, and kept
-where it takes error away in the others as well.
+Over all windows together the scatter of values hides it. So it is sought in single windows by the judge of missing physics, and
+kept where it takes error away in the others as well.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
     values = np.mean([fit.others for fit in fits], axis=0)
     total = np.sum([information(fit, len(names)) for fit in fits], axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
-    told = np.diag(total) > 0.0
-    wide = [n for n, v, s, t in zip(names, values, std, told, strict=True) if n not in before.free and not (t and s < OPEN * abs(v))]
+    told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
+    wide = [name for name, there in zip(names, told, strict=True) if not there and name not in before.free]
     return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), wide)
 
 

@@ -16,10 +16,12 @@ from scipy import stats
 
 from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
+from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD
 from residuum.diagnosis.model_based.policy import CALIBRATED, LEARNED_FALSELY
 from residuum.diagnosis.model_based.trying import tried
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadInput
+from residuum.identification.physics import Key
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.policy import TIE
 
@@ -32,8 +34,11 @@ class NothingLearned(BadInput):
 
 
 @one_thread()
-def refuse_recalibration(baseline: Baseline, records: Sequence[Record]) -> None:
-    """Raise NothingLearned where a sensor's fault, an actuator's, a load or a new effect is probable in the windows."""
+def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted: Sequence[Key] = ()) -> None:
+    """Raise NothingLearned where a sensor's fault, an actuator's, a load or a new effect is probable in the windows.
+
+    An effect that the user has `accepted` is none of them.
+    """
     chosen = np.unique(np.linspace(0, len(records) - 1, min(CALIBRATED, len(records))).astype(int))
     sizes: dict[str, list[Array]] = {}
     gains: dict[str, float] = {}
@@ -53,11 +58,12 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record]) -> None:
         return
     p = {h.label: _chance(baseline, h.label, sizes.get(h.label, [])) for h in baseline.hypotheses}
     shifted = [h for h in baseline.hypotheses if p[h.label] * len(p) < LEARNED_FALSELY]
-    blamed = [h for h in shifted if h.label not in baseline.free and h.name != "unknown-load"]
+    free = [h for h in shifted if h.label in baseline.free or h.key in accepted]
+    blamed = [h for h in shifted if h not in free and h.name != UNKNOWN_LOAD]
     if not blamed:
         return
     likeliest = max(blamed, key=lambda h: (gains[h.label], -p[h.label]))
-    values = [gains[h.label] for h in shifted if h.label in baseline.free]
+    values = [gains[h.label] for h in free]
     if values and max(values) > max(gains[likeliest.label] - TIE, 0.0):
         return
     place = f" of {likeliest.place}" if likeliest.place else ""
