@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadRecord, in_one_line
+from residuum.identification.errors import BadInput, BadRecord, BadUnit, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.lvm import read_lvm
@@ -67,6 +67,8 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         raise BadRecord(f"{path}: no such file")
     try:
         return without_overloads(reader(path, options))
+    except BadUnit as error:
+        raise BadUnit(f"{error}; --unit CHANNEL=UNIT says it in another spelling") from error
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise

@@ -12,7 +12,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger, say_missing
+from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, parse_logger, say_missing
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
@@ -79,7 +79,18 @@ def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions())
     notes, header, body, first_row = _split(content, source)
     names, units = column_heads(header.split(","), source)
     table = _numbers(body, len(names), first_row, source)
+    _refuse_rounded_times(table[:, 0], first_row, source)
     return table_record(names, units, np.ascontiguousarray(table.T), source, options, notes=notes, first_row=first_row)
+
+
+def _refuse_rounded_times(time: npt.NDArray[np.float64], first_row: int, source: str) -> None:
+    """Refuse times that were written with too few digits, so that neighbours are the same."""
+    if (same := np.diff(time) == 0).any():
+        row = first_row + 1 + int(np.argmax(same))
+        raise BadRecord(
+            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice; write times with more digits, "
+            f"or {SAY_DUPLICATES} (`residuum inspect FILE --out FILE{ENDING}` writes it)"
+        )
 
 
 def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:

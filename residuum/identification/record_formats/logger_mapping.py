@@ -11,7 +11,7 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, made_even, resampling
+from residuum.identification.record_formats.even_time import even_columns, made_even, resampling, some_rounded_alike
 from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.no_value import without_overloads
@@ -246,7 +246,13 @@ def _ordered(
 
 
 def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str) -> npt.NDArray[np.int64]:
-    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones."""
+    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones.
+
+    Even stamps that were rounded to too few digits stand once or twice: their step is that of the whole.
+    """
+    if some_rounded_alike((stamps - stamps[0]) / 1e9):
+        even: npt.NDArray[np.int64] = np.rint(np.linspace(stamps[0], stamps[-1], len(stamps))).astype(np.int64)
+        return even
     counts = np.diff(np.append(starts, len(stamps)))
     each, between = int(np.median(counts)), np.diff(stamps[starts])
     inner = counts[1:-1]

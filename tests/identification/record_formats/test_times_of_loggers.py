@@ -79,6 +79,18 @@ def test_stamps_of_whole_seconds_may_be_spread():
         read(text([*stamps[:103], *stamps[104:]]), duplicates="spread")
 
 
+@pytest.mark.parametrize("rate", [12000, 13000, 16000])
+def test_stamps_of_too_few_digits_may_be_spread_where_no_row_is_lost(rate):
+    rows = [f"{k / rate:.4f},{value}" for k, value in enumerate(VALUES)]
+    with pytest.raises(BadRecord, match="stands twice"):
+        read("\n".join(["time [s],p [bar]", *rows]).encode())
+    record = read("\n".join(["time [s],p [bar]", *rows]).encode(), duplicates="spread")[1]
+    assert record.n == N and record.sample_time == pytest.approx(1 / rate, rel=1e-2)
+    np.testing.assert_array_equal(record["p"], VALUES)
+    with pytest.raises(BadRecord, match="cannot be spread evenly"):
+        read("\n".join(["time [s],p [bar]", *rows[:103], *rows[104:]]).encode(), duplicates="spread")
+
+
 def test_a_cell_that_means_no_value_is_said_by_an_option():
     content = b"Time (s),U (V)\n0,1\n1,OL\n2,3\n3,4\n"
     with pytest.raises(BadRecord, match=r"row 3, column 'U': 'OL' is not a number; .*inspect FILE --missing 'OL'"):
