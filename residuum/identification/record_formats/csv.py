@@ -88,8 +88,8 @@ def _refuse_rounded_times(time: npt.NDArray[np.float64], first_row: int, source:
     if (same := np.diff(time) == 0).any():
         row = first_row + 1 + int(np.argmax(same))
         raise BadRecord(
-            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice; write times with more digits, "
-            f"or {SAY_DUPLICATES} (`residuum inspect FILE --out FILE{ENDING}` writes it)"
+            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice; write times with more "
+            f"digits, or {SAY_DUPLICATES} (`residuum inspect FILE --out FILE{ENDING}` writes it)"
         )
 
 

@@ -81,7 +81,7 @@ def _only_rounded(time: FloatArray) -> bool:
 
 
 def some_rounded_alike(time: FloatArray) -> bool:
-    """Whether even stamps were only rounded, some neighbours to the same, so that a lost row moves the others by less than a step.
+    """Whether even stamps were only rounded, some neighbours to the same: a lost row then moves others by less than a step.
 
     With several rows to each stamp a lost one would pass for rounding.
     """

@@ -63,7 +63,7 @@ def test_bad_files_are_refused_with_their_place(text, rule):
 
 
 def test_what_is_no_unit_is_refused():
-    with pytest.raises(BadUnit, match="channel 'a': unit .* not a known unit"):
+    with pytest.raises(BadUnit, match=r"channel 'a': unit .* not a known unit"):
         parse("time [s],a [m//s(]\n0,1\n1,2\n")
 
 
