@@ -12,7 +12,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, parse_logger, say_missing
+from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, LoggerMapping, parse_logger, say_missing
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
@@ -61,7 +61,7 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
     try:
         said = {"decimal": options.decimal, "time_form": options.time_form, "time_column": options.time_column}
-        found = understand(content, source, **said, missing=options.missing)
+        found = understand(content, source, **said, missing=options.missing, sample_time=options.sample_time)
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
         if "--decimal" not in str(error) and "--time" not in str(error):
@@ -69,9 +69,13 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
         settle = f"`residuum inspect FILE` with it and --out FILE{ENDING} settles it for every command"
         raise BadRecord(f"{error} ({settle})") from None
     mapping = found.mapping
-    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, times {mapping.time_form}"
+    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
     told = f"{AS_LOGGER}: {habits}"
     return replace(record, notes=(told, *record.notes))
+
+
+def _times(mapping: LoggerMapping) -> str:
+    return f"times {mapping.time_form}" if mapping.time else f"rows of {mapping.sample_time:g} s, as was said"
 
 
 def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:

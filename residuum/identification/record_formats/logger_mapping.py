@@ -36,7 +36,7 @@ class LoggerMapping:
     first_row : int
         File row of the first sample.
     time : tuple of int
-        The time column, or the columns of date and of time of day.
+        The time column, or the columns of date and of time of day; none where `sample_time` says how far apart the rows are.
     time_form : str
         One of `logger_time.FORMS`.
     names, units : mapping of column to name and to unit
@@ -48,6 +48,8 @@ class LoggerMapping:
         order (`refuse`, `sort`).
     suffixes : mapping of column to text
         The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
+    sample_time : float or None
+        Seconds from row to row of a file without times.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class LoggerMapping:
     duplicates: str = "refuse"
     reordered: str = "refuse"
     suffixes: Mapping[int, str] = field(default_factory=dict)
+    sample_time: float | None = None
 
     def __post_init__(self) -> None:
         rules = {
@@ -78,7 +81,8 @@ class LoggerMapping:
             "time_form": self.time_form in FORMS,
             "duplicates": self.duplicates in _DUPLICATES,
             "reordered": self.reordered in _REORDERED,
-            "time": 1 <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
+            "sample_time": self.sample_time is None or _is_positive(self.sample_time),
+            "time": (self.sample_time is None) <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
             "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
             "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
             "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
@@ -102,6 +106,10 @@ class LoggerMapping:
 
 def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
 
 
 def read_mapping(path: Path) -> LoggerMapping:
@@ -130,18 +138,14 @@ def read_mapping(path: Path) -> LoggerMapping:
 
 def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
     """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as NaN."""
-    stamps, values, rows = [], [], []
+    stamps: list[int] = []
+    values, rows = [], []
     for row, cells in enumerate(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row):
         if not any(cells):
             continue
         if len(cells) != mapping.width:
             raise BadRecord(f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut the row")
-        stamp = " ".join(cells[column - 1] for column in mapping.time)
-        try:
-            stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
-        except (ValueError, OverflowError):
-            what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
-            raise BadRecord(f"{source}, row {row}: {what}; cut or mend the row") from None
+        stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
         where = f"{source}, row {row}, column"
         values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)
@@ -153,6 +157,18 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
     if mapping.time_form == "clock" and len(mapping.time) == 1:
         times = over_midnight(times)
     return times, np.array(values).T, rows
+
+
+def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: str) -> int:
+    """The time [ns] of a row."""
+    if not mapping.time:
+        return round(1e9 * (mapping.sample_time or 0.0) * number_of_row)
+    stamp = " ".join(cells[column - 1] for column in mapping.time)
+    try:
+        return nanoseconds(stamp, mapping.time_form, mapping.decimal)
+    except (ValueError, OverflowError):
+        what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+        raise BadRecord(f"{where}: {what}; cut or mend the row") from None
 
 
 SAY_DUPLICATES = "set the mapping's `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"

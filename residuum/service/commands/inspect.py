@@ -50,7 +50,8 @@ def inspect_command(
         options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
         report(*of_record_file(Path(file), options), as_json=as_json)
     else:
-        _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
+        said = {"decimal": decimal, "time_form": time, "missing": missing or [], "sample_time": sample_time}
+        _logger_file(Path(file), out, said, as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
@@ -85,16 +86,14 @@ def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     return found
 
 
-def _logger_file(
-    file: Path, out: Path | None, decimal: str | None, time: str | None, missing: list[str], *, as_json: bool
-) -> None:
+def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, as_json: bool) -> None:
     if out is not None:
         check_output_file(out)
     try:
         content = file.read_bytes()
     except OSError as error:
         raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
-    found = understand(content, str(file), decimal=decimal, time_form=time, missing=missing)
+    found = understand(content, str(file), **said)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
     report(*of_logger_file(file, found), as_json=as_json)

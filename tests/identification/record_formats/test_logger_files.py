@@ -149,6 +149,25 @@ def test_what_may_be_read_in_two_ways_or_none_is_refused(tmp_path, text, says):
     assert "\n" not in str(refused.value)
 
 
+def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
+    content = b"y u\n" + b"".join(b"%d.5 %d\n" % (k, k % 3) for k in range(20))
+    with pytest.raises(BadRecord, match="where none is a time, give --sample-time"):
+        understand(content, "log.txt")
+    found = understand(content, "log.txt", sample_time=0.025)
+    assert found.guesses["time"] == ("rows of 0.025 s", "said with --sample-time; no column is a time")
+    (tmp_path / "log.txt").write_bytes(content)
+    (tmp_path / "log.mapping.yaml").write_text(found.mapping.to_yaml(), encoding="utf-8")
+    by_mapping = read_logger_file(tmp_path / "log.txt", read_mapping(tmp_path / "log.mapping.yaml"))
+    for record in (by_mapping, read_record(tmp_path / "log.txt", ReadOptions(sample_time=0.025))):
+        assert (record.names, record.n, record.sample_time) == (("y", "u"), 20, pytest.approx(0.025))
+        np.testing.assert_array_equal(record["y"], np.arange(20) + 0.5)
+
+
+def test_a_sample_time_does_not_stand_in_for_a_time_that_the_file_has():
+    with pytest.raises(BadRecord, match="nothing says in which unit time column 'time' is"):
+        understand(b"time;v [V]\n0;1\n1;2\n2;3\n", "log.csv", sample_time=0.1)
+
+
 def test_what_is_said_settles_the_doubt(tmp_path):
     _, record = read(tmp_path, "time;v [V]\n0;1,234\n1;2,345\n", decimal=",", time_form="milliseconds")
     np.testing.assert_allclose(record["v"], [1.234, 2.345])
