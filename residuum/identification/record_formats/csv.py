@@ -28,7 +28,7 @@ _EMPTY_CELL = re.compile(rb"(?<=,)(?=[ \t]*(?:,|\r?\n|$))|(?<=\n)(?=,)")
 def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a record from a CSV file, or what a logger wrote where its text leaves no doubt how to read it.
 
-    In a file of ours the first column is `time [s]`, and commas cut its cells.
+    In a file of ours the first column is `time [s]`, and commas cut its cells. Where more is said of it, it is a logger's.
 
     The first line that does not begin with `#` names the columns; `# …` lines before it become notes.
     An empty cell or `nan` is a missing sample. Time must be even: a step that differs from the median by
@@ -43,7 +43,8 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     if is_scope_csv(content):
         return parse_scope_csv(content, str(path), options)
-    return parse_csv(content, str(path), options) if _is_ours(content) else _from_logger(content, str(path), options)
+    told = options.decimal or options.time_form or options.time_column or options.missing
+    return parse_csv(content, str(path), options) if _is_ours(content) and not told else _from_logger(content, str(path), options)
 
 
 def _is_ours(content: bytes) -> bool:

@@ -1,7 +1,9 @@
 """The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -184,9 +186,21 @@ def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     if cell.lower() in mapping.missing:
         return float("nan")
     try:
-        return number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
+        value = number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
     except ValueError:
         raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
+    return float("nan") if value in _marks(mapping.missing, mapping.decimal) else value
+
+
+@lru_cache(maxsize=16)
+def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
+    """The numbers among the cells that mean no value: a file may write -999.90 for -999.9."""
+    found = set()
+    for cell in missing:
+        for sign in (decimal, "."):
+            with suppress(ValueError):
+                found.add(number(cell, sign))
+    return frozenset(found)
 
 
 def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
