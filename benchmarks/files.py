@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import WRITERS, write_record
 from residuum.service.work import upload_reader
@@ -184,7 +184,7 @@ def _is_no_line(said: Path) -> bool:
 def _whole_way(content: bytes, ending: str) -> str:
     try:
         upload_reader.read_upload(content, ending, f"mine{ending}", memory=MEMORY, seconds=SECONDS)
-    except BadRecord as error:
+    except BadInput as error:
         return "not one line" if "\n" in str(error) else "refused"
     return "read"
 

@@ -85,8 +85,11 @@ class Record:
         if unitless := [name for name in self.channels if name not in self.units]:
             raise BadRecord(f"{where}: channel {unitless[0]!r} has no unit; every channel needs one")
         units = {name: self.units[name] for name in self.channels}
-        for unit in units.values():
-            parse_unit(unit)
+        for name, unit in units.items():
+            try:
+                parse_unit(unit)
+            except BadUnit as error:
+                raise BadUnit(f"{where}, channel {name!r}: {error}") from error
         return units
 
     @property

@@ -20,6 +20,8 @@ _DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
 _JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
 """A force and a length that are written as one word: `Nm`, `kNm`, `Ncm`."""
 _BELOW = re.compile(r"/" + _JOINED.pattern)
+_EFFECTIVE = re.compile(r"(?<=[A-Za-zµ²)\d])(?:[_ ](?:rms|RMS)|[_ ]?\((?:rms|RMS)\))$")
+"""What says behind a unit that a value is an effective one: the unit is the same."""
 _WORD = re.compile(r"[A-Za-zµ°Ω%\"_][A-Za-zµ°Ω%_]*")
 _BLANK = re.compile(r"\s+")
 
@@ -36,42 +38,66 @@ _WHOLE = {
     **_each("°K degK deg_K Kelvin kelvin", "kelvin"),
     **_each("° Deg DEG degrees", "degree"),
     **_each('" in. inches Zoll zoll', "inch"),
-    **_each("g gn G g_n g0 g's gs G's", "standard_gravity"),
+    **_each("g gn G g_n g0 g's gs G's grms gRMS Grms GRMS", "standard_gravity"),
     **_each("RPM Rpm r.p.m. rev/min revs/min r/min U/min Upm UPM upm tr/min 1/min /min min**-1 rev*min**-1", "revolution/minute"),
     **_each("rev_per_min rpm turns/min turn/min revolutions/min 1/minute minute**-1", "revolution/minute"),
+    **_each("trs/min tr/mn obr/min ot/min giri/min", "revolution/minute"),
+    **_each("krpm kRPM", "kiloturn/minute"),
+    **_each("V/krpm V/kRPM V/1000rpm V/1000_rpm V/1000min**-1", "V*minute/kiloturn"),
     **_each("rps RPS rev/s rev/sec revs/s U/s r/s turns/s turn/s", "revolution/second"),
     **_each("dps deg/sec °/s °/sec", "degree/second"),
+    **_each("°CA °_CA degCA deg_CA CAD °KW °_KW", "degree"),
     **_each("%RH %rh %rH %_RH RH% %r.F. %rF %_r.F. % percent Percent pct PCT Prozent %age vol% %vol Vol% Vol.-%", "percent"),
-    **_each("ppm PPM ppmv", "ppm"),
+    **_each("ppm PPM ppmv µε µstrain ustrain um/m µm/m", "ppm"),
+    **_each("ppb PPB ppbv", "ppm*permille"),
+    **_each("‰ promille Promille permille", "permille"),
     **_each("bar(g) bar(a) bar_g bar_a barg bara BAR Bar bar_(g) bar_(a) bar_abs bar_rel", "bar"),
     **_each("kg/cm**2 kgf/cm**2 kp/cm**2 at", "technical_atmosphere"),
     **_each("mb mbar hPa mBar millibar", "mbar"),
     **_each("psi PSI Psi psig psia PSIG PSIA psi(g) psi(a) psid lbf/in**2 lb/in**2", "psi"),
     **_each("kPa(g) kPa(a) kPag kPaa kpa KPa KPA", "kPa"),
     **_each("Mpa MPA", "MPa"),
-    **_each("inH2O inH20 inWC inH2O(g) in_H2O", "inch_H2O"),
+    **_each("inH2O inH20 inWC inwc inH2O(g) in_H2O in.H2O in*H2O in_WC", "inch_H2O"),
+    **_each("mH2O mWS mWC mCE", "t*g_0/m**2"),
+    **_each("ubar µbar microbar", "dPa"),
+    **_each("ksi KSI", "ksi"),
+    **_each("kip kips klbf kipf", "kip"),
     **_each("inHg inHG in_Hg", "inch_Hg"),
     **_each("mmHg mmHG mm_Hg", "mmHg"),
     **_each("Torr torr", "torr"),
     **_each("mmH2O mm_H2O mmWS mmWC", "mmH2O"),
-    **_each("lpm LPM slpm l/mn", "liter/minute"),
+    **_each("lpm LPM slpm l/mn Nl/min NL/min Nlpm nlpm NLPM Sl/min SLM slm SLPM ln/min l_n/min", "liter/minute"),
+    **_each("Nml/min sccm SCCM smlpm", "cm**3/minute"),
     **_each("gpm GPM", "gallon/minute"),
-    **_each("cfm CFM ft**3/min", "foot**3/minute"),
+    **_each("gph GPH", "gallon/hour"),
+    **_each("cfm CFM ft**3/min scfm SCFM acfm ACFM cuft/min cu.ft/min", "foot**3/minute"),
+    **_each("in/sec", "inch/second"),
     **_each("fpm FPM", "foot/minute"),
     **_each("fps", "foot/second"),
-    **_each("cbm/h m**3/hr m**3/hour Nm**3/h Nm3/h cmh CMH", "meter**3/hour"),
+    **_each("cbm/h m**3/hr m**3/hour Nm**3/h Nm3/h Sm**3/h cmh CMH", "meter**3/hour"),
     **_each("kmh km/hr Km/h KMH kph KPH km/hour", "kilometer_per_hour"),
     **_each("mph MPH mi/h", "mile_per_hour"),
     **_each("kt kts knots Knots knot", "knot"),
     **_each("ft-lb ft-lbf ft*lb ft*lbf ftlb ftlbf lb-ft lbf-ft lb*ft lbft ft_lb ft_lbf lb_ft lbf_ft ft-lbs", "lbf*foot"),
     **_each("in-lb in-lbf in*lb in*lbf inlb lb-in lbf-in lb*in lbin in_lb in_lbf lb_in in-lbs", "lbf*inch"),
     **_each("N-m Newton-meter newton-meter N_m Newton_meter Nm newton_meter", "N*m"),
-    **_each("oz-in ozf-in in-oz oz*in", "ozf*inch"),
+    **_each("oz-in ozf-in in-oz oz*in ozin ozfin", "ozf*inch"),
+    **_each("kgf-m kgfm kgf_m kp-m kpm", "kgf*m"),
+    **_each("kgf-cm kgfcm kgf_cm kp-cm kpcm", "kgf*cm"),
     **_each("mil mils thou", "thou"),
     **_each("V_rms V_DC V_AC V_dc V_ac V_RMS", "V"),
     **_each("A_rms A_DC A_AC A_dc A_ac A_RMS", "A"),
     **_each("kgm**2 kgm2", "kg*m**2"),
-    **_each("watt-hour watt-hours", "Wh"),
+    **_each("kgcm**2 kgcm2", "kg*cm**2"),
+    **_each("gcm**2 gcm2", "gram*cm**2"),
+    **_each("watt-hour watt-hours Watt-hour Watt-hours", "Wh"),
+    **_each("Amp-hour Amp-hours amp-hour amp-hours Ampere-hour Ampere-hours ampere-hours Amph amp_hours Amp_hours", "Ah"),
+    **_each("VAh VARh varh VArh", "VA*h"),
+    **_each("kVAh kvarh kVARh kVArh", "kVA*h"),
+    **_each("W/mK W/m-K", "W/m/K"),
+    **_each("W/m2K W/m**2K W/m2-K W/m**2-K", "W/m**2/K"),
+    **_each("J/kgK J/kg-K", "J/kg/K"),
+    **_each("kJ/kgK kJ/kg-K", "kJ/kg/K"),
     **_each("sqm", "m**2"),
     **_each("hp HP Hp bhp", "horsepower"),
     **_each("PS", "metric_horsepower"),
@@ -116,23 +142,46 @@ _WORDS = {
     **_each("lbs Lbs", "lb"),
     **_each("Joule joule Joules joules", "J"),
     **_each("Ws", "W*s"),
+    **_each("As", "A*s"),
+    **_each("Ns", "N*s"),
+    **_each("Nms", "N*m*s"),
     **_each("mPas", "mPa*s"),
     **_each("mAmp mAmps milliamp milliamps", "mA"),
     **_each("millimetre millimetres", "mm"),
     **_each("centimetre centimetres", "cm"),
     **_each("kilometre kilometres", "km"),
     **_each("lux Lux", "lx"),
+    **_each("klux kLux", "klx"),
     "%": "percent",
 }
 _SI = {
     **dict.fromkeys(["A", "V", "W", "J", "F", "H", "s", "S", "T", "Hz", "VA", "Wh", "ohm", "Pa", "N", "rad"], "n u µ m k M G"),
-    **{"m": "n u µ m c d k", "l": "u µ m c d h", "L": "u µ m c d h", "g": "u µ m k", "bar": "m k", "Ah": "m k", "mol": "m k u µ"},
-    **{"F": "p n u µ m", "eV": "k M", "cal": "k", "lx": "k", "K": "m", "t": "k", "C": "m u µ", "lm": "", "cd": ""},
+    **{
+        "m": "n u µ m c d k",
+        "l": "u µ m c d h",
+        "L": "u µ m c d h",
+        "g": "u µ m k",
+        "bar": "m k",
+        "Ah": "u µ m k",
+        "mol": "m k u µ",
+    },
+    **{
+        "F": "p n u µ m",
+        "eV": "k M",
+        "cal": "k",
+        "lx": "k",
+        "K": "m",
+        "t": "k",
+        "C": "p n u µ m k",
+        "lm": "",
+        "cd": "",
+        "dPa": "",
+    },
 }
 _OTHERS = (
     "daN hPa min h d ha ft in yd mi lb oz lbf kgf gf ozf psi atm torr mmHg mmH2O cmH2O inHg degC degF delta_degC delta_degF deg "
-    "rpm mph kph knot ppm arcmin arcsec cP cSt gon gal hp BTU Btu count bit byte g_0 turn % mile inch foot yard kg "
-    "revolution tonne feet inches day"
+    "rpm kip ksi permille mph kph knot ppm arcmin arcsec cP cSt gon gal hp BTU Btu count bit byte g_0 turn % mile inch foot yard "
+    "kg revolution tonne feet inches day"
 )
 KNOWN_SYMBOLS = frozenset((*(p + u for u, prefixes in _SI.items() for p in ("", *prefixes.split())), *_OTHERS.split()))
 """Symbols that mean what the registry reads; it would read many more words as a prefix and a unit (`pct`: pico-centitonne)."""
@@ -152,7 +201,7 @@ def canonical(text: str) -> str:
     >>> canonical("m/s²"), canonical("Nm"), canonical("min⁻¹"), canonical("kOhm"), canonical("oil level")
     ('m/s**2', 'N*m', 'revolution/minute', 'kohm', 'oil level')
     """
-    plain = _BLANK.sub(" ", text.translate(_SAME)).strip()
+    plain = _EFFECTIVE.sub("", _BLANK.sub(" ", text.translate(_SAME)).strip())
     for spelled in (plain, _powers(plain)):
         if (whole := _WHOLE.get(spelled.replace(" ", "_"))) is not None:
             return whole
@@ -168,7 +217,7 @@ def is_spelled(text: str) -> bool:
     >>> is_spelled("bar(g)"), is_spelled("ml"), is_spelled("left"), is_spelled("A")
     (True, True, False, False)
     """
-    plain = _BLANK.sub("_", text.translate(_SAME).strip())
+    plain = _BLANK.sub("_", _EFFECTIVE.sub("", text.translate(_SAME).strip()))
     return len(plain) > 1 and (plain in _WHOLE or plain in _WORDS or plain in KNOWN_SYMBOLS)
 
 

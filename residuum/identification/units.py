@@ -146,8 +146,19 @@ def compatible(first: str, second: str) -> bool:
     >>> compatible("rpm", "rad/s"), compatible("Hz", "rpm")
     (True, False)
     """
-    given, wanted = parse_unit(first), parse_unit(second)
+    given, wanted = _read_together(first, second)
     return bool(given.dimension == wanted.dimension) and not _cycles_against_turns(given, wanted)
+
+
+def _read_together(first: str, second: str) -> tuple[Unit, Unit]:
+    """Two units that are held against each other: `C` is the coulomb beside a charge, and everywhere else the degree Celsius."""
+    one, other = parse_unit(first), parse_unit(second)
+    charge = parse_unit("A*s")
+    if first.strip() == "C" and other.dimension == charge.dimension:
+        return charge, other
+    if second.strip() == "C" and one.dimension == charge.dimension:
+        return one, charge
+    return one, other
 
 
 def _cycles_against_turns(first: Unit, second: Unit) -> bool:
@@ -169,7 +180,7 @@ def convert(values: npt.ArrayLike, source: str, target: str, *, what: str = "val
     array = np.asarray(values, dtype=float)
     if source == target:
         return array
-    given, wanted = parse_unit(source), parse_unit(target)
+    given, wanted = _read_together(source, target)
     if _cycles_against_turns(given, wanted):
         raise BadUnit(
             f"{what}: unit {source!r} and {target!r} are a frequency and a speed of rotation; say what one cycle is, "

@@ -213,7 +213,8 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
         more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
         judged = self._judge(measured, evidence, unit, more)
-        if judged.verdict is Verdict.HEALTHY and speed is None and frequencies and (line := _moving(x, record, frequencies)):
+        smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
+        if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
             return Finding.not_assessable(self.name, line)
         return judged
 

@@ -1,45 +1,45 @@
-"""Does a vibration itself tell that its shaft changes speed? Lines of its envelope then rise or fall together.
+"""Does a vibration itself tell that its shaft changes speed? Lines of its envelope then move.
 
 Fault lines are looked for at one speed. Where the speed changes and no channel tells it, they are smeared over many cells of the
-spectrum and a broken bearing looks healthy. A short stretch of a changing speed is nearly a linear sweep, which a change of the
-time axis undoes: lines that stand out after it, and did not before, belong to a shaft that changes its speed.
+spectrum: a broken bearing looks healthy, or only the slowest lines, which smear least, are left and name the wrong part. A steady
+line stands out the more, the longer the stretches are in which it is looked for. A line that moves, at an even rate or to and
+fro, is seen in short stretches, where it can be followed from one to the next, and lost in long ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
+from scipy.ndimage import maximum_filter1d
 
 from residuum.diagnosis.vibration.envelope import Envelope, envelope_of_spectrum, padded_spectrum
 
 Array = npt.NDArray[Any]
-_PERIODS = 80  # of the slowest line a stretch
-_MOST_STRETCHES = 3
+_PERIODS = (8, 16, 32, 64, 128)  # of the slowest line a stretch
+_FEWEST_STRETCHES = 4
 _AROUND = 1.35
-_FASTEST = 0.25  # of the speed, the change within a stretch
-_STEP = 1.6  # cells of the fastest line's spectrum by which neighbouring sweeps differ
-_STEADY, _MOVES = 1.0, 3.0  # cells over which a line may move to be called steady, and must to be called moving
-_NEAR = 0.2  # of a frequency: there no steady line may explain it
 _HARMONICS = 3
 _PARTS = (1, 2, 4)
-_FEWEST_PERIODS = 40
+_PADDED = 2  # times its length a stretch is transformed at: lines lie half a cell apart
 _FLOOR = 48  # lines that share a floor
-_STANDS_OUT = 8.0
-"""Noise, healthy rigs and steady faults stay below 6.9 or beside a steady line that explains it."""
-_MORE_THAN_STEADY = 3.0
-_FEWEST_STRETCHES = 3
-_CLEAR = 11.0
-_DRIFTS, _ON_LINE = 0.02, 0.25  # of the frequency, between the first and the last stretch; of that, beside the straight line
+_FASTEST = 2  # lines by which a followed line may move from one stretch to the next, half a stretch later
+_MOVES = 2  # lines, at least, between the extremes of one that is called moving
+_LEAKS = 8  # lines by which a steady one beyond the searched band may be seen within it in stretches of half the length
+_STANDS_OUT = 4.2
+"""Mean score of a followed line; noise stays below 3.4, and the busiest healthy rig has steady lines of its own beside it."""
+_BESIDE_LONGER, _BESIDE_SAME = 0.5, 1.0
+"""By how much a followed line must beat each steady one in stretches of twice the length, or of the same."""
 
 
 @dataclass(frozen=True)
 class MovingLine:
-    """A line of the envelope that goes from `first` to `last` [Hz] within `seconds`; `evidence` is its score."""
+    """A line of the envelope between its two extremes: from `first` to `last` [Hz] within `seconds`; `evidence` is its score."""
 
     first: float
     last: float
@@ -47,14 +47,36 @@ class MovingLine:
     evidence: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """What stretches of one length show: scores of the best line that may move and of the best steady one, and the former's way.
+
+    `f` [Hz] is where it is in each stretch, `hop` [s] what lies between two, `moved` the lines between its extremes.
+    """
+
+    followed: float
+    steady: float
+    f: Array
+    hop: float
+    moved: int
+
+    def beats(self, longer: _Followed | None) -> bool:
+        """Whether the line is there, and no steady one stands out as a steady one would."""
+        if self.followed < _STANDS_OUT or self.moved < _MOVES:
+            return False
+        blurred = longer is not None and self.followed >= longer.steady + _BESIDE_LONGER
+        return blurred or self.followed >= self.steady + _BESIDE_SAME
+
+
 def moving_line(x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, float]) -> MovingLine | None:
-    r"""The line that moves most clearly within at least half of the stretches, or on from each to the next; None when steady.
+    r"""The line that moves most clearly; None where none does.
 
-    Within a stretch of length L time is replaced by \(t + \rho t (t - L) / (2 L)\), in which a line that changes by the share ρ
-    of its frequency is steady. The squared envelope of each band is scored as `fault_lines` does,
-    \(\sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\).
+    In half-overlapping stretches of 8 to 128 periods the squared envelope of each band is scored as `fault_lines` does,
+    \(S(f) = \sum_{k=1}^3 \ln(1 + P(kf)/N(kf))\). The line of the largest mean score that moves by at most a cell from stretch to
+    stretch (dynamic programming) is held against the best steady line in stretches of the same and of twice the length.
 
-    Finds nothing where no line stands out: a healthy bearing on a changing speed is not recognised.
+    Finds nothing where no line stands out: a healthy bearing on a changing speed is not recognised, nor is a fault
+    whose lines move by many cells within 8 of their periods.
 
     Parameters
     ----------
@@ -65,25 +87,14 @@ def moving_line(x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, floa
     signal: Array = np.asarray(x, dtype=np.float32)
     signal = signal - signal.mean()
     slowest, fastest = min(lines.values()) / _AROUND, _AROUND * max(lines.values())
-    length = min(signal.shape[0] / sampling_rate, _PERIODS / slowest)
-    bands = _bands(sampling_rate, fastest)
-    if not bands or length * slowest < _FEWEST_PERIODS:
-        return None
     spectrum, padded = padded_spectrum(signal)
-    envelopes = [_slow(envelope_of_spectrum(spectrum, padded, signal.shape[0], sampling_rate, *band), fastest) for band in bands]
-    rate = envelopes[0][1]
-    m = int(length * rate)
-    sweeps = _sweeps(fastest * length)
-    at = _warped(m, sweeps)
-    n = envelopes[0][0].shape[0]
-    starts = np.unique(np.linspace(0, n - m, min(_MOST_STRETCHES, max(1, 2 * n // m - 1))).astype(int))
-    band = slice(int(slowest * 2 * m / rate), int(fastest * 2 * m / rate) + 1)
-    f = np.arange(band.start, band.stop) * rate / (2 * m)
-    stretches = [np.max([_scores(values[k : k + m], at) for values, _ in envelopes], axis=0)[:, band] for k in starts]
-    swept = [line for scores in stretches if (line := _swept(scores, sweeps, f, length)) is not None]
-    if 2 * len(swept) >= len(stretches):
-        return max(swept, key=lambda line: line.evidence)
-    return _drifted(stretches, f, (starts + m / 2) / rate)
+    envelopes = [
+        _slow(envelope_of_spectrum(spectrum, padded, signal.shape[0], sampling_rate, *band), fastest)
+        for band in _bands(sampling_rate, fastest)
+    ]
+    looks = [look for periods in _PERIODS if (look := _look(envelopes, periods / slowest, slowest, fastest)) is not None]
+    moving = [look for look, longer in pairwise([*looks, None]) if look is not None and look.beats(longer)]
+    return _between_extremes(max(moving, key=lambda look: look.followed - look.steady)) if moving else None
 
 
 def _bands(rate: float, fastest: float) -> list[tuple[float, float]]:
@@ -101,59 +112,59 @@ def _slow(envelope: Envelope, fastest: float) -> tuple[Array, float]:
     return fft.irfft(transformed[: n // 2 + 1], n) * (n / square.shape[0]), rate * n / square.shape[0]
 
 
-def _sweeps(cells: float) -> Array:
-    step = _STEP / cells
-    count = int(_FASTEST / step)
-    return step * np.arange(-count, count + 1)
+def _look(envelopes: list[tuple[Array, float]], length: float, slowest: float, fastest: float) -> _Followed | None:
+    """The best lines over all bands in stretches of `length` [s]; None where they are too few, or too short for a floor."""
+    found = []
+    for values, rate in envelopes:
+        m = int(length * rate)
+        if m < _FLOOR or 2 * values.shape[0] < (_FEWEST_STRETCHES + 1) * m:
+            continue
+        f_step = rate / (_PADDED * m)
+        begin, end = int(slowest / f_step), int(fastest / f_step) + 1
+        scores = _scores(values, m)
+        followed, way = _follow(scores[:, begin:end])
+        around = scores[:, max(0, begin - _LEAKS) : end + _LEAKS]
+        steady = float(maximum_filter1d(around, 3, axis=1).mean(axis=0).max())
+        found.append(_Followed(followed, steady, (begin + way) * f_step, (m // 2) / rate, int(np.ptp(way))))
+    if not found:
+        return None
+    best = max(found, key=lambda look: look.followed)
+    return replace(best, steady=max(look.steady for look in found))
 
 
-def _warped(m: int, sweeps: Array) -> Array:
-    """Where a stretch of m samples is read so that a line which changes by each share is steady, shape (sweeps, m).
-
-    The phase of such a line is u = t + ρ t (t − L) / (2 L); the instants of even u are wanted, to second order exact at ρ ≤ 1/4.
-    """
-    u = np.arange(m, dtype=np.float64)
-    at = np.stack([np.interp(u, u + rho * u * (u - m) / (2 * m), u) for rho in sweeps])
-    return np.clip(at, 0, m - 1.001)
-
-
-def _scores(values: Array, at: Array) -> Array:
-    """Score of every sweep and frequency, shape (sweeps, lines of the spectrum up to a third of its end)."""
-    low = at.astype(int)
-    part = (at - low).astype(values.dtype)
-    read = values[low] * (1 - part) + values[low + 1] * part
-    m = at.shape[1]
-    spectra = fft.rfft(read * np.hanning(m).astype(read.dtype), 2 * m, axis=1)
+def _scores(values: Array, m: int) -> Array:
+    """Score of every stretch of m samples and frequency, shape (stretches, lines of the spectrum up to a third of its end)."""
+    starts = np.arange(0, values.shape[0] - m + 1, m // 2)
+    stretches = values[starts[:, None] + np.arange(m)] * np.hanning(m).astype(values.dtype)
+    spectra = fft.rfft(stretches, _PADDED * m, axis=1)
     power = spectra.real**2 + spectra.imag**2
     blocks = power.shape[1] // _FLOOR
     floor = np.median(power[:, : blocks * _FLOOR].reshape(power.shape[0], blocks, _FLOOR), axis=2) / np.log(2)
     floor = np.repeat(floor, _FLOOR, axis=1)
     ratio = np.log1p(power[:, : floor.shape[1]] / np.maximum(floor, 1e-30))
-    ratio[:, :8] = 0.0
+    ratio[:, : 2 * _PADDED] = 0.0
     reach = ratio.shape[1] // _HARMONICS
     return np.asarray(sum(ratio[:, : k * reach : k] for k in range(1, _HARMONICS + 1)))
 
 
-def _swept(scores: Array, sweeps: Array, f: Array, length: float) -> MovingLine | None:
-    """The line that moves within one stretch, and that no steady line near it explains."""
-    cells = np.abs(sweeps)[:, None] * f * length
-    best = np.unravel_index(np.argmax(np.where(cells >= _MOVES, scores, 0.0)), scores.shape)
-    evidence = float(scores[best])
-    steady = float(np.where(cells <= _STEADY, scores, 0.0)[:, np.abs(f / f[best[1]] - 1) < _NEAR].max())
-    if evidence < _STANDS_OUT or evidence < steady + _MORE_THAN_STEADY:
-        return None
-    middle, rho = float(f[best[1]]), float(sweeps[best[0]])
-    return MovingLine(middle * (1 - rho / 2), middle * (1 + rho / 2), length, evidence)
+def _follow(scores: Array) -> tuple[float, Array]:
+    """The largest mean score of a way through the stretches, and that way, shape (stretches,)."""
+    count, width = scores.shape
+    steps = np.arange(-_FASTEST, _FASTEST + 1)
+    came = np.zeros((count, width), dtype=int)
+    best = scores[0].astype(np.float64)
+    for k in range(1, count):
+        beside = np.pad(best, _FASTEST, constant_values=-np.inf)
+        reached = np.stack([beside[_FASTEST + step : _FASTEST + step + width] for step in steps])
+        chosen = reached.argmax(axis=0)
+        came[k] = steps[chosen]
+        best = reached[chosen, np.arange(width)] + scores[k]
+    way = [int(best.argmax())]
+    for k in range(count - 1, 0, -1):
+        way.append(way[-1] + int(came[k][way[-1]]))
+    return float(best.max() / count), np.array(way[::-1])
 
 
-def _drifted(stretches: list[Array], f: Array, middles: Array) -> MovingLine | None:
-    """The line that stands out in every stretch and is further on in each: too slow to be seen within one."""
-    at = np.array([float(f[scores.max(axis=0).argmax()]) for scores in stretches])
-    evidence = min(float(scores.max()) for scores in stretches)
-    change = at[-1] / at[0] - 1
-    if len(at) < _FEWEST_STRETCHES or evidence < _CLEAR or abs(change) < _DRIFTS:
-        return None
-    line = np.interp(middles, middles[[0, -1]], at[[0, -1]])
-    if np.abs(at / line - 1).max() > _ON_LINE * abs(change):
-        return None
-    return MovingLine(float(at[0]), float(at[-1]), float(middles[-1] - middles[0]), evidence)
+def _between_extremes(look: _Followed) -> MovingLine:
+    begin, end = sorted((int(look.f.argmin()), int(look.f.argmax())))
+    return MovingLine(float(look.f[begin]), float(look.f[end]), (end - begin) * look.hop, look.followed)

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from residuum.identification.errors import BadInput, BadRecord, in_one_line
+from residuum.identification.errors import BadInput, BadRecord, BadUnit, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
 from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
-from residuum.identification.record_formats.no_value import without_overloads
+from residuum.identification.record_formats.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.npz import read_npz, write_npz
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet
@@ -66,7 +66,9 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
-        return without_overloads(reader(path, options))
+        return without_overloads(without_marks(reader(path, options), options.missing))
+    except BadUnit as error:
+        raise BadUnit(f"{error}; --unit CHANNEL=UNIT says it in another spelling") from error
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise

@@ -12,7 +12,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, parse_logger, say_missing
+from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, LoggerMapping, parse_logger, say_missing
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
@@ -28,7 +28,7 @@ _EMPTY_CELL = re.compile(rb"(?<=,)(?=[ \t]*(?:,|\r?\n|$))|(?<=\n)(?=,)")
 def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     """Read a record from a CSV file, or what a logger wrote where its text leaves no doubt how to read it.
 
-    In a file of ours the first column is `time [s]`, and commas cut its cells.
+    In a file of ours the first column is `time [s]`, and commas cut its cells. Where more is said of it, it is a logger's.
 
     The first line that does not begin with `#` names the columns; `# …` lines before it become notes.
     An empty cell or `nan` is a missing sample. Time must be even: a step that differs from the median by
@@ -43,7 +43,8 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     if is_scope_csv(content):
         return parse_scope_csv(content, str(path), options)
-    return parse_csv(content, str(path), options) if _is_ours(content) else _from_logger(content, str(path), options)
+    told = options.decimal or options.time_form or options.time_column or options.missing
+    return parse_csv(content, str(path), options) if _is_ours(content) and not told else _from_logger(content, str(path), options)
 
 
 def _is_ours(content: bytes) -> bool:
@@ -61,7 +62,7 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
     try:
         said = {"decimal": options.decimal, "time_form": options.time_form, "time_column": options.time_column}
-        found = understand(content, source, **said, missing=options.missing)
+        found = understand(content, source, **said, missing=options.missing, sample_time=options.sample_time)
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
         if "--decimal" not in str(error) and "--time" not in str(error):
@@ -69,9 +70,13 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
         settle = f"`residuum inspect FILE` with it and --out FILE{ENDING} settles it for every command"
         raise BadRecord(f"{error} ({settle})") from None
     mapping = found.mapping
-    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, times {mapping.time_form}"
+    habits = f"cells cut by {mapping.delimiter!r}, decimal sign {mapping.decimal!r}, {_times(mapping)}"
     told = f"{AS_LOGGER}: {habits}"
     return replace(record, notes=(told, *record.notes))
+
+
+def _times(mapping: LoggerMapping) -> str:
+    return f"times {mapping.time_form}" if mapping.time else f"rows of {mapping.sample_time:g} s, as was said"
 
 
 def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
@@ -79,7 +84,18 @@ def parse_csv(content: bytes, source: str, options: ReadOptions = ReadOptions())
     notes, header, body, first_row = _split(content, source)
     names, units = column_heads(header.split(","), source)
     table = _numbers(body, len(names), first_row, source)
+    _refuse_rounded_times(table[:, 0], first_row, source)
     return table_record(names, units, np.ascontiguousarray(table.T), source, options, notes=notes, first_row=first_row)
+
+
+def _refuse_rounded_times(time: npt.NDArray[np.float64], first_row: int, source: str) -> None:
+    """Refuse times that were written with too few digits, so that neighbours are the same."""
+    if (same := np.diff(time) == 0).any():
+        row = first_row + 1 + int(np.argmax(same))
+        raise BadRecord(
+            f"{source}, row {row}: time does not increase, {time[row - first_row]:g} s stands twice; write times with more "
+            f"digits, or {SAY_DUPLICATES} (`residuum inspect FILE --out FILE{ENDING}` writes it)"
+        )
 
 
 def column_heads(cells: list[str], source: str) -> tuple[list[str], list[str]]:

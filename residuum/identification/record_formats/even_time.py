@@ -76,15 +76,33 @@ def _only_rounded(time: FloatArray) -> bool:
     Then a straight line passes within half a unit of the last decimal of all of them, and a step is no multiple of that unit:
     multiples need no rounding. Stamps of so many significant digits have fewer decimals late than early: the last tenth tells.
     """
+    apart, _ = _beside_a_line(time)
+    return apart <= 1.0
+
+
+def some_rounded_alike(time: FloatArray) -> bool:
+    """Whether even stamps were only rounded, some neighbours to the same: a lost row then moves others by less than a step.
+
+    With several rows to each stamp a lost one would pass for rounding.
+    """
+    apart, step = _beside_a_line(time)
+    return apart <= 1.0 and step > 0.5
+
+
+def _beside_a_line(time: FloatArray) -> tuple[float, float]:
+    """(how far the stamps lie apart beside a straight line, step), in units of their last decimal; infinite where none is seen.
+
+    Where they lie at most one apart, rounding alone explains it.
+    """
     last, exact = len(time) - 1, 4.0 * float(np.spacing(np.abs(time).max()))
     units, late = (10.0**-d for d in range(_MOST_DECIMALS)), time[-max(2, len(time) // 10) :]
     unit = next((u for u in units if np.all(np.abs(late - u * np.rint(late / u)) <= 1e-4 * u + exact)), None)
     span = time[-1] - time[0]
     if unit is None or abs(span - last * unit * np.rint(span / (last * unit))) < 1.5 * unit:
-        return False
+        return np.inf, 0.0
     beside, turn = time - time[0] - span / last * np.arange(len(time)), unit / last * np.arange(len(time))
     line = minimize_scalar(lambda by: float(np.ptp(beside - by * turn)), bounds=(-2.0, 2.0), method="bounded")
-    return bool(line.fun <= unit * (1.0 + 1e-3) + exact)
+    return float((line.fun - exact) / (unit * (1.0 + 1e-3))), float(span / last / unit)
 
 
 def on_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64]] | None:

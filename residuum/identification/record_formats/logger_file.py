@@ -65,10 +65,12 @@ def understand(
     time_form: str | None = None,
     time_column: str | None = None,
     missing: Sequence[str] = (),
+    sample_time: float | None = None,
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
 
-    `missing` are cells that mean no value, over those that loggers write.
+    `missing` are cells that mean no value, over those that loggers write. `sample_time` [s] is from row to row of a file in which
+    no column is a time.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -87,15 +89,20 @@ def understand(
     guesses["decimal"] = (sign, why)
     names, units = _heads(rows, first, width, guesses, source)
     _refuse_long_form(body, names, source)
-    time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
+    time: tuple[int, ...] = ()
+    form = "seconds"
+    if sample_time is not None and time_column is None and not _has_time(body, names, units):
+        guesses["time"] = (f"rows of {sample_time:g} s", "said with --sample-time; no column is a time")
+    else:
+        time, form = _time(body, names, units, sign, (time_form, time_column), guesses, source)
     channels = _channels(body, names, time, sign, guesses, source)
     suffixes = {column: unit for column, unit in suffixes.items() if column in channels}
     for column, unit in suffixes.items():
         units[column - 1] = units[column - 1] or unit_word(unit)
         guesses[f"unit of {names[column - 1]!r}"] = (unit, "it stands behind every number of the column")
-    mapping = LoggerMapping(
-        encoding, delimiter, sign, width, first, time, form, channels, {column: units[column - 1] for column in channels}
-    )
+    of_channels = {column: units[column - 1] for column in channels}
+    apart = None if time else sample_time
+    mapping = LoggerMapping(encoding, delimiter, sign, width, first, time, form, channels, of_channels, sample_time=apart)
     mapping = replace(mapping, suffixes=suffixes)
     if missing:
         mapping = replace(mapping, missing=(*mapping.missing, *(cell.strip().lower() for cell in missing)))
@@ -273,6 +280,11 @@ def _is_named_time(k: int, name: str, units: list[str]) -> bool:
     return k == 0 or seconds_of(units[k]) is not None
 
 
+def _has_time(body: list[list[str]], names: list[str], units: list[str]) -> bool:
+    """Whether any column holds stamps, or is called a time."""
+    return any(_stamps(_column(body, k)) or _is_named_time(k, name, units) for k, name in enumerate(names))
+
+
 def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[str, str]], source: str) -> tuple[int, ...]:
     """The one column of times, by its stamps or by its name, or the two of date and time of day."""
     if [form in CLOCKS for form, _ in stamped.values()] == [False, True]:
@@ -284,7 +296,8 @@ def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[s
     if not stamped and not named:
         raise BadRecord(
             f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, write 'time [s]', "
-            "or `residuum inspect FILE --time seconds` where the first is an axis in seconds"
+            "or `residuum inspect FILE --time seconds` where the first is an axis in seconds; where none is a time, give "
+            "--sample-time"
         )
     return tuple(stamped) or tuple(named)
 

@@ -1,7 +1,9 @@
 """The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, made_even, resampling
+from residuum.identification.record_formats.even_time import even_columns, made_even, resampling, some_rounded_alike
 from residuum.identification.record_formats.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.no_value import without_overloads
@@ -36,7 +38,7 @@ class LoggerMapping:
     first_row : int
         File row of the first sample.
     time : tuple of int
-        The time column, or the columns of date and of time of day.
+        The time column, or the columns of date and of time of day; none where `sample_time` says how far apart the rows are.
     time_form : str
         One of `logger_time.FORMS`.
     names, units : mapping of column to name and to unit
@@ -48,6 +50,8 @@ class LoggerMapping:
         order (`refuse`, `sort`).
     suffixes : mapping of column to text
         The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
+    sample_time : float or None
+        Seconds from row to row of a file without times.
 
     Raises
     ------
@@ -68,6 +72,7 @@ class LoggerMapping:
     duplicates: str = "refuse"
     reordered: str = "refuse"
     suffixes: Mapping[int, str] = field(default_factory=dict)
+    sample_time: float | None = None
 
     def __post_init__(self) -> None:
         rules = {
@@ -78,7 +83,8 @@ class LoggerMapping:
             "time_form": self.time_form in FORMS,
             "duplicates": self.duplicates in _DUPLICATES,
             "reordered": self.reordered in _REORDERED,
-            "time": 1 <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
+            "sample_time": self.sample_time is None or _is_positive(self.sample_time),
+            "time": (self.sample_time is None) <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
             "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
             "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
             "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
@@ -102,6 +108,10 @@ class LoggerMapping:
 
 def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
 
 
 def read_mapping(path: Path) -> LoggerMapping:
@@ -130,18 +140,14 @@ def read_mapping(path: Path) -> LoggerMapping:
 
 def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
     """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as NaN."""
-    stamps, values, rows = [], [], []
+    stamps: list[int] = []
+    values, rows = [], []
     for row, cells in enumerate(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row):
         if not any(cells):
             continue
         if len(cells) != mapping.width:
             raise BadRecord(f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut the row")
-        stamp = " ".join(cells[column - 1] for column in mapping.time)
-        try:
-            stamps.append(nanoseconds(stamp, mapping.time_form, mapping.decimal))
-        except (ValueError, OverflowError):
-            what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
-            raise BadRecord(f"{source}, row {row}: {what}; cut or mend the row") from None
+        stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
         where = f"{source}, row {row}, column"
         values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
         rows.append(row)
@@ -153,6 +159,18 @@ def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[n
     if mapping.time_form == "clock" and len(mapping.time) == 1:
         times = over_midnight(times)
     return times, np.array(values).T, rows
+
+
+def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: str) -> int:
+    """The time [ns] of a row."""
+    if not mapping.time:
+        return round(1e9 * (mapping.sample_time or 0.0) * number_of_row)
+    stamp = " ".join(cells[column - 1] for column in mapping.time)
+    try:
+        return nanoseconds(stamp, mapping.time_form, mapping.decimal)
+    except (ValueError, OverflowError):
+        what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+        raise BadRecord(f"{where}: {what}; cut or mend the row") from None
 
 
 SAY_DUPLICATES = "set the mapping's `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
@@ -168,9 +186,21 @@ def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
     if cell.lower() in mapping.missing:
         return float("nan")
     try:
-        return number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
+        value = number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
     except ValueError:
         raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
+    return float("nan") if value in _marks(mapping.missing, mapping.decimal) else value
+
+
+@lru_cache(maxsize=16)
+def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
+    """The numbers among the cells that mean no value: a file may write -999.90 for -999.9."""
+    found = set()
+    for cell in missing:
+        for sign in (decimal, "."):
+            with suppress(ValueError):
+                found.add(number(cell, sign))
+    return frozenset(found)
 
 
 def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
@@ -246,7 +276,13 @@ def _ordered(
 
 
 def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str) -> npt.NDArray[np.int64]:
-    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones."""
+    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones.
+
+    Even stamps that were rounded to too few digits stand once or twice: their step is that of the whole.
+    """
+    if some_rounded_alike((stamps - stamps[0]) / 1e9):
+        even: npt.NDArray[np.int64] = np.rint(np.linspace(stamps[0], stamps[-1], len(stamps))).astype(np.int64)
+        return even
     counts = np.diff(np.append(starts, len(stamps)))
     each, between = int(np.median(counts)), np.diff(stamps[starts])
     inner = counts[1:-1]

@@ -30,6 +30,12 @@ _BLANKS = "\u00a0\u202f\u2009 '’"
 _BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
 
 
+def plain(start: bytes) -> bytes:
+    """The begin of a text file of any encoding, in one that spells ASCII as itself, to look for what a format begins with."""
+    encoding = _encoding(start)[0]
+    return start.decode(encoding, "ignore").removeprefix("\ufeff").encode() if encoding != "latin-1" else start
+
+
 def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[str, str, str]:
     """(text, encoding, reason) of a file's bytes; BadRecord when it is no text."""
     name, reason = (encoding, "said by the mapping") if encoding else _encoding(content)
@@ -38,7 +44,9 @@ def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[s
     except (UnicodeDecodeError, LookupError) as error:
         raise BadRecord(f"{source}: is not text in encoding {name!r} ({' '.join(str(error).split())[:80]})") from None
     if "\x00" in text:
-        raise BadRecord(f"{source}: holds the character NUL; it is not a logger's text file")
+        raise BadRecord(
+            f"{source}: holds the character NUL; it is not a logger's text file, or in an unknown encoding: save as UTF-8"
+        )
     if not text.strip():
         raise BadRecord(f"{source}: is empty; column names and at least two rows are needed")
     return text.removeprefix("\ufeff"), name, reason
@@ -47,6 +55,8 @@ def decoded(content: bytes, source: str, encoding: str | None = None) -> tuple[s
 def _encoding(content: bytes) -> tuple[str, str]:
     if content.startswith(b"\xef\xbb\xbf"):
         return "utf-8-sig", "byte-order mark of UTF-8"
+    if content.startswith((b"\xff\xfe\0\0", b"\0\0\xfe\xff")):
+        return "utf-32", "byte-order mark of UTF-32"
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16", "byte-order mark of UTF-16"
     head = content[:4000]

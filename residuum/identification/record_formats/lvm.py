@@ -10,7 +10,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import read_csv
 from residuum.identification.record_formats.logger_head import unit_of_head, unit_word
-from residuum.identification.record_formats.logger_text import MISSING, decoded, number
+from residuum.identification.record_formats.logger_text import MISSING, decoded, number, plain
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 
@@ -41,8 +41,8 @@ def read_lvm(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 def has_head(content: bytes) -> bool:
     """Whether a file has both of LabVIEW's heads, which say how it is read; its first `LONGEST_HEAD` bytes are enough."""
-    start = content[:LONGEST_HEAD]
-    return start.removeprefix(b"\xef\xbb\xbf").startswith(_FIRST) and start.count(_END.encode()) >= 2
+    start = plain(content[:LONGEST_HEAD])
+    return start.startswith(_FIRST) and start.count(_END.encode()) >= 2
 
 
 def parse_lvm(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:

@@ -53,11 +53,18 @@ def _times(found: MatVariables, source: str, options: ReadOptions) -> dict[str, 
     times: dict[str, FloatArray] = {}
     for name, vector in list(found.vectors.items()):
         short = name.rpartition(".")[2]
-        named = _TIME.fullmatch(short)
+        named = None if _is_quantity(name, vector.astype(float), found) else _TIME.fullmatch(short)
         if named or (_OWN_TIME.fullmatch(short) and on_grid(vector.astype(float)) is not None):
             times[name] = _in_seconds(name, vector.astype(float), (named and named[2]) or "", found, source, options)
             del found.vectors[name]
     return times
+
+
+def _is_quantity(name: str, vector: FloatArray, found: MatVariables) -> bool:
+    """Whether a vector that is called as times are is another quantity: by its unit, or a `T` that does not rise (torque)."""
+    unit = found.texts.get(f"units_{name}", "")
+    falls = not (np.diff(vector) > 0).all()
+    return bool(unit and seconds_of(unit) is None) or (name.rpartition(".")[2] == "T" and falls)
 
 
 def _in_seconds(name: str, vector: FloatArray, ending: str, found: MatVariables, source: str, options: ReadOptions) -> FloatArray:

@@ -1,6 +1,7 @@
 """Numbers that instruments write where they have no value: an overload is taken for missing, what only may be one is told."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ OVERLOAD = 1e30
 NO_VALUE = "no value: "
 """How a note begins that tells of such numbers."""
 _MARK = re.compile(r"-?(9{3,}(\.9+)?|32767|32768|65535|2147483647|2147483648)")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 _APART = 2.0
 """Of the spread of all other values: so far away from them stands a mark."""
 
@@ -26,6 +28,17 @@ def without_overloads(record: Record) -> Record:
     return record if notes == list(record.notes) else replace(record, channels=channels, notes=tuple(notes))
 
 
+def without_marks(record: Record, cells: Sequence[str]) -> Record:
+    """The record without the numbers among `cells`, which somebody said mean no value."""
+    marks = [float(cell) for cell in cells if _NUMBER.fullmatch(cell.strip())]
+    channels, notes = dict(record.channels), list(record.notes)
+    for name, signal in record.channels.items():
+        if (marked := np.isin(signal, np.array(marks, dtype=signal.dtype))).any():
+            channels[name] = np.where(marked, np.nan, signal)
+            notes.append(f"{NO_VALUE}{name}: {int(marked.sum())} samples of {signal[marked][0]:.10g}, as was said")
+    return replace(record, channels=channels, notes=tuple(notes)) if marks else record
+
+
 def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:
     """A channel, shape (n,), with overloads missing, and the notes on it and on what may be a mark for no value."""
     notes, over = [], np.abs(signal) >= OVERLOAD  # a comparison with NaN is false
@@ -36,7 +49,7 @@ def without_overload(name: str, signal: Signal) -> tuple[Signal, list[str]]:
 
 
 def _said(value: float, count: int) -> str:
-    cell = f"{value:g}"
+    cell = f"{value:.10g}"
     return (
         f"{count} samples of {cell}, far from all others, may mean that there is none; then "
         f"`residuum inspect FILE --missing {cell} --out FILE.mapping.yaml` says so"

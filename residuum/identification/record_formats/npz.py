@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.options import ReadOptions
 
@@ -24,7 +24,7 @@ def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             stored: dict[str, Any] = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise BadRecord(f"{path}: is not an NPZ file of plain arrays: {str(error).splitlines()[0]}") from None
+        raise BadRecord(f"{path}: is not an NPZ file of plain arrays: {in_one_line(error)}") from None
     found = _scalar(stored["sample_time"], "sample_time", path) if "sample_time" in stored else None
     channels = {name: array for name, array in stored.items() if name not in _RESERVED}
     return Record(

@@ -7,24 +7,27 @@ import numpy as np
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.logger_head import unit_word
-from residuum.identification.record_formats.logger_text import decoded, number
+from residuum.identification.record_formats.logger_text import decoded, number, plain
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
 
 _COUNTED = re.compile(rb"\s*\"?X\"?,[^\r\n]*\bStart,Increment")
 _BESIDE = re.compile(rb"\s*\"?Record Length\"?,[^\r\n,]*,\"?Points\"?,[^\r\n,]+,[^\r\n,]+")
 _TIME, _VALUE = 3, 4
+LONGEST_HEAD = 1 << 16
+"""Bytes within which the head ends."""
 
 
 def is_scope_csv(content: bytes) -> bool:
     """Whether a file begins as one of these: `X,CH1,…,Start,Increment`, or `Record Length,…,Points,time,value`."""
-    return bool(_COUNTED.match(content) or _BESIDE.match(content))
+    start = plain(content[:LONGEST_HEAD])
+    return bool(_COUNTED.match(start) or _BESIDE.match(start))
 
 
 def parse_scope_csv(content: bytes, source: str, options: ReadOptions = ReadOptions()) -> Record:
     """Read the bytes of such a file; BadRecord with the row for a cell that is no number, or a head that lacks what it needs."""
     rows = [[cell.strip(' "') for cell in line.split(",")] for line in decoded(content, source)[0].splitlines()]
-    return (_counted if _COUNTED.match(content) else _beside)(rows, source, options)
+    return (_counted if _COUNTED.match(plain(content[:LONGEST_HEAD])) else _beside)(rows, source, options)
 
 
 def _counted(rows: list[list[str]], source: str, options: ReadOptions) -> Record:

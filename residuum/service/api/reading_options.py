@@ -37,6 +37,8 @@ _KEYS = {
 _OPTION = re.compile(rf"--({'|'.join(_KEYS)})\b(?![-\w])( [\w]+=[^\s,;)]+|(?<=--time) (?:'[^']+'|seconds\b))?")
 _MISSING = re.compile(r"`residuum inspect FILE --missing ('[^']*'|[^\s`]+) --out FILE[^`]*` says so")
 """What a mapping settles for the commands, and a key of the query here."""
+_OF_TIME = {"--map time=COLUMN": "?time=COLUMN", "`residuum inspect FILE --time seconds`": "?time_form=seconds"}
+"""What has a key of its own here."""
 _COMMAND = re.compile(r"(`[^`]*`)")
 _BESIDE = re.compile(r" \(`residuum inspect FILE` with it [^)]*\)$")
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -96,6 +98,8 @@ def _in_query(says: str) -> str:
     >>> _in_query("if it means no value, `residuum inspect FILE --missing 'OL' --out FILE.mapping.yaml` says so")
     'if it means no value, say ?missing=OL'
     """
+    for option, key in _OF_TIME.items():
+        says = says.replace(option, key)
     says = _MISSING.sub(lambda found: f"say ?missing={quote(found[1].strip(chr(39)))}", _BESIDE.sub("", says))
     return "".join(part if part.startswith("`") else _OPTION.sub(_key, part) for part in _COMMAND.split(says))
 

@@ -17,6 +17,7 @@ from residuum.service.commands.records import DbcFile, Resample, SampleTime, Uni
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
+_TIME = "time="
 
 
 @app.command(name="inspect")
@@ -31,7 +32,12 @@ def inspect_command(
         list[str] | None, typer.Option(metavar="CELL", help="A cell that means no value, such as OL; may be given again.")
     ] = None,
     dbc: DbcFile = None,
-    register_map: Annotated[Path | None, typer.Option("--map", metavar="FILE", help="Register map of a Modbus device.")] = None,
+    mapped: Annotated[
+        str | None,
+        typer.Option(
+            "--map", metavar="FILE|time=COLUMN", help="Register map of a Modbus device; or the column of times of a text."
+        ),
+    ] = None,
     resample: Resample = False,
     sample_time: SampleTime = None,
     units: Units = None,
@@ -42,15 +48,23 @@ def inspect_command(
     Of a file whose format says this itself (MAT, TDMS, MDF, LVM, Parquet …) show what is read, what is left out, the first rows.
     Of a CAN log with its DBC file, or a Modbus device with its register map, show what is on the wire and what they make of it.
     """
-    if register_map is not None or file.startswith("modbus:"):
-        report(*_device(file, register_map), as_json=as_json)
+    time_column = mapped.removeprefix(_TIME) if mapped is not None and mapped.startswith(_TIME) else None
+    if file.startswith("modbus:") or (mapped is not None and time_column is None):
+        report(*_device(file, None if mapped is None else Path(mapped)), as_json=as_json)
     elif dbc is not None or is_can_log(Path(file)):
         report(*_log(Path(file), dbc), as_json=as_json)
     elif _says_itself(Path(file)):
         options = ReadOptions(resample=resample, sample_time=sample_time, units=pairs("--unit", units))
         report(*of_record_file(Path(file), options), as_json=as_json)
     else:
-        _logger_file(Path(file), out, decimal, time, missing or [], as_json=as_json)
+        said = {
+            "decimal": decimal,
+            "time_form": time,
+            "time_column": time_column,
+            "missing": missing or [],
+            "sample_time": sample_time,
+        }
+        _logger_file(Path(file), out, said, as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
@@ -85,16 +99,14 @@ def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     return found
 
 
-def _logger_file(
-    file: Path, out: Path | None, decimal: str | None, time: str | None, missing: list[str], *, as_json: bool
-) -> None:
+def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, as_json: bool) -> None:
     if out is not None:
         check_output_file(out)
     try:
         content = file.read_bytes()
     except OSError as error:
         raise BadRecord(f"{file}: cannot be read: {error.strerror}") from None
-    found = understand(content, str(file), decimal=decimal, time_form=time, missing=missing)
+    found = understand(content, str(file), **said)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
     report(*of_logger_file(file, found), as_json=as_json)

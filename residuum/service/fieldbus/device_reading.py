@@ -22,6 +22,8 @@ MISSING = "missing"
 _USUAL = 2.0
 """Power of ten that measured values are mostly nearest to."""
 _FURTHEST = 9.0
+_RARE = 3.0
+"""Powers of ten by which an order that turns the bytes of words has to look better: it is met far less often."""
 _NOT_THERE = {
     "int16": (0x8000, 0x7FFF),
     "uint16": (0xFFFF, 0x8000),
@@ -185,7 +187,8 @@ def _plausible(orders: dict[str, float], told: str) -> str | None:
 
     def distance(name: str) -> float:
         value = abs(orders[name])
-        return _USUAL if value == 0 else abs(math.log10(value) - _USUAL) if math.isfinite(value) else math.inf
+        far = _USUAL if value == 0 else abs(math.log10(value) - _USUAL) if math.isfinite(value) else math.inf
+        return far if name == told or "AB" in name else far + _RARE
 
     best = min(orders, key=lambda name: (distance(name), name != told))
     best = told if distance(told) <= distance(best) else best

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 import orjson
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
 from residuum.identification.record_formats import parse_csv, read_record
@@ -108,7 +108,7 @@ def check_npz(file: IO[bytes], unpacked: int, what: str = "body") -> None:
     except (BadBody, TooLarge):
         raise
     except _DAMAGED as error:
-        raise BadBody(f"{what}: is not an NPZ file: {error}") from None
+        raise BadBody(f"{what}: is not an NPZ file: {in_one_line(error)}") from None
 
 
 def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, file: str) -> None:

@@ -1,5 +1,7 @@
 """The speed of a shaft, whatever unit its channel is written in, steady or not; where it cannot be known, that is said."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -60,16 +62,28 @@ def test_of_two_speeds_the_shaft_s_must_be_named():
     assert Bearing(orders=ORDERS).score(inner_race(**same)).fault_class == "inner-race"
 
 
+STRIKES = {"bpfi": (ORDERS["bpfi"], 1.0), "bpfo": (ORDERS["bpfo"], 0.0), "bsf": (2 * ORDERS["bsf"], ORDERS["ftf"])}
+"""Part → strikes a turn of the shaft, and how often a turn the load on the damage rises and falls."""
+
+
+def struck(shaft, part, rate=12800, seed=5):
+    """Vibration [m/s²] of a bearing whose `part` is damaged, while its shaft turns as `shaft` [Hz] says at each sample."""
+    turned, rng = np.cumsum(shaft) / rate, np.random.default_rng(seed)
+    impacts = np.zeros(len(shaft))
+    if part:
+        order, load = STRIKES[part]
+        strikes = np.arange(1, int(turned[-1] * order)) / order
+        impacts[np.searchsorted(turned, strikes)] = 1 + 0.7 * np.cos(2 * np.pi * load * strikes) * bool(load)
+    t = np.arange(130) / rate
+    rings = np.convolve(impacts, np.exp(-t / 0.0012) * np.sin(2 * np.pi * 3200 * t))[: len(shaft)]
+    return rings + 0.3 * rng.standard_normal(len(shaft))
+
+
 def run_up(first, last, *, fault=True, seconds=6, rate=12800, unit="Hz", known=slice(None)):
     """A damaged outer race while the shaft goes from `first` to `last` Hz; the speed is known at some samples only."""
-    n, rng = seconds * rate, np.random.default_rng(5)
+    n = seconds * rate
     shaft = np.linspace(first, last, n)
-    turned = np.cumsum(shaft) / rate
-    impacts = np.zeros(n)
-    strikes = np.arange(1, int(turned[-1] * ORDERS["bpfo"])) / ORDERS["bpfo"]
-    impacts[np.searchsorted(turned, strikes)] = 1.0 if fault else 0.0
-    t = np.arange(130) / rate
-    x = np.convolve(impacts, np.exp(-t / 0.0012) * np.sin(2 * np.pi * 3200 * t))[:n] + 0.3 * rng.standard_normal(n)
+    x = struck(shaft, "bpfo" if fault else None, rate)
     speed = np.full(n, np.nan)
     speed[known] = (shaft * A_TURN_A_SECOND[unit])[known]
     return Record({"a": x, "speed": speed}, {"a": "m/s²", "speed": unit}, 1 / rate)
@@ -112,6 +126,37 @@ def test_a_run_up_that_no_channel_tells_cannot_be_judged(first, last):
         judged = bearing.score(record)
         assert judged.verdict is Verdict.NOT_ASSESSABLE, judged
         assert "a line of the envelope goes from" in judged.reason and "record the speed beside the vibration" in judged.reason
+
+
+CLASSES = {"bpfi": "inner-race", "bpfo": "outer-race", "bsf": "ball"}
+
+
+def to_and_fro(depth, period, part, seed):
+    """A shaft of 28 Hz whose speed rises and falls by the share `depth` once in `period` seconds."""
+    t = np.arange(8 * 12800) / 12800
+    shaft = 28 * (1 + depth * np.sin(2 * np.pi * t / period + seed))
+    return Record({"a": struck(shaft, part, seed=seed), "speed": shaft}, {"a": "m/s²", "speed": "Hz"}, 1 / 12800)
+
+
+@pytest.mark.parametrize(("depth", "period"), [(0.01, 5.0), *product((0.03, 0.1), (0.4, 1.5, 5.0))])
+def test_a_speed_that_goes_to_and_fro_untold_never_names_another_part_and_mostly_tells_itself(depth, period):
+    for part, name in CLASSES.items():
+        record = to_and_fro(depth, period, part, seed=len(part))
+        judged = Bearing(orders=ORDERS, speed_rpm=60 * 28).score(without_speed(record))
+        assert judged.verdict is Verdict.NOT_ASSESSABLE or judged.fault_class == name, (part, judged.fault_class)
+        assert Bearing(orders=ORDERS).score(record).fault_class == name, part
+
+
+@pytest.mark.parametrize("period", [0.4, 1.5, 5.0])
+def test_the_cage_is_not_named_where_its_lines_alone_outlast_a_speed_that_nobody_tells(period):
+    judged = Bearing(orders=ORDERS, speed_rpm=60 * 28).score(without_speed(to_and_fro(0.03, period, "bsf", seed=2)))
+    assert judged.fault_class != "cage"
+
+
+def test_a_line_that_goes_to_and_fro_is_told_by_its_extremes():
+    line = moving_line(to_and_fro(0.1, 5.0, "bpfo", seed=1)["a"], 12800, {"bpfo": ORDERS["bpfo"] * 28})
+    low, high = sorted((line.first, line.last))
+    assert (low, high) == pytest.approx((0.9 * 28 * ORDERS["bpfo"], 1.1 * 28 * ORDERS["bpfo"]), rel=0.03)
 
 
 @pytest.mark.parametrize("seed", range(6))

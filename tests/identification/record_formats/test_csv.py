@@ -48,7 +48,11 @@ def test_empty_cells_are_missing():
         ("time [ms],a [V]\n0,1\n0.1,2\n", r"must be in \[s\]"),
         ("time [s],a [V],a [V]\n0,1,1\n1,2,2\n", "stands twice"),
         ("time [s],a [V]\n0,1\n1,2\n2,3\n3.5,4\n", "row 5: time step"),
-        ("time [s],a [V]\n0,1\n0,2\n2,3\n", "does not increase"),
+        (
+            "time [s],a [V]\n0,1\n0,2\n2,3\n",
+            "row 3: time does not increase, 0 s stands twice; write times with more digits, or set",
+        ),
+        ("time [s],a [V]\n0,1\n2,2\n1,3\n", "row 4: time does not increase; rows must be in order of time"),
         ("time [s]" + ",a" * 1_000_000 + "\n0,1\n", "header of"),
         ("time [s]," + ",".join(f"a{i}" for i in range(2000)) + "\n", "at most 1000"),
     ],
@@ -59,8 +63,15 @@ def test_bad_files_are_refused_with_their_place(text, rule):
 
 
 def test_what_is_no_unit_is_refused():
-    with pytest.raises(BadUnit, match="not a known unit"):
+    with pytest.raises(BadUnit, match=r"channel 'a': unit .* not a known unit"):
         parse("time [s],a [m//s(]\n0,1\n1,2\n")
+
+
+def test_a_unit_that_cannot_be_read_is_said_in_another_spelling(tmp_path):
+    (tmp_path / "r.csv").write_text("time [s],a [m^^2]\n0,1\n1,2\n")
+    with pytest.raises(BadUnit, match=r"r\.csv', channel 'a': unit 'm\^\^2': not a known unit; --unit CHANNEL=UNIT"):
+        read_record(tmp_path / "r.csv")
+    assert read_record(tmp_path / "r.csv", ReadOptions(units={"a": "m**2"})).units["a"] == "m**2"
 
 
 def test_a_unit_that_nobody_knows_is_one_of_its_own():

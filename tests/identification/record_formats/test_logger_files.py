@@ -30,6 +30,8 @@ GERMAN = (
 FILES = {
     "semicolons, zones, header lines": (GERMAN, 0.1, DAY, "rpm"),
     "UTF-16": (GERMAN.encode("utf-16"), 0.1, DAY, "rpm"),
+    "UTF-16 without a mark": (GERMAN.encode("utf-16-le"), 0.1, DAY, "rpm"),
+    "UTF-32": (GERMAN.encode("utf-32"), 0.1, DAY, "rpm"),
     "byte-order mark": (GERMAN.encode("utf-8-sig"), 0.1, DAY, "rpm"),
     "tabs, milliseconds, parentheses": ("t (ms)\tv (m/s)\n0\t1.5\n5\t2.25\n10\t3\n15\t4.75\n", 0.005, 0.0, "m/s"),
     "unit line": ("Time,v\ns,ticks\n0,1.5\n0.5,2.25\n1,3\n1.5,4.75\n", 0.5, 0.0, "ticks"),
@@ -138,13 +140,32 @@ def test_estimated_error_of_resampling_is_near_the_true_one(tmp_path):
         ("t [s];v [V]\n0;1\n1\n2;3\n3;4\n", "row 3: 1 cells"),
         ("", "empty"),
         ("just words\nand more\n", "no delimiter"),
-        (b"t [s];v\x00\n0;1\n", "NUL"),
+        (b"t [s];v\x00\n0;1\n", "NUL.*save as UTF-8"),
     ],
 )
 def test_what_may_be_read_in_two_ways_or_none_is_refused(tmp_path, text, says):
     with pytest.raises(BadRecord, match=says) as refused:
         read(tmp_path, text)
     assert "\n" not in str(refused.value)
+
+
+def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
+    content = b"y u\n" + b"".join(b"%d.5 %d\n" % (k, k % 3) for k in range(20))
+    with pytest.raises(BadRecord, match="where none is a time, give --sample-time"):
+        understand(content, "log.txt")
+    found = understand(content, "log.txt", sample_time=0.025)
+    assert found.guesses["time"] == ("rows of 0.025 s", "said with --sample-time; no column is a time")
+    (tmp_path / "log.txt").write_bytes(content)
+    (tmp_path / "log.mapping.yaml").write_text(found.mapping.to_yaml(), encoding="utf-8")
+    by_mapping = read_logger_file(tmp_path / "log.txt", read_mapping(tmp_path / "log.mapping.yaml"))
+    for record in (by_mapping, read_record(tmp_path / "log.txt", ReadOptions(sample_time=0.025))):
+        assert (record.names, record.n, record.sample_time) == (("y", "u"), 20, pytest.approx(0.025))
+        np.testing.assert_array_equal(record["y"], np.arange(20) + 0.5)
+
+
+def test_a_sample_time_does_not_stand_in_for_a_time_that_the_file_has():
+    with pytest.raises(BadRecord, match="nothing says in which unit time column 'time' is"):
+        understand(b"time;v [V]\n0;1\n1;2\n2;3\n", "log.csv", sample_time=0.1)
 
 
 def test_what_is_said_settles_the_doubt(tmp_path):

@@ -65,6 +65,17 @@ def test_a_time_column_is_named_and_a_unit_is_said_of_the_new_name(tmp_path, cap
     assert "no column 'Stempl' for the time; the nearest are Stempel" in capsys.readouterr().err
 
 
+def test_inspect_takes_the_column_of_times_and_its_form(tmp_path, capsys):
+    file, mapping = tmp_path / "log.csv", tmp_path / "log.csv.mapping.yaml"
+    rows = "\n".join(f"{k * 0.02:.2f},95,{k * k * 2e-4:.6f}" for k in range(200))
+    file.write_text(f"Stempel,force [N],position [m]\n{rows}\n")
+    assert run(["inspect", str(file), "--time", "seconds"]) == BAD_INPUT
+    assert "name it with --map time=COLUMN" in capsys.readouterr().err
+    assert run(["inspect", str(file), "--time", "seconds", "--map", "time=Stempel", "--out", str(mapping)]) == DONE
+    assert "'Stempel': seconds" in capsys.readouterr().out
+    assert run(["compare", "linear-axis", str(file), "--mapping", str(mapping)]) == DONE
+
+
 def test_a_hole_is_left_missing_and_told(tmp_path, capsys):
     time = np.concatenate([np.arange(0, 5, 0.1), np.arange(25, 30, 0.1)])
     file = tmp_path / "log.csv"

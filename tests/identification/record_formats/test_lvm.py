@@ -48,6 +48,13 @@ def test_comments_are_named_and_left_out(tmp_path):
     assert record.names == ("force", "speed") and record.notes == ("not read: Comment (text)",)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"])
+def test_the_head_is_understood_in_any_encoding(tmp_path, encoding):
+    (tmp_path / "r.lvm").write_bytes(measurement().replace("m/s", "µm/s").encode(encoding))
+    record = read_record(tmp_path / "r.lvm")
+    assert record.n == N and record.sample_time == pytest.approx(0.001) and record.units["speed"] == "µm/s"
+
+
 def test_uneven_times_are_refused_and_resampled_on_request(tmp_path):
     times = 0.001 * np.arange(N) + 0.0004 * np.sin(np.arange(N))
     (tmp_path / "r.lvm").write_text(measurement("One", times=times))

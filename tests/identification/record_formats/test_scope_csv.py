@@ -28,6 +28,8 @@ def test_a_column_that_counts_samples_is_timed_by_start_and_increment(tmp_path):
     record = read_record(tmp_path / "r.csv")
     assert record.n == N and record.sample_time == pytest.approx(2e-6) and dict(record.units) == {"CH1": "V", "CH2": "V"}
     assert record.t0 == pytest.approx(-1.4e-3 + 22 * 2e-6)
+    (tmp_path / "wide.csv").write_text(counted(), encoding="utf-16")
+    assert read_record(tmp_path / "wide.csv").sample_time == pytest.approx(2e-6)
     np.testing.assert_allclose(record["CH2"], -VALUES)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats import read_record
+from residuum.identification.record_formats import ReadOptions, read_record, write_record
 from residuum.identification.record_formats.logger_file import understand
 from residuum.identification.record_formats.logger_mapping import parse_logger
 from residuum.identification.record_formats.no_value import without_overloads
@@ -79,12 +79,55 @@ def test_stamps_of_whole_seconds_may_be_spread():
         read(text([*stamps[:103], *stamps[104:]]), duplicates="spread")
 
 
+@pytest.mark.parametrize("rate", [12000, 13000, 16000])
+def test_stamps_of_too_few_digits_may_be_spread_where_no_row_is_lost(rate):
+    rows = [f"{k / rate:.4f},{value}" for k, value in enumerate(VALUES)]
+    with pytest.raises(BadRecord, match="stands twice"):
+        read("\n".join(["time [s],p [bar]", *rows]).encode())
+    record = read("\n".join(["time [s],p [bar]", *rows]).encode(), duplicates="spread")[1]
+    assert record.n == N and record.sample_time == pytest.approx(1 / rate, rel=1e-2)
+    np.testing.assert_array_equal(record["p"], VALUES)
+    with pytest.raises(BadRecord, match="cannot be spread evenly"):
+        read("\n".join(["time [s],p [bar]", *rows[:103], *rows[104:]]).encode(), duplicates="spread")
+
+
 def test_a_cell_that_means_no_value_is_said_by_an_option():
     content = b"Time (s),U (V)\n0,1\n1,OL\n2,3\n3,4\n"
     with pytest.raises(BadRecord, match=r"row 3, column 'U': 'OL' is not a number; .*inspect FILE --missing 'OL'"):
         read(content)
     found, record = read(content, missing=["OL"])
     assert np.isnan(record["U"]).tolist() == [False, True, False, False] and "ol" in found.mapping.missing
+
+
+@pytest.mark.parametrize("said", ["-999.9", "-999.90", "-9.999e2"])
+@pytest.mark.parametrize("head", ["time [s],T [°C]", "Zeit [s],T [°C]"])
+def test_a_number_that_means_no_value_may_be_written_otherwise(tmp_path, head, said):
+    (tmp_path / "r.csv").write_text(f"{head}\n" + "".join(f"{k},{-999.9 if k == 3 else 20 + k % 4:.2f}\n" for k in range(40)))
+    assert "--missing -999.9 " in read_record(tmp_path / "r.csv").notes[-1]
+    record = read_record(tmp_path / "r.csv", ReadOptions(missing=[said]))
+    assert np.flatnonzero(np.isnan(record["T"])).tolist() == [3]
+    assert record.notes[-1].startswith("read as a logger's file")
+
+
+@pytest.mark.parametrize("ending", [".npz", ".mat", ".parquet"])
+def test_a_number_that_means_no_value_may_be_said_of_any_format(tmp_path, ending):
+    signal = np.where(np.arange(50) == 7, -999.9, np.sin(np.arange(50)))
+    write_record(Record({"T": signal}, {"T": "°C"}, 1.0), tmp_path / f"r{ending}")
+    record = read_record(tmp_path / f"r{ending}", ReadOptions(missing=["OL", "-999.90"]))
+    assert np.flatnonzero(np.isnan(record["T"])).tolist() == [7]
+    assert record.notes == ("no value: T: 1 samples of -999.9, as was said",)
+
+
+def test_a_mark_is_named_with_all_its_digits():
+    signal = np.where(np.arange(50) == 7, 2147483647.0, np.sin(np.arange(50)))
+    record = without_overloads(Record({"n": signal}, {"n": "rpm"}, 1.0))
+    assert "--missing 2147483647 " in record.notes[0]
+
+
+def test_what_is_said_of_a_file_of_ours_is_not_ignored(tmp_path):
+    (tmp_path / "r.csv").write_text("time [s],clock [ms],u [V]\n" + "".join(f"{k},{k * 20},1\n" for k in range(9)))
+    record = read_record(tmp_path / "r.csv", ReadOptions(time_column="clock"))
+    assert record.sample_time == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize("head", ["time [s],U [V]", "Time (s),U (V)"])

@@ -20,7 +20,7 @@ WITHOUT_MISSING = {".uff"}
 @st.composite
 def records(draw):
     n = draw(st.integers(4, 40))
-    names = draw(st.lists(st.sampled_from(["speed", "force", "U_1", "T oil", "b"]), min_size=1, max_size=3, unique=True))
+    names = draw(st.lists(st.sampled_from(["speed", "force", "U_1", "T oil", "T", "b"]), min_size=1, max_size=3, unique=True))
     step = draw(st.sampled_from([1e-4, 0.002, 0.1, 0.5, 1.0, 60.0]))
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     channels = {name: np.round(rng.normal(size=n) * 10.0 ** rng.integers(-3, 4), 9) for name in names}

@@ -109,6 +109,18 @@ def test_the_column_of_times_is_said_once(refused):
         assert status == 400 and "are one option" in detail and "give one of them" in detail
 
 
+def test_a_file_without_a_time_is_told_each_key_that_gives_one(client, refused):
+    content = table(["Stempel", "n [V]"], [[f"{0.1 * k:.1f}", "1"] for k in range(9)])
+    status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=content)
+    assert status == 422 and "residuum" not in detail and "--" not in detail
+    for key in ("name it with ?time=COLUMN", "?time_form=seconds where the first is an axis", "give ?sample_time=SECONDS"):
+        assert key in detail, detail
+    assert client.post("/api/v1/records?filename=a.csv&sample_time=0.1", content=content).json()["units"] == {
+        "Stempel": "",
+        "n": "V",
+    }
+
+
 def test_refusals_name_the_key_that_helps(client, refused):
     either = table(["Time", "n [V]"], [[f"00:{k:02d}", "1"] for k in range(20)])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=either)

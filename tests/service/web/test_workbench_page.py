@@ -146,6 +146,22 @@ def test_what_a_loggers_file_leaves_open_is_said_on_the_page(service, open_page,
     page.get_by_text("60 samples").first.wait_for()
 
 
+def test_units_marks_and_the_step_of_a_loggers_file_are_said_on_the_page(service, open_page, tmp_path):
+    page = open_page(f"{service.url}/#/workbench", expected=["422"])
+    file = tmp_path / "bare.txt"
+    file.write_text("speed;load\n" + "\n".join(f"{k % 9}.5;{'OL' if k == 5 else -999.9 if k == 7 else k % 4}" for k in range(40)))
+    page.set_input_files("#file", str(file))
+    page.get_by_text("?sample_time=").wait_for()
+    page.get_by_text("How to read a logger's file").click()
+    for label, said in {"seconds between samples": "0.1", "units": "speed=rpm; load=N*m", "no value is": "OL; -999.9"}.items():
+        page.get_by_label(label).fill(said)
+        page.get_by_label(label).blur()
+    page.set_input_files("#file", str(file))
+    page.get_by_text("40 samples").first.wait_for()
+    record = next(each for each in httpx.get(f"{service.url}/api/v1/records").json()["items"] if each["name"] == "bare.txt")
+    assert (record["sample_time"], record["units"]) == (pytest.approx(0.1), {"speed": "rpm", "load": "N*m"})
+
+
 def test_a_model_file_is_edited_and_a_wrong_one_refused(service, open_page):
     page = open_page(f"{service.url}/#/workbench?model=linear-axis", expected=["422"])
     page.get_by_text("Upload or edit the model file").click()

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residuum.identification.errors import BadRecord
+from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
+from residuum.identification.record_formats.npz import read_npz
 from residuum.service.bad_bodies import BadBody
 from residuum.service.work.upload_reader import read_upload
 
@@ -30,6 +31,18 @@ def test_a_refusal_is_one_line_that_names_the_users_file():
     with pytest.raises(BadBody, match=r"^mine\.npz: is not an NPZ file") as refused:
         read_upload(b"PK\x03\x04 and no more", ".npz", "mine.npz", **LIMITS)
     assert "/tmp" not in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_refusal_does_not_repeat_the_file(tmp_path):
+    """A damaged NPZ whose first name has become thousands of bytes long: the library's words quote all of them."""
+    write_record(Record({"y": np.random.default_rng(1).normal(size=3000)}, {"y": "V"}, 1e-3), tmp_path / "r.npz")
+    content = bytearray((tmp_path / "r.npz").read_bytes())
+    content[26:28] = (9000).to_bytes(2, "little")
+    for read in (lambda: read_upload(bytes(content), ".npz", "mine.npz", **LIMITS), lambda: read_npz(tmp_path / "long.npz")):
+        (tmp_path / "long.npz").write_bytes(content)
+        with pytest.raises(BadInput, match="is not an NPZ file") as refused:
+            read()
+        assert len(str(refused.value)) < 400
 
 
 def replaced(monkeypatch, tmp_path, body):

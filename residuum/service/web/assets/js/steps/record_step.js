@@ -111,7 +111,7 @@ function drawRecord(place, bench, known, redraw) {
     for (const file of files) {
       drop.setAttribute("aria-busy", "true");
       try {
-        const query = new URLSearchParams({ filename: file.name, ...reading.said() });
+        const query = new URLSearchParams([["filename", file.name], ...reading.said()]);
         const record = await call(`/records?${query}`, { method: "POST", file });
         known.records.unshift(record);
         bench.records = file === files[0] ? [record.id] : [...bench.records, record.id];
@@ -200,6 +200,13 @@ function readingForm(bench) {
         values.map((value) => h("option", { value, selected: said[name] === value }, value)),
       ),
     );
+  const written = (name, label, placeholder = "") =>
+    h(
+      "label",
+      {},
+      label,
+      h("input", { "data-key": `reading-${name}`, value: said[name] ?? "", placeholder, onchange: keep(name) }),
+    );
   const form = h(
     "details",
     { class: "editor", open: Object.values(said).some(Boolean) },
@@ -209,12 +216,10 @@ function readingForm(bench) {
       { class: "controls" },
       choice("decimal", "decimal sign", [".", ","]),
       choice("time_form", "times are", TIME_FORMS),
-      h(
-        "label",
-        {},
-        "time column",
-        h("input", { "data-key": "reading-time_column", value: said.time_column ?? "", onchange: keep("time_column") }),
-      ),
+      written("time_column", "time column"),
+      written("sample_time", "seconds between samples", "where no column is a time"),
+      written("unit", "units", "speed=rpm; force=N"),
+      written("missing", "no value is", "OL; -999.9"),
       h(
         "label",
         {},
@@ -228,7 +233,10 @@ function readingForm(bench) {
       ),
     ),
   );
-  return { form, said: () => Object.fromEntries(Object.entries(said).filter(([, value]) => value)) };
+  const several = ["unit", "missing"];
+  const parts = (name, value) => (several.includes(name) ? value.split(";").map((part) => part.trim()) : [value]);
+  const keys = () => Object.entries(said).flatMap(([name, value]) => parts(name, value || "").map((part) => [name, part]));
+  return { form, said: () => keys().filter(([, value]) => value) };
 }
 
 function drawModel(place, bench, known, redraw) {
