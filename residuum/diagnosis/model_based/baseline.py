@@ -93,8 +93,8 @@ class Baseline:
 
     @cached_property
     def hypotheses(self) -> list[Hypothesis]:
-        """What may happen to the machine."""
-        return hypotheses(self.model)
+        """What may happen to the machine; values that healthy windows left open may change, too."""
+        return hypotheses(self.model, [*self.free, *(name for name in self.asked.free if name not in self.free)])
 
     @property
     def stand_ins(self) -> tuple[EffectUse, ...]:

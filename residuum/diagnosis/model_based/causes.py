@@ -113,8 +113,8 @@ def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
-    if not np.all(np.abs(H) < _LARGEST):  # at sizes where the slopes overflow nothing is known of them
-        return np.full(len(fit.own), np.nan)
+    if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
+        return np.full(len(fit.own), np.nan)  # at sizes where the slopes overflow or vanish nothing is known of them
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     open_ = (np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]  # what nothing tells is wide open

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -59,9 +59,9 @@ class Hypothesis:
         return f"{self.name}@{self.place}" if self.place else self.name
 
 
-def hypotheses(model: PhysicalModel) -> list[Hypothesis]:
-    """Everything that may have happened to a machine with this model."""
-    found = [_value(model, name) for name in model.free]
+def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
+    """Everything that may have happened to a machine with this model, of which these values may change."""
+    found = [_value(model, name) for name in values]
     found += [_new_effect(model, key) for key in candidates(model) if _recorded(model, key)]
     for o, (name, output) in enumerate(model.outputs.items()):
         found += _sensor(model, o, name, output.unit)

@@ -108,14 +108,17 @@ def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whit
 
 
 def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
-    """At the mean of the windows' values; those of new effects held that the windows together leave open."""
+    """At the middle of the windows' values; of new effects held are shapes, which no window changes, and what they leave open."""
     names, fits = list(found.model.free), [fit for fit in found.fits if fit is not None]
-    values = np.mean([fit.others for fit in fits], axis=0)
+    values = np.median([fit.others for fit in fits], axis=0)
     total = np.sum([information(fit, len(names)) for fit in fits], axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
-    wide = [name for name, there in zip(names, told, strict=True) if not there and name not in before.free]
-    return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), wide)
+    shapes = {
+        f"{use.label}.{p}" for use in found.model.effects if use.effect.sizes for p in use.parameters if p not in use.effect.sizes
+    }
+    new = [name for name, there in zip(names, told, strict=True) if name not in before.free and (name in shapes or not there)]
+    return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
 
 
 def _falls(gain: Array, times: float = ALWAYS) -> bool:

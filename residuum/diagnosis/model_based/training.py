@@ -73,8 +73,7 @@ def train(
     while wide := [name for name in _open(found) if name in asked.parameters]:
         if not fix_undetermined:
             raise _refusal(asked, data, wide)
-        asked, here = (held(one, wide) for one in (asked, data.model))
-        data = data_of(here, data.experiments)
+        data = data_of(held(data.model, wide[:1]), data.experiments)  # with the widest one held, others may be determined
         found = climb(data).found
     better, experiments = mended(found.model, data.experiments, _sized(found.model, data.experiments))
     return _calibrated(_learned(asked, better, experiments, [record.source for record in records]), experiments)
@@ -114,10 +113,12 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def _open(found: Estimate) -> list[str]:
-    """Values that all healthy windows together leave open."""
+    """Values that all healthy windows together leave open, the widest first."""
     now = found.model.values
-    each = zip(found.parameters, found.std, strict=True)
-    return [name for name, std in each if not std < OPEN * max(abs(now[name]), 1e-300)]
+    share = {name: std / max(abs(now[name]), 1e-300) for name, std in zip(found.parameters, found.std.tolist(), strict=True)}
+    return sorted(
+        (name for name, wide in share.items() if not wide < OPEN), key=lambda name: -np.nan_to_num(share[name], nan=np.inf)
+    )
 
 
 def _refusal(model: PhysicalModel, data: Data, wide: Sequence[str]) -> Undetermined:

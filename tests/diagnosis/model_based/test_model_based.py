@@ -8,7 +8,9 @@ import pytest
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
+from residuum.diagnosis.model_based.assessment import seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
+from residuum.diagnosis.model_based.detection import detected
 from residuum.diagnosis.model_based.training import Undetermined
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
@@ -164,3 +166,12 @@ def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its
     accepted = watched().relearned(windows[:8], improved)
     assert accepted.baseline.mended == () and accepted.baseline.asked.effects == improved.effects
     assert accepted.score(windows[22]).verdict is Verdict.HEALTHY
+
+
+def test_an_offset_is_held_against_that_of_healthy_windows():
+    record, b = axis_windows(6)[0][22], watched().baseline
+    seen = seen_window(b, record)
+    moved = seen_window(b, changed(record, velocity=record["velocity"] + 0.01))
+    assert moved.offsets[1] - seen.offsets[1] == pytest.approx(0.01, rel=0.05)
+    healthy, faulty = (detected(b, seen.fit, offsets, seen.features).p for offsets in (seen.offsets, moved.offsets))
+    assert faulty < 1e-6 < healthy

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from residuum.diagnosis.diagnosers.model_based import ModelBased
+from residuum.diagnosis.diagnosers.model_based import ModelBased, _axis
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 
@@ -79,3 +79,25 @@ def test_values_far_from_the_usual_are_told_where_they_are():
         record, R = warm_motor(seed, 1.3)
         told = motor().score(record).evidence["parameters"]["R"]
         assert abs(told["value"] - R) < 2e-3 * R  # to first order a tenth of the change would be missing
+
+
+CART = """
+name: cart
+inputs: {force: N}
+states: {q: {unit: m, rate: v}, v: {unit: m/s}}
+parameters:
+  M: {value: 80, unit: kg, lower: 1}
+  g: {value: 1, unit: 1, lower: 0.01}
+balances:
+  axis: {kind: force, storage: M * der(v), terms: {drive: g * force}, position: q, velocity: v}
+outputs:
+  position: {value: q, unit: m}
+  velocity: {value: v, unit: m/s}
+"""
+
+
+def test_where_only_a_ratio_is_determined_one_value_is_held_and_either_may_have_changed():
+    judge = ModelBased(model=read_model(CART, "cart"), fix_undetermined=True).fit([_axis(seed) for seed in range(6)])
+    assert len(judge.baseline.free) == 1 and set(judge.baseline.asked.free) == {"M", "g"}
+    first = judge.score(_axis(51, mass=120.0)).evidence["causes"][0]
+    assert {"M", "g"} <= {first["name"], *first["indistinguishable_from"]}
