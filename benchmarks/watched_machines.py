@@ -95,7 +95,7 @@ class Fan:
 class Pendulum:
     """A weight on an arm at a motor: J φ̈ = K x − w sin φ − b φ̇ − τ_c sgn φ̇ − k φ, the motor's x behind its current by T_m.
 
-    100 Hz, currents of −1 to 1 A; the simulation sticks where it stands and the load is below τ_c.
+    100 Hz, currents of −0.6 to 0.6 A, with which it never goes over the top; it sticks where it stands and the load is below τ_c.
     """
 
     units: ClassVar[Mapping[str, str]] = {"current": "A", "angle": "rad"}
@@ -109,7 +109,7 @@ class Pendulum:
     def simulate(self, seconds: float) -> _Run:
         n, levels = round(100 * seconds), []
         while sum(map(len, levels)) < n:
-            levels.append(np.full(self._own.integers(20, 150), self._own.uniform(-1.0, 1.0)))
+            levels.append(np.full(self._own.integers(20, 150), self._own.uniform(-0.6, 0.6)))
         i, t0, p = np.concatenate(levels)[:n], self._t, self.pendulum
         self._t += seconds
         angle = _swing(i, self._x, p["J"], p["w"], p["K"], p["b"], p["tau_c"], p["T_m"], p["k"])
@@ -387,7 +387,7 @@ PENDULUM = Watched(
         Fault("air × 2", ("b", "viscous-friction@arm"), scaled={"b": 2.0}),
         Fault("friction × 2", ("coulomb-friction@arm",), scaled={"tau_c": 2.0}),
         Fault("friction gone", ("coulomb-friction@arm",), scaled={"tau_c": 0.01}),
-        Fault("motor × 4 slower", ("lag@current", "delay@current", "lag@angle", "delay@angle"), scaled={"T_m": 4.0}),
+        Fault("motor × 4 slower", ("input-lag@current", "lag@current", "delay@current", "lag@angle", "delay@angle"), scaled={"T_m": 4.0}),
         Fault("new spring", ("linear-spring@arm", "cubic-spring@arm"), set={"k": 0.1}),
         _sensor("angle", 0.01),
     ),
