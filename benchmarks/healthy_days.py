@@ -38,14 +38,13 @@ def counted(watched: Watched, seed: int, days: float, most: int) -> str:
         ]
     )
     spent = (time.process_time() - begun) / number
-    cells = [_cell(judge, watched, deviations, rate) for rate in (*_RATES, 1.0 / a_day)]
+    cells = [_cell(deviations, rate) for rate in (*_RATES, 1.0 / a_day)]
     return f"| {watched.name} | {seed} | {number} | {number / a_day:.3g} | {' | '.join(cells)} | {1e3 * spent:.0f} ms |"
 
 
-def _cell(judge: ModelBased, watched: Watched, deviations: np.ndarray, rate: float) -> str:
+def _cell(deviations: np.ndarray, rate: float) -> str:
     """Alarms, and in brackets those expected and the 95 % band (Poisson) of the expectation that the count allows."""
-    limit = judge.baseline.calibration.limit(rate * _SECONDS_A_DAY / watched.seconds, watched.seconds)
-    count = int(np.sum(deviations > limit))
+    count = int(np.sum(stats.norm.sf(deviations) < rate))
     low = stats.chi2.ppf(0.025, 2 * count) / 2 if count else 0.0
     return f"{count} ({rate * len(deviations):.3g}; {low:.1f}–{stats.chi2.ppf(0.975, 2 * count + 2) / 2:.1f})"
 

@@ -92,6 +92,43 @@ class Fan:
         return _Run(channels, self.units, 0.01, float(t[0]))
 
 
+class Pendulum:
+    """A weight on an arm at a motor: J φ̈ = K x − w sin φ − b φ̇ − τ_c sgn φ̇ − k φ, the motor's x behind its current by T_m.
+
+    100 Hz, currents of −0.6 to 0.6 A, with which it never goes over the top; it sticks where it stands and the load is below τ_c.
+    """
+
+    units: ClassVar[Mapping[str, str]] = {"current": "A", "angle": "rad"}
+
+    def __init__(self, seed: int) -> None:
+        self._own, self._noise = np.random.default_rng([seed, 31]), np.random.default_rng([seed, 32])
+        w, K, b, tau_c, T_m = np.array([0.8, 0.4, 0.012, 0.012, 0.008]) * (1.0 + self._own.uniform(-0.05, 0.05, 5))
+        self.pendulum = _Constants({"w": w, "K": K, "b": b, "tau_c": tau_c, "T_m": T_m, "J": 0.02, "k": 0.0})
+        self._t, self._x = 0.0, np.zeros(3)
+
+    def simulate(self, seconds: float) -> _Run:
+        n, levels = round(100 * seconds), []
+        while sum(map(len, levels)) < n:
+            levels.append(np.full(self._own.integers(20, 150), self._own.uniform(-0.6, 0.6)))
+        i, t0, p = np.concatenate(levels)[:n], self._t, self.pendulum
+        self._t += seconds
+        angle = _swing(i, self._x, p["J"], p["w"], p["K"], p["b"], p["tau_c"], p["T_m"], p["k"])
+        return _Run({"current": i, "angle": angle + 1e-3 * self._noise.standard_normal(n)}, self.units, 0.01, t0)
+
+
+@njit(cache=True)
+def _swing(i, x, J, w, K, b, tau_c, T_m, k):  # type: ignore[no-untyped-def]
+    angle, h = np.empty(len(i)), 2e-4
+    for n in range(len(i)):
+        angle[n] = x[0]
+        for _ in range(50):
+            x[2] += h * (i[n] - x[2]) / T_m
+            pushed = x[1] + h * (K * x[2] - w * np.sin(x[0]) - b * x[1] - k * x[0]) / J
+            x[1] = np.sign(pushed) * max(abs(pushed) - h * tau_c / J, 0.0)
+            x[0] += h * x[1]
+    return angle
+
+
 class _Constants(dict[str, float]):
     def _replace(self, **values: float) -> _Constants:
         return _Constants({**self, **values})
@@ -242,6 +279,30 @@ outputs:
 """  # noqa: E501
 
 
+_PENDULUM = """
+name: pendulum
+inputs: {current: A}
+states: {phi: {unit: rad, rate: v}, v: {unit: rad/s}}
+parameters:
+  J: {value: 0.02, unit: kg*m**2, fixed: true}
+  w: {value: 0.8, unit: N*m, lower: 0.01}
+  K: {value: 0.4, unit: N*m/A, lower: 0.01}
+  b: {value: 0.012, unit: N*m*s/rad, lower: 0}
+balances:
+  arm:
+    kind: torque
+    storage: J * der(v)
+    terms: {motor: K * current, weight: -w * sin(phi), air: -b * v}
+    position: phi
+    velocity: v
+outputs: {angle: {value: phi, unit: rad}}
+"""
+
+
+def _pendulum() -> PhysicalModel:
+    return _off(read_model(_PENDULUM, "pendulum.yaml"))
+
+
 def _fan() -> PhysicalModel:
     return _off(read_model(_FAN, "fan.yaml"))
 
@@ -319,4 +380,16 @@ FAN = Watched(
         _sensor("speed", 4.0), _sensor("current", 0.1),
     ),
 )  # fmt: skip
-WATCHED = {w.name: w for w in (DRIVE, AXIS, OVEN, TANKS, FAN)}
+PENDULUM = Watched(
+    "pendulum", 15.0, Pendulum, "pendulum", _pendulum, {"b": _GREASE, "tau_c": _GREASE},
+    (
+        *_pair("weight", "w", ("w",)), *_pair("torque constant", "K", ("K", "gain@current")),
+        Fault("air × 2", ("b", "viscous-friction@arm"), scaled={"b": 2.0}),
+        Fault("friction × 2", ("coulomb-friction@arm",), scaled={"tau_c": 2.0}),
+        Fault("friction gone", ("coulomb-friction@arm",), scaled={"tau_c": 0.01}),
+        Fault("motor × 4 slower", ("input-lag@current", "lag@current", "delay@current", "lag@angle", "delay@angle"), scaled={"T_m": 4.0}),
+        Fault("new spring", ("linear-spring@arm", "cubic-spring@arm"), set={"k": 0.1}),
+        _sensor("angle", 0.01),
+    ),
+)  # fmt: skip
+WATCHED = {w.name: w for w in (DRIVE, AXIS, OVEN, TANKS, FAN, PENDULUM)}

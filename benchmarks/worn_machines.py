@@ -59,8 +59,10 @@ def runs(watched: Watched, seed: int, count: int) -> Iterator[Run]:
         for w in wear.tolist():
             record = machine_window(watched, machine, seed, number, {constant: 1.0 + w})
             number += 1
-            usual.append(judge.baseline.usual_values(judge.baseline.beside.conditions(record))[0][name])
             parameters = judge.score(record).evidence.get("parameters", {})
+            if name in parameters:
+                band = parameters[name]["healthy"]
+                usual.append(0.5 * (band["low"] + band["high"]))
             told.append(parameters.get(name, {"value": np.nan, "std": np.nan}))
             temperatures.append(float(np.mean(record["temperature"])) if "temperature" in record.names else 0.0)
         values, std = np.array([p["value"] for p in told]), np.array([p["std"] for p in told])

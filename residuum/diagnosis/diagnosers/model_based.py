@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -10,11 +11,11 @@ import numpy as np
 
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding
-from residuum.diagnosis.model_based.assessment import assess, missing_physics
+from residuum.diagnosis.model_based.assessment import CLASSES, assess, missing_physics, rate_alone
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.detection import rate_alone
 from residuum.diagnosis.model_based.recalibration import refuse_recalibration
 from residuum.diagnosis.model_based.training import train
+from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
 from residuum.identification.record import Record
@@ -23,7 +24,7 @@ FALSE_ALARMS_PER_DAY = 1.0
 
 
 class ModelBased(Diagnoser):
-    """Innovations of the model's own filter against those of healthy windows; a posterior over causes; their sizes.
+    """Each window's values and simulation error against those of healthy windows; causes by the same error; their sizes.
 
     Parameters
     ----------
@@ -41,11 +42,7 @@ class ModelBased(Diagnoser):
         Channel("inputs", "", "every input of the model, by its name there (unit: the model's)"),
         Channel("outputs", "", "every output of the model that was recorded, by its name there"),
     )
-    classes: ClassVar[Sequence[str]] = (
-        "healthy", "parameter", "effect", "disturbance", "unknown",
-        "sensor-offset", "sensor-gain", "sensor-noise", "sensor-stuck", "sensor-delay", "sensor-drop-out",
-        "actuator-offset", "actuator-gain", "actuator-stuck", "actuator-limit",
-    )  # fmt: skip
+    classes: ClassVar[Sequence[str]] = CLASSES
 
     def __init__(
         self,
@@ -87,10 +84,19 @@ class ModelBased(Diagnoser):
         """Raise NothingLearned where a sensor's fault or a new effect is probable in the windows, taken together."""
         refuse_recalibration(self.baseline, healthy)
 
-    def relearned(self, healthy: Sequence[Record]) -> Self:
-        """The same model learned anew from these windows; NothingLearned where a fault is probable in them."""
-        self.refuse_learning(healthy)
-        return super().relearned(healthy)
+    def relearned(self, healthy: Sequence[Record], model: PhysicalModel | None = None) -> Self:
+        """Learned anew from these windows, with another model where one is given.
+
+        What the model lacked when it was trained first stays what it lacks. NothingLearned where a fault is probable in them, or
+        a new effect that the other model does not have.
+        """
+        known = () if self._baseline is None else self._baseline.stand_ins
+        if self._baseline is not None:
+            refuse_recalibration(self._baseline, healthy, [] if model is None else [use.key for use in model.effects])
+        other = copy.copy(self)
+        other.model = self.baseline.asked if model is None else model
+        other._baseline = train(other.model, healthy, fix_undetermined=self.fix_undetermined, known=known)
+        return other
 
     def with_settings(self, **settings: object) -> Self:
         """The same baseline at another rate of false alarms."""
@@ -107,18 +113,24 @@ class ModelBased(Diagnoser):
     def learned(self) -> dict[str, Any]:
         """Healthy values, the physics that healthy windows show beyond the model, and the rate that they vouch for."""
         b = self.baseline
-        alone = rate_alone(b.scatter.windows, b.usual.seconds)
-        missing = missing_physics(b)
-        values = {n: {"value": b.tracking.model.values[n], "unit": b.tracking.model.all_parameters[n].unit} for n in b.free}
-        says = [f"  {n} = {v['value']:.5g} {v['unit']}" for n, v in values.items() if not n.startswith(tuple(b.stand_ins))]
+        alone, missing = rate_alone(b), missing_physics(b)
+        unseen = b.smallest_visible(min(0.5, self.false_alarms_per_day * b.seconds / SECONDS_A_DAY))
+        values = {
+            n: {"value": b.model.values[n], "unit": b.model.all_parameters[n].unit, "smallest_visible_change": unseen[n]}
+            for n in b.free
+        }
+        says = [
+            f"  {n} = {v['value']:.5g} {v['unit']}; a change by {v['smallest_visible_change']:.2g} would be found in one window"
+            for n, v in values.items()
+            if not n.startswith(b.mended)
+        ]
         says += [
             f"  healthy windows show {m['effect']}@{m['place']}, which the model lacks: `residuum explain` tells more"
             for m in missing
         ]
-        says.append(
-            f"  {b.scatter.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated"
-        )
-        told = {"windows": b.scatter.windows, "parameters": values, "missing_physics": missing}
+        says += [f"  {b.sources[k]} stands apart from the others: is it healthy?" for k in b.apart if k < len(b.sources)]
+        says.append(f"  {b.windows} healthy windows by themselves allow {alone:.3g} false alarms a day; less is extrapolated")
+        told = {"windows": b.windows, "parameters": values, "missing_physics": missing, "apart": list(b.apart)}
         return told | {"rate_without_extrapolation": alone, "says": says}
 
     def describe(self) -> Mapping[str, object]:
@@ -142,13 +154,13 @@ class ModelBased(Diagnoser):
             loaded = cls(**settings)
         except TypeError as error:
             raise BadInput(f"{path}: is not a model-based baseline: {error}") from None
-        loaded._baseline, loaded.model = baseline, baseline.tracking.model
+        loaded._baseline, loaded.model = baseline, baseline.asked
         return loaded
 
     @classmethod
     def examples(cls) -> Sequence[Example]:
         """A mass on a guide pushed to and fro: its mass grown, a friction that was not there, an offset of its speed's sensor."""
-        healthy = [_axis(seed) for seed in range(20)]
+        healthy = [_axis(seed) for seed in range(12)]
         faulty = [_axis(51, mass=120.0), _axis(52, friction=20.0), _axis(53, gain=1.1)]
         return (Example(healthy, None, [_axis(seed) for seed in (61, 62, 63)], faulty),)
 

@@ -1,1 +1,1 @@
-"""Watching any machine that has a model: what is healthy, whether a window differs, from which cause and by how much."""
+"""A machine that has a model is watched by it: what is healthy is learned, a window judged, and its cause named by simulation."""

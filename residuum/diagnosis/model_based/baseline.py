@@ -1,4 +1,4 @@
-"""What training leaves: the model with its healthy values, its filter, what is usual in every size, and the limits."""
+"""What training leaves: the healthy model, how its values and errors scatter, and what hypotheses gain in healthy windows."""
 
 from __future__ import annotations
 
@@ -11,56 +11,34 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from residuum.diagnosis.learning.stored import load_stored, save_stored
-from residuum.diagnosis.model_based.beside import Beside
-from residuum.diagnosis.model_based.detection import Calibration, Energies, Group, groups_of
-from residuum.diagnosis.model_based.filtered_window import FilterNoise, TrackingFilter
-from residuum.diagnosis.model_based.healthy_scatter import HealthyScatter
-from residuum.diagnosis.model_based.hypotheses import Hypothesis, Signals
-from residuum.diagnosis.model_based.left_open import LeftOpen
-from residuum.diagnosis.model_based.usual_values import usual_values
-from residuum.diagnosis.model_based.window_statistics import Colour
+from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
+from residuum.diagnosis.model_based.kind_of_run import KindOfRun
+from residuum.diagnosis.model_based.policy import LOOK, POWER, STEPS, WIDE
+from residuum.diagnosis.model_based.scatter import Scatter
+from residuum.diagnosis.model_based.variant import Variant, edited, shifted
+from residuum.diagnosis.model_based.whitening import Whitening
+from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, log_power
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import PhysicalModel, read_model, write_model
+from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
 
 Array = npt.NDArray[np.float64]
-
-_VERSION = 5
+_VERSION = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Usual:
-    """What healthy windows were like, beside the innovations.
+    """What a hypothesis shows in healthy windows: its mean gain [nat], and its sizes there, shape (windows, sizes)."""
 
-    Attributes
-    ----------
-    seconds : float
-        Length of a healthy window.
-    information : array, shape (m,)
-        Least information of a healthy window on each size.
-    spans : array, shape (outputs,)
-        Smallest largest-minus-smallest reading of each output; `ranges` the largest.
-    input_spans : array, shape (inputs,)
-        Smallest span of each input.
-    runs : array of int, shape (outputs,)
-        Longest run of equal readings.
-    low, high : array, shape (m,)
-        95 % band of each size as one further healthy window would tell it by itself, in its unit, about the model's value.
-    together_low, together_high : array, shape (free parameters,)
-        The same of the parameters' values, all of them told at once.
-    """
+    gain: float
+    sizes: Array
 
-    seconds: float
-    information: Array
-    spans: Array
-    ranges: Array
-    input_spans: Array
-    runs: Array
-    low: Array
-    high: Array
-    together_low: Array
-    together_high: Array
+    @property
+    def variance(self) -> Array | float:
+        """Of its sizes from window to window; 0 where too few are known."""
+        return self.sizes.var(axis=0, ddof=1) if len(self.sizes) > 2 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,129 +47,173 @@ class Baseline:
 
     Attributes
     ----------
-    tracking : TrackingFilter
-        Of the model with its healthy values; `stand_ins` are effects in it that the user's model file lacks (label → rise of the
-        log-likelihood).
-    free : tuple of str
-        Values that windows are asked for.
-    measured : array of bool
-        Outputs that healthy windows had.
+    asked : PhysicalModel
+        The user's.
+    model : PhysicalModel
+        With its healthy values and the effects `mended` (labels) that every healthy window lacks beside it.
+    kind : KindOfRun
+    values, errors, offsets : Scatter
+        Of the free values, of the logarithms of error power, and of the offset that each output seems to have.
+    usual : mapping of hypothesis to Usual
+    information : array, shape (values,)
+        Least of a healthy window on each value.
+    typical : array, shape (values,)
+        Its median.
+    input_spans, spans : array
+        Smallest span of each input and output.
+    apart : tuple of int
+        Healthy windows that stand apart from the others.
     """
 
-    tracking: TrackingFilter
-    free: tuple[str, ...]
-    stand_ins: Mapping[str, float]
-    hypotheses: Sequence[Hypothesis]
-    colours: Sequence[Colour]
-    scatter: HealthyScatter
-    calibration: Calibration
-    energies: Energies
-    left_open: LeftOpen
-    usual: Usual
-    beside: Beside
-    sample_time: float
-    hold: Array
+    asked: PhysicalModel
+    model: PhysicalModel
+    mended: tuple[str, ...]
+    kind: KindOfRun
+    whitening: Whitening
+    values: Scatter
+    errors: Scatter
+    offsets: Scatter
+    usual: Mapping[str, Usual]
+    information: Array
+    typical: Array
+    input_spans: Array
+    spans: Array
     measured: npt.NDArray[np.bool_]
+    hold: Array
+    sample_time: float
+    seconds: float
+    windows: int
+    apart: tuple[int, ...]
     sources: Sequence[str]
 
-    @cached_property
-    def signals(self) -> Signals:
-        """The signals of all hypotheses."""
-        return Signals(self.tracking.model, self.hypotheses)
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Values that windows are asked for."""
+        return tuple(self.model.free)
 
     @cached_property
-    def groups(self) -> list[Group]:
-        """The sizes of each hypothesis."""
-        return groups_of([len(h.columns) for h in self.hypotheses])
+    def hypotheses(self) -> list[Hypothesis]:
+        """What may happen to the machine; values that healthy windows left open may change, too."""
+        return hypotheses(self.model, [*self.free, *(name for name in self.asked.free if name not in self.free)])
 
     @property
-    def free_sizes(self) -> list[int]:
-        """Places of the free parameters among the sizes."""
-        at = {c.acts_on: g.sizes[0] for g, h in zip(self.groups, self.hypotheses, strict=True) for c in h.columns[:1]}
-        return [at[f"parameter:{name}"] for name in self.free]
+    def stand_ins(self) -> tuple[EffectUse, ...]:
+        """Effects that the user's model lacks."""
+        return tuple(use for use in self.model.effects if use.label in self.mended)
 
-    def usual_values(self, conditions: Array) -> tuple[dict[str, float], Array]:
-        """Values that are usual under these conditions, and how far each size was moved, in its unit."""
-        return usual_values(self.tracking.model, self.hypotheses, self.groups, self.scatter, conditions)
+    def fitter(self, window: Experiment, features: Array) -> WindowFitter:
+        """What fits hypotheses to a window of a run of this kind."""
+        (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
+        known = self.model.all_parameters
+        mean = np.clip(mean, [known[n].lower for n in self.free], [known[n].upper for n in self.free])
+        whitening = replace(self.whitening, sigma=self.whitening.sigma * np.exp(log[len(log) // 2 :]))
+        model = self.model.with_values(dict(zip(self.free, mean.tolist(), strict=True)))
+        return WindowFitter(model, window, mean, covariance, whitening, self.values.freedom)
+
+    def surprise(self, features: Array, fit: Fit) -> Array:
+        """How far error power lies above the usual [standard deviations], of errors as they are and whitened, (2 · outputs,)."""
+        log, covariance = self.errors.at(features)
+        there = np.tile(self.measured, 2)
+        return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
+
+    def offsets_in(self, window: Experiment, features: Array) -> Array:
+        """The offset of each output that explains a window best beside values in their healthy scatter, shape (outputs,)."""
+        fitter, found = self.fitter(window, features), np.zeros(len(self.model.outputs))
+        for o in np.flatnonzero(self.measured):
+            fit = fitter.fit(Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted)), LOOK)
+            found[o] = 0.0 if fit is None else fit.own[0]
+        return found
+
+    def usual_gain(self, hypothesis: Hypothesis) -> float:
+        """[nat] Of a hypothesis in healthy windows."""
+        known = self.usual.get(hypothesis.label)
+        return known.gain if known else 0.0
+
+    def smallest_visible(self, level: float) -> dict[str, float]:
+        """The least change of each value that one usual window shows with probability 0.9, at this chance of a false alarm."""
+        if not self.free:
+            return {}
+        std = np.sqrt(np.diag(self.values.S) + 1.0 / np.maximum(self.typical, 1e-300))
+        reach = stats.t.isf(min(0.5, level / (6.0 * len(self.free))), self.values.freedom) + stats.norm.ppf(POWER)
+        return dict(zip(self.free, (reach * std).tolist(), strict=True))
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
         """Store it in a file."""
-        t, s, c, e, o, u = self.tracking, self.scatter, self.calibration, self.energies, self.left_open, self.usual
         meta = {
-            "model": write_model(t.model),
-            "absent": [name for name, signal in t.model.inputs.items() if signal.absent],
-            "substeps": t.substeps,
-            "free": list(self.free),
-            "stand_ins": dict(self.stand_ins),
-            "hypotheses": [h.to_json() for h in self.hypotheses],
-            "colours": [[list(colour.polynomial), colour.std] for colour in self.colours],
-            "windows": [s.windows, e.windows],
-            "beside": self.beside.to_json(),
-            "seconds": u.seconds,
+            "model": write_model(self.model),
+            "asked": write_model(self.asked),
+            "absent": [name for name, signal in self.model.inputs.items() if signal.absent],
+            "mended": list(self.mended),
+            "beside": list(self.kind.beside),
+            "usual": {label: {"gain": u.gain, "sizes": u.sizes.tolist()} for label, u in self.usual.items()},
+            "freedom": [self.values.freedom, self.errors.freedom, self.offsets.freedom],
             "sample_time": self.sample_time,
+            "seconds": self.seconds,
+            "windows": self.windows,
+            "apart": list(self.apart),
             "sources": list(self.sources),
             "settings": dict(settings),
         }
-        arrays = {
-            "output_variance": t.noise.output_variance, "process": t.noise.process, "scales": t.scales,
-            "scale": s.scale, "own": s.own, "moving": s.moving,
-            "coefficients": s.coefficients, "doubt": s.doubt, "variance": s.variance, "tests": c.tests,
-            "before": c.before, "shown": c.shown, "inflation": c.inflation, "freedom": c.freedom,
-            "open": o.sizes, "open_absorbed": o.absorbed, "open_size": o.size,
-            "left_out": c.left_out, "energy_mean": e.mean, "energy_std": e.std,
-            "information": u.information, "spans": u.spans, "ranges": u.ranges, "input_spans": u.input_spans,
-            "runs": u.runs, "low": u.low, "high": u.high,
-            "together_low": u.together_low, "together_high": u.together_high, "hold": self.hold, "measured": self.measured,
-        }  # fmt: skip
-        save_stored(path, kind, _VERSION, meta, arrays)
+        scatters = {"values": self.values, "errors": self.errors, "offsets": self.offsets}
+        arrays = {f"{name}_{part}": getattr(scatter, part) for name, scatter in scatters.items() for part in ("B", "S", "M")}
+        arrays |= {part: getattr(self.whitening, part) for part in ("filters", "sigma", "inflation", "steps", "most_steps")}
+        arrays |= {"centre": self.kind.centre, "spread": self.kind.spread}
+        own = ("information", "typical", "input_spans", "spans", "measured", "hold")
+        save_stored(path, kind, _VERSION, meta, arrays | {name: getattr(self, name) for name in own})
 
     @classmethod
     def load(cls, path: str | Path, kind: str) -> tuple[Baseline, dict[str, Any]]:
-        """What `save` stored, and the diagnoser's settings; BadInput for a file that is none or is damaged."""
+        """The baseline and settings that `save` stored; BadInput for another file."""
         stored = load_stored(path, kind)
+        if stored.version != _VERSION:
+            raise BadInput(f"{path}: was trained by another version of Residuum; train it again with its healthy records")
+        meta, arrays = stored.meta, stored.arrays
         try:
-            return _restored(stored.meta, stored.arrays), dict(stored.meta["settings"])
-        except (KeyError, ValueError, TypeError, IndexError) as error:
-            raise BadInput(f"{path}: is not a {kind} baseline: {' '.join(str(error).split())[:120]}") from None
+            return _read(meta, arrays, str(path)), dict(meta["settings"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: is not a model-based baseline: {error}") from None
 
 
-def _restored(meta: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Baseline:
-    model = read_model(meta["model"], "baseline")
-    model = with_absent(model, meta["absent"])
-    noise = FilterNoise(arrays["output_variance"], arrays["process"])
-    tracking = TrackingFilter(model, noise, arrays["scales"], int(meta["substeps"]))
-    of, energy_windows = meta["windows"]
-    usual = Usual(
-        float(meta["seconds"]),
-        *(arrays[n] for n in ("information", "spans", "ranges", "input_spans", "runs")),
-        *(arrays[n] for n in ("low", "high", "together_low", "together_high")),
+def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> Baseline:
+    asked, model = (with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model"))
+    values, errors, offsets = (
+        Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
+        for name, freedom in zip(("values", "errors", "offsets"), meta["freedom"], strict=True)
     )
+    usual = {label: Usual(float(u["gain"]), np.array(u["sizes"], dtype=float)) for label, u in meta["usual"].items()}
     return Baseline(
-        tracking,
-        tuple(meta["free"]),
-        dict(meta["stand_ins"]),
-        [Hypothesis.from_json(h) for h in meta["hypotheses"]],
-        [Colour(tuple(polynomial), std) for polynomial, std in meta["colours"]],
-        HealthyScatter(
-            arrays["scale"], arrays["own"], arrays["moving"], arrays["coefficients"], arrays["doubt"], arrays["variance"], int(of)
-        ),
-        Calibration(
-            arrays["before"],
-            arrays["shown"],
-            arrays["inflation"],
-            arrays["freedom"],
-            arrays["tests"],
-            arrays["left_out"],
-        ),
-        Energies(arrays["energy_mean"], arrays["energy_std"], int(energy_windows)),
-        LeftOpen(arrays["open"].astype(np.int64), arrays["open_absorbed"], arrays["open_size"]),
+        asked,
+        model,
+        tuple(meta["mended"]),
+        KindOfRun(tuple(meta["beside"]), arrays["centre"], arrays["spread"]),
+        Whitening(arrays["filters"], arrays["sigma"], arrays["inflation"], arrays["steps"], arrays["most_steps"]),
+        values,
+        errors,
+        offsets,
         usual,
-        Beside.from_json(meta["beside"]),
-        float(meta["sample_time"]),
-        arrays["hold"],
+        arrays["information"],
+        arrays["typical"],
+        arrays["input_spans"],
+        arrays["spans"],
         arrays["measured"].astype(bool),
+        arrays["hold"],
+        float(meta["sample_time"]),
+        float(meta["seconds"]),
+        int(meta["windows"]),
+        tuple(int(k) for k in meta["apart"]),
         list(meta["sources"]),
     )
+
+
+def wide_prior(values: Array) -> Array:
+    """Covariance of values that a window is asked for by itself."""
+    return np.diag((WIDE * np.maximum(np.abs(values), 1e-12)) ** 2)
+
+
+def alone(model: PhysicalModel, window: Experiment, mean: Array, whitening: Whitening) -> Fit | None:
+    """The window's own values of the healthy model, all of them free."""
+    fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
+    return fitter.fit(Variant(model), 2 * STEPS)
 
 
 def with_absent(model: PhysicalModel, absent: Sequence[str]) -> PhysicalModel:

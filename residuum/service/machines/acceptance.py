@@ -14,6 +14,7 @@ import numpy as np
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 from residuum.identification.errors import BadInput
@@ -69,7 +70,7 @@ def propose(
     records, windows = ([Record(*parts) for parts in each] for each in (learned, checked))
     with tempfile.TemporaryDirectory() as folder:
         old = None if baseline is None else _load(kind, baseline, Path(folder) / "old")
-        new = (old or kind()).relearned(records)
+        new = _relearned(old or kind(), records, models[1])
         new.save(Path(folder) / "new")
         content = (Path(folder) / "new").read_bytes()
     progress(0.6, f"judging {len(windows)} healthy windows with both")
@@ -84,6 +85,13 @@ def propose(
         "model_error": _model_errors(models, (records + windows)[-_MODELLED:], mapping),
         "baseline": content,
     }
+
+
+def _relearned(old: Diagnoser, records: Sequence[Record], accepted: ModelText) -> Diagnoser:
+    """Learned anew, where the diagnoser watches by a model with the one that is to be accepted."""
+    if isinstance(old, ModelBased):
+        return old.relearned(records, model_of(*accepted))
+    return old.relearned(records)
 
 
 def _load(kind: type[Diagnoser], content: bytes, file: Path) -> Diagnoser:

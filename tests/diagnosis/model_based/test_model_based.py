@@ -8,11 +8,12 @@ import pytest
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.model_based.filtered_window import FilterNoise, TrackingFilter
-from residuum.diagnosis.model_based.healthy_values import Undetermined
-from residuum.diagnosis.model_based.hypotheses import Column, Hypothesis, slopes_of
+from residuum.diagnosis.model_based.assessment import seen_window
+from residuum.diagnosis.model_based.baseline import Baseline
+from residuum.diagnosis.model_based.detection import detected
+from residuum.diagnosis.model_based.training import Undetermined
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import load_model, match
+from residuum.identification.physics import load_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
@@ -118,14 +119,59 @@ def test_without_a_model_that_fits_it_asks_for_one():
         ModelBased().fit([Record({"a": np.arange(100.0)}, {"a": "V"}, 0.01)])
 
 
-def test_slopes_of_the_innovations_are_those_of_finite_differences():
-    model, (e,) = match(load_model("linear-axis"), axis_windows(6)[0][:1])
-    noise = FilterNoise(np.array([1e-10, 1e-6]), np.diag([1e-12, 1e-7]))
-    base = TrackingFilter(model, noise, np.ones(2), 1)
-    step = 1e-3
-    up, down = (base.run(e, {"M": 95.0 * (1.0 + sign * step)}).normalised for sign in (1.0, -1.0))
-    differences = -(up - down) / (2.0 * 95.0 * step)
-    h = Hypothesis("parameter", "M", "", (Column("parameter:M", "one", "kg"),))
-    J = slopes_of(base.run(e), base, [h], np.ones((e.n, 1)))[:, :, 0]
-    assert np.sum(differences * J) / np.sum(J * J) == pytest.approx(1.0, abs=0.05)
-    assert np.corrcoef(differences.ravel(), J.ravel())[0, 1] > 0.98
+def test_a_stored_baseline_judges_as_the_trained_one_and_still_knows_what_the_user_s_model_lacks(tmp_path):
+    watched().save(tmp_path / "axis.base")
+    loaded = ModelBased.load(tmp_path / "axis.base")
+    record = axis_windows(6)[0][21]
+    assert loaded.score(record).to_json() == watched().score(record).to_json()
+    assert loaded.baseline.mended and not loaded.model.effects
+
+
+def test_a_baseline_of_another_version_is_refused(tmp_path, monkeypatch):
+    watched().save(tmp_path / "axis.base")
+    monkeypatch.setattr("residuum.diagnosis.model_based.baseline._VERSION", 7)
+    with pytest.raises(BadInput, match="train it again"):
+        Baseline.load(tmp_path / "axis.base", "model-based")
+
+
+def test_a_window_at_another_rate_or_too_short_or_with_a_gap_is_not_assessable():
+    record = axis_windows(6)[0][20]
+    gap = np.array(record["velocity"])
+    gap[400:410] = np.nan
+    unfit = [replace(record, sample_time=0.01), record.window(0, 80), changed(record, velocity=gap)]
+    for one, says in zip(unfit, ("sampled every", "80 samples", "missing samples"), strict=True):
+        finding = watched().score(one)
+        assert finding.verdict is Verdict.NOT_ASSESSABLE and says in finding.reason
+
+
+def test_what_a_baseline_cannot_see_is_told():
+    told = watched().learned()
+    assert 0.0 < told["parameters"]["M"]["smallest_visible_change"] < 0.1 * axis_windows(6)[1].M
+    assert any("would be found in one window" in line for line in told["says"])
+
+
+def test_a_window_that_stands_apart_is_told_when_training():
+    windows = list(axis_windows(6)[0][:20])
+    windows[7] = changed(windows[7], velocity=1.3 * windows[7]["velocity"])
+    told = ModelBased(model="linear-axis").fit(windows).learned()
+    assert told["apart"] == [7] and any("window 7" in line and "apart" in line for line in told["says"])
+
+
+def test_relearned_it_still_lacks_what_it_lacked_and_an_accepted_model_takes_its_place():
+    windows = axis_windows(6)[0]
+    again = watched().relearned(windows[:8])
+    assert again.baseline.mended == watched().baseline.mended and not again.model.effects
+    use = watched().baseline.stand_ins[0]
+    improved = load_model("linear-axis").with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    accepted = watched().relearned(windows[:8], improved)
+    assert accepted.baseline.mended == () and accepted.baseline.asked.effects == improved.effects
+    assert accepted.score(windows[22]).verdict is Verdict.HEALTHY
+
+
+def test_an_offset_is_held_against_that_of_healthy_windows():
+    record, b = axis_windows(6)[0][22], watched().baseline
+    seen = seen_window(b, record)
+    moved = seen_window(b, changed(record, velocity=record["velocity"] + 0.01))
+    assert moved.offsets[1] - seen.offsets[1] == pytest.approx(0.01, rel=0.05)
+    healthy, faulty = (detected(b, seen.fit, offsets, seen.features).p for offsets in (seen.offsets, moved.offsets))
+    assert faulty < 1e-6 < healthy

@@ -10,7 +10,7 @@ from residuum.identification.record import Record
 
 @pytest.fixture(scope="module")
 def judge():
-    return ModelBased().fit([_axis(seed) for seed in range(20)])
+    return ModelBased().fit([_axis(seed) for seed in range(12)])
 
 
 def with_fault(record, name, fault):
@@ -39,6 +39,14 @@ def test_a_new_friction_is_not_learned(judge):
 
 
 def test_healthy_windows_are_learned_from(judge):
-    for first in (300, 400, 500):
+    for first in (300, 400):
         judge.refuse_learning([_axis(first + seed) for seed in range(12)])
-    assert judge.relearned([_axis(600 + seed) for seed in range(12)]).baseline.scatter.windows == 12
+    assert judge.relearned([_axis(600 + seed) for seed in range(8)]).baseline.windows == 8
+
+
+def test_a_new_friction_is_learned_where_the_user_has_accepted_it(judge):
+    windows = [_axis(700 + seed, friction=2.0) for seed in range(8)]
+    with pytest.raises(NothingLearned):
+        judge.relearned(windows, judge.model.with_effect("constant-load", "axis", {"tau_0": 0.0}))
+    accepted = judge.relearned(windows, judge.model.with_effect("coulomb-friction", "axis", {"tau_c": 2.0}))
+    assert accepted.baseline.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(2.0, rel=0.05)

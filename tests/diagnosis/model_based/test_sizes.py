@@ -4,10 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from residuum.diagnosis.diagnosers.model_based import ModelBased
+from residuum.diagnosis.diagnosers.model_based import ModelBased, _axis
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.simulation import MACHINES
 
 MOTOR = """
 name: motor
@@ -58,12 +57,10 @@ def size_of(finding, name):
     return next(c for c in finding.evidence["causes"] if c["name"] == name)["value"]
 
 
-def test_values_that_move_with_a_temperature_scatter_no_more_than_the_noise_lets_them():
+def test_values_that_move_with_a_temperature_scatter_less_than_they_move():
     b = motor().baseline
-    at = dict(zip(b.free, b.free_sizes, strict=True))["R"]
-    place = b.scatter.own.tolist().index(at)
-    scatter = float(np.sqrt(b.scatter.variance[place]) * b.scatter.scale[at])
-    assert scatter < 1e-3 * b.tracking.model.values["R"]  # told to first order about one value it was some three times that
+    at = b.free.index("R")
+    assert np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]  # over all temperatures they move by a twelfth on either side
 
 
 def test_a_changed_resistance_lies_in_its_band_at_any_temperature():
@@ -73,29 +70,8 @@ def test_a_changed_resistance_lies_in_its_band_at_any_temperature():
             record, R = warm_motor(seed, fault)
             size = size_of(motor().score(record), "R")
             inside.append(size["band_95"][0] <= R <= size["band_95"][1])
-            assert size["std"] < 5e-3 * R
+            assert size["std"] < 2e-2 * R
     assert sum(inside) >= 21
-
-
-def test_what_the_model_may_lack_widens_the_size_where_the_fault_leads_out_of_the_healthy_range():
-    """An oven that radiates, which its model lacks: with a fifth less loss it becomes hotter than it ever was when healthy."""
-    inside, widths = [], []
-    for seed in (201, 202):
-        machine = MACHINES["oven"](seed, {"radiation": "small"}, configuration="lumped", profile="steps")
-        nominal, found = machine.oven, []
-        for k in range(23):
-            machine.oven = nominal._replace(G_ambient=nominal.G_ambient * (0.8 if k >= 20 else 1.0))
-            run = machine.simulate(8 * 3600.0)
-            found.append(Record(dict(run.channels), dict(run.units), run.sample_time, t0=run.t0, source=f"oven {k}"))
-        judge = ModelBased(model="oven", fix_undetermined=True).fit(found[:20])
-        b = judge.baseline
-        assert b.left_open.size.shape == b.left_open.sizes.shape and np.isfinite(b.left_open.size).all()
-        for record in found[20:]:
-            size = size_of(judge.score(record), "h")
-            usual = b.usual_values(b.beside.conditions(record))[0]["h"]
-            inside.append(abs(size["value"] - (usual - 0.2 * nominal.G_ambient)) < 1.96 * size["std"])
-            widths.append(size["std"] / usual)
-    assert all(inside) and max(widths) < 0.02
 
 
 def test_values_far_from_the_usual_are_told_where_they_are():
@@ -103,3 +79,25 @@ def test_values_far_from_the_usual_are_told_where_they_are():
         record, R = warm_motor(seed, 1.3)
         told = motor().score(record).evidence["parameters"]["R"]
         assert abs(told["value"] - R) < 2e-3 * R  # to first order a tenth of the change would be missing
+
+
+CART = """
+name: cart
+inputs: {force: N}
+states: {q: {unit: m, rate: v}, v: {unit: m/s}}
+parameters:
+  M: {value: 80, unit: kg, lower: 1}
+  g: {value: 1, unit: 1, lower: 0.01}
+balances:
+  axis: {kind: force, storage: M * der(v), terms: {drive: g * force}, position: q, velocity: v}
+outputs:
+  position: {value: q, unit: m}
+  velocity: {value: v, unit: m/s}
+"""
+
+
+def test_where_only_a_ratio_is_determined_one_value_is_held_and_either_may_have_changed():
+    judge = ModelBased(model=read_model(CART, "cart"), fix_undetermined=True).fit([_axis(seed) for seed in range(6)])
+    assert len(judge.baseline.free) == 1 and set(judge.baseline.asked.free) == {"M", "g"}
+    first = judge.score(_axis(51, mass=120.0)).evidence["causes"][0]
+    assert {"M", "g"} <= {first["name"], *first["indistinguishable_from"]}

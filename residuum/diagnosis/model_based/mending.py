@@ -1,0 +1,126 @@
+"""Missing physics of a watched machine: what its model lacks in healthy windows, each at values of its own.
+
+Over all windows together the scatter of values hides it. So it is sought in single windows by the judge of missing physics, and
+kept where it takes error away in the others as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.diagnosis.model_based.baseline import alone
+from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, OPEN, SEARCH, SEARCHED
+from residuum.diagnosis.model_based.whitening import Whitening
+from residuum.diagnosis.model_based.window_fit import Fit, information, log_power
+from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.physics import Experiment, Key, PhysicalModel
+from residuum.identification.physics.effects.base import Parameter
+from residuum.identification.residual_analysis.input_timing import turned_timing
+from residuum.identification.unseen_blocks.data import data_of
+from residuum.identification.unseen_blocks.search import Search, Wanted, search
+from residuum.identification.unseen_blocks.verdict import is_timing
+from residuum.identification.work import at_most
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Mended:
+    """A model, how its inputs move between samples, and its fit to each window at the window's own values."""
+
+    model: PhysicalModel
+    windows: Sequence[Experiment]
+    fits: Sequence[Fit | None]
+
+    @property
+    def log_errors(self) -> Array:
+        """Mean over the outputs of the logarithm of the RMS error in each window; infinite where the model diverges."""
+        there = self.windows[0].measured
+        return np.array([np.inf if f is None else np.mean(log_power(f)[: len(there)], where=there) for f in self.fits])
+
+
+def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
+    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it; both as they are
+    where nothing is lacking in all of them.
+
+    Values of new effects that the windows leave open are held.
+    """
+    few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
+    base = _fitted(model, few, whitening)
+    found = [_fitted(*one, whitening) for one in _lacking(model, few)]
+    errors = [one.log_errors for one in found]
+    better = [k for k, error in enumerate(errors) if _falls(base.log_errors - error)]
+    if not better:
+        return model, list(windows)
+    best = min(better, key=lambda k: float(errors[k].mean()))
+    alike = [k for k in better if k == best or not _falls(errors[k] - errors[best], 1.0)]
+    chosen = found[min(alike, key=lambda k: (len(found[k].model.free), float(errors[k].mean())))]
+    return _settled(chosen, model), [replace(e, hold=chosen.windows[0].hold) for e in windows]
+
+
+def held(model: PhysicalModel, names: Sequence[str]) -> PhysicalModel:
+    """The model with these values, by full name, no longer free."""
+    effects = tuple(replace(use, parameters=_fixed(use.parameters, names, f"{use.label}.")) for use in model.effects)
+    return replace(model, parameters=_fixed(model.parameters, names), effects=effects)
+
+
+def _fixed(parameters: Mapping[str, Parameter], names: Sequence[str], prefix: str = "") -> dict[str, Parameter]:
+    return {name: replace(p, fixed=p.fixed or prefix + name in names) for name, p in parameters.items()}
+
+
+def evenly(windows: int, count: int) -> list[int]:
+    """So many windows, evenly over all of them."""
+    return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
+
+
+def _lacking(model: PhysicalModel, windows: Sequence[Experiment]) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
+    """The model with what one of the windows lacks, for some of them, at either input timing of all windows."""
+    found: dict[tuple[Key, ...], list[tuple[PhysicalModel, Sequence[Experiment]]]] = {}
+    for k in evenly(len(windows), SEARCHED):
+        try:
+            with at_most(SEARCH):
+                there = search(data_of(model, [windows[k]]), Wanted(held=False))
+        except (BadRecord, NotIdentifiable):
+            continue
+        one = _physics(there)
+        keys = tuple(use.key for use in one.effects)
+        if len(keys) > len(model.effects) and keys not in found:
+            found[keys] = [(one, windows), (one, turned_timing(windows))]
+    return [each for both in found.values() for each in both]
+
+
+def _physics(found: Search) -> PhysicalModel:
+    """The best model without shifts in time by less than a sample: those are how records were taken."""
+    model = found.best.model
+    for use in found.best.model.effects:
+        if use.key in found.best.keys and is_timing(use.key, found):
+            model = model.without_effect(use.label)
+    return model
+
+
+def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> _Mended:
+    start = np.array([model.values[name] for name in model.free])
+    return _Mended(model, windows, [alone(model, window, start, whitening) for window in windows])
+
+
+def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
+    """At the middle of the windows' values; of new effects held are shapes, which no window changes, and what they leave open."""
+    names, fits = list(found.model.free), [fit for fit in found.fits if fit is not None]
+    values = np.median([fit.others for fit in fits], axis=0)
+    total = np.sum([information(fit, len(names)) for fit in fits], axis=0)
+    std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
+    told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
+    shapes = {
+        f"{use.label}.{p}" for use in found.model.effects if use.effect.sizes for p in use.parameters if p not in use.effect.sizes
+    }
+    new = [name for name, there in zip(names, told, strict=True) if name not in before.free and (name in shapes or not there)]
+    return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
+
+
+def _falls(gain: Array, times: float = ALWAYS) -> bool:
+    """Whether the error falls in windows by more than so many standard errors."""
+    return bool(np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain)))

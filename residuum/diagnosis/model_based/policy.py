@@ -1,0 +1,63 @@
+"""Every number that windows are judged by: its unit in brackets (none: a ratio or a count), its meaning, and what set it."""
+
+FEWEST_WINDOWS, CUT_INTO = 6, 20
+"""Healthy windows at least, and windows that few long records are cut into. Chosen."""
+FEWEST_SAMPLES = 60
+"""[samples] Of a healthy window. Chosen."""
+OPEN = 0.3
+"""[of its value] Standard deviation over all healthy windows from which on a value is undetermined. Chosen."""
+WIDE = 0.5
+"""[of its value] Standard deviation of the prior on a value that a window is asked for by itself. Chosen."""
+RIDGES = (256.0, 64.0, 16.0, 4.0, 1.0, 0.1)
+"""How little a value depends on the kind of run, the least dependence first; chosen by evidence."""
+EVIDENT = 1.0
+"""[nat] By which the evidence has to rise for more dependence. Chosen."""
+EM_STEPS = 200
+"""Of the mean and scatter of values that windows tell unequally well. Chosen."""
+STILL = 0.05
+"""[of its size] As what the spread of a feature counts at least, and below which a signal stands. Chosen."""
+
+SEARCHED, CALIBRATED = 1, 8
+"""Healthy windows in which missing physics is sought, and in which every hypothesis is tried. Chosen."""
+SEARCH = 1e9
+"""[samples] Of work in one such search. Chosen."""
+ALWAYS = 3.0
+"""[standard errors over windows] By which the error has to fall in them for an effect to be missing physics. Chosen."""
+
+LOOK, STEPS = 2, 8
+"""Gauss-Newton steps of a look and of a fit. Chosen."""
+FITTED = 14
+"""Hypotheses that are fitted after the look. Chosen."""
+STARTS = 4
+"""First shapes of an effect that are looked at. Chosen."""
+FIRST_SIZE = 0.1
+"""[of the catalogue's first size] With which an effect begins: the fit finds its size. Chosen."""
+NO_MERIT = 0.05
+"""[of healthy power] Error power in a block less than which is no merit. Chosen."""
+SETTLED = 1e-4
+"""[of the cost] Fall of a step at which a descent ends. Chosen."""
+KNOTS = 6
+"""Of an unknown load that changes slowly over a window. Chosen."""
+
+GRID, PARTS, FOLLOWED, FINEST = 16, 4, 4, 100
+"""Beginnings of what sticks; coarse beginnings of all else, how many are followed further, and the parts of a window
+at the end. Chosen."""
+UNEXPLAINED = 4.0
+"""[standard deviations] Of error power above the usual from which on one cause is not enough. Chosen."""
+LEAST_UNKNOWN = 0.1
+"""Probability of `unknown` at least where error is left. Chosen."""
+
+FAR = 8.0
+"""[robust spreads] Of an error from which on a reading may have been lost. Chosen."""
+LEAST_EXCITED = 0.03
+"""[of a healthy window's] Information on some value that a window needs. Chosen."""
+SHORTEST = 0.25
+"""[of a healthy window] Length under which a window is too short. Chosen."""
+TOLD = 12
+"""Causes that an answer lists at most. Chosen."""
+POWER = 0.9
+"""Probability with which the smallest visible change of a baseline is found. Chosen."""
+LEARNED_FALSELY = 0.01
+"""Probability with which healthy windows are refused as a new baseline. Chosen."""
+APART = 1e-3
+"""Probability, over all windows, with which a healthy window is said to stand apart from the others. Chosen."""

@@ -1,0 +1,79 @@
+"""One way to begin with a hypothesis: a model, what is done to its inputs and readings, and which numbers are its sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.physics import PhysicalModel
+
+Array = npt.NDArray[np.float64]
+Edit = Callable[[Array, Array], Array]
+"""Signals (n, channels) and sizes → signals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A model and its sizes.
+
+    Attributes
+    ----------
+    model : PhysicalModel
+    own : tuple of str
+        Parameters of the model that are sizes.
+    sizes : tuple of float
+        First values of what is done to inputs and readings, which is affine in the signals.
+    lower : tuple of float
+        Their lower bounds.
+    inputs, reading : edit or None
+    louder : function or None
+        By how much the sizes multiply the noise of each output, shape (outputs,).
+    onset : int
+        Sample from which on it acts.
+    """
+
+    model: PhysicalModel
+    own: tuple[str, ...] = ()
+    sizes: tuple[float, ...] = ()
+    lower: tuple[float, ...] = ()
+    inputs: Edit | None = None
+    reading: Edit | None = None
+    louder: Callable[[Array], Array] | None = None
+    onset: int = 0
+
+
+def edited(column: int, how: Edit, first: int = 0) -> Edit:
+    """The signals with one column changed from a sample on."""
+
+    def edit(values: Array, sizes: Array) -> Array:
+        out = values.copy()
+        out[first:, column] = how(values[first:, column], sizes)
+        return out
+
+    return edit
+
+
+def amplified(y: Array, sizes: Array) -> Array:
+    """A share more of the signal."""
+    return np.asarray(y * (1.0 + sizes[0]))
+
+
+def shifted(y: Array, sizes: Array) -> Array:
+    """The signal so much higher."""
+    return np.asarray(y + sizes[0])
+
+
+def held(y: Array, sizes: Array) -> Array:
+    """The signal at one value."""
+    return np.full_like(y, sizes[0])
+
+
+def delayed(y: Array, sizes: Array) -> Array:
+    """The signal so many samples late, between samples a line."""
+    at = np.clip(np.arange(len(y)) - sizes[0], 0, len(y) - 1)
+    low = np.minimum(at.astype(np.int64), len(y) - 2)
+    part = (at - low).reshape((-1,) + (1,) * (y.ndim - 1))
+    return np.asarray(y[low] * (1.0 - part) + y[low + 1] * part)

@@ -1,0 +1,297 @@
+r"""A window fitted with one thing more free than the healthy model has.
+
+Least squares of whitened simulation errors by Gauss-Newton steps; values that the hypothesis does not name keep their healthy
+scatter as a prior, so that a change smaller than that is none. What a fit costs, in nats:
+
+    ½ Σ_b samples_b ln(whitened power_b + 0.05)  +  ½ (ν + k) ln(1 + t²/ν)  +  ½ sizes · ln(samples),
+
+the error power in blocks b, what k other values pay to the prior (Student: their scatter is known from ν windows), and the sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.diagnosis.model_based.policy import LOOK, NO_MERIT, SETTLED, STEPS
+from residuum.diagnosis.model_based.variant import Variant
+from residuum.diagnosis.model_based.whitening import Whitening
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.unseen_blocks.policy import BLOCKS
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A variant fitted.
+
+    Attributes
+    ----------
+    others, own : array
+        Values under the prior, and the sizes.
+    power : array, shape (blocks, outputs)
+        Mean square of whitened errors over the healthy one.
+    paid : float
+        [nat] What the other values paid to the prior.
+    white, error : array, shape (n, outputs)
+        Errors whitened, and in the outputs' units (NaN where nothing was measured).
+    information : array
+        Of (others, own, first states), the prior left out.
+    initial : array
+        First states.
+    """
+
+    variant: Variant
+    others: Array
+    own: Array
+    power: Array
+    paid: float
+    white: Array
+    error: Array
+    information: Array
+    initial: Array
+    onset: int = 0
+
+
+class WindowFitter:
+    """One window, and what is usual for such a run."""
+
+    def __init__(
+        self, model: PhysicalModel, window: Experiment, mean: Array, covariance: Array, whitening: Whitening, freedom: float
+    ) -> None:
+        self.model, self.free, self.window = model, list(model.free), window
+        self.mean, self.covariance, self.whitening, self.freedom = mean, covariance, whitening, freedom
+        self.known = np.isfinite(window.Y)
+        self.count = self.known.sum(axis=0)
+        self.samples = np.maximum(self.count / whitening.inflation, 2.0) * (self.count > 0)
+        self.block = np.arange(window.n) * BLOCKS // window.n
+
+    def of(self, window: Experiment) -> WindowFitter:
+        """The same of another window of such a run."""
+        return WindowFitter(self.model, window, self.mean, self.covariance, self.whitening, self.freedom)
+
+    def blocks(self, white: Array) -> Array:
+        """Mean square in each block, shape (blocks, outputs); healthy (1) where nothing was measured."""
+        square = np.where(self.known, white * white, 0.0)
+        total = np.array([np.bincount(self.block, v, BLOCKS) for v in square.T]).T
+        count = np.array([np.bincount(self.block, v, BLOCKS) for v in self.known.T]).T
+        return np.where(count > 0, total / np.maximum(count, 1), 1.0)
+
+    def steps(self, white: Array) -> Array:
+        """Half the mean square of steps from sample to sample in the usual block, shape (outputs,)."""
+        steps = np.concatenate([np.zeros((1, white.shape[1])), np.diff(white, axis=0) / np.sqrt(2.0)])
+        return np.asarray(np.median(self.blocks(steps), axis=0))
+
+    def louder(self, white: Array) -> Array:
+        """By how much white noise has grown beyond the most that is usual, told by steps, shape (outputs,)."""
+        return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
+
+    def logs(self, fit: Fit) -> Array:
+        """[nat] What each block costs, shape (blocks,)."""
+        return np.asarray(0.5 * np.log(fit.power + NO_MERIT) @ self.samples / BLOCKS)
+
+    def healthy_logs(self) -> float:
+        """[nat] What a window costs whose errors are healthy."""
+        return float(0.5 * np.log(1.0 + NO_MERIT) * self.samples.sum())
+
+    def price(self, fit: Fit) -> float:
+        """[nat] What its other values and its sizes cost."""
+        return fit.paid + 0.5 * (len(fit.own) + (fit.onset > 0)) * float(np.log(max(self.samples.sum(), 4.0)))
+
+    def nats(self, fit: Fit) -> float:
+        """[nat] What it costs."""
+        return float(self.logs(fit).sum()) + self.price(fit)
+
+    def fit(self, variant: Variant, steps: int = STEPS, begin: Fit | None = None, first: Array | None = None) -> Fit | None:
+        """From a fit of the same variant, or from the variant's values and `first` states; None where it cannot be simulated."""
+        try:
+            return _Problem(self, variant, begin, first).solved(steps)
+        except (BadInput, NotImplementedError, np.linalg.LinAlgError):
+            return None
+
+    def states(self, fit: Fit) -> Array:
+        """States along a fit of the healthy model, shape (n, states)."""
+        simulator = Simulator(self.model)
+        p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
+        substeps = simulator.substeps_each([self.window], [fit.initial], p)
+        return np.asarray(simulator.run_each([self.window], [fit.initial], p, substeps=substeps).X)
+
+
+class _Problem:
+    """Unknowns z: other values, own parameters, first states, sizes of what is done to signals."""
+
+    def __init__(self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: Array | None) -> None:
+        self.fitter, self.variant = fitter, variant
+        self.simulator, known = Simulator(variant.model), variant.model.all_parameters
+        keep = [j for j, name in enumerate(fitter.free) if name not in variant.own]
+        names = [*(fitter.free[j] for j in keep), *variant.own]
+        states = [name for name in self.simulator.free_states if name not in fitter.window.known]
+        self.k, self.q, self.nx = len(keep), len(names), len(states)
+        self.mean = fitter.mean[keep]
+        self.prior = _root_of_inverse(fitter.covariance[np.ix_(keep, keep)])
+        self.at = [self.simulator.states.index(name) for name in states]
+        self.columns = self.simulator.columns(names)
+        self.slopes = [*names, *(f"initial:{name}" for name in states)]
+        free = [-np.inf] * self.nx
+        self.lower = np.array([*(known[n].lower for n in names), *free, *variant.lower])
+        self.upper = np.array([*(known[n].upper for n in names), *(-x for x in free), *[np.inf] * len(variant.sizes)])
+        self.x0 = begin.initial if begin else self._first_states(first)
+        m = len(variant.own)
+        if begin:
+            z = [begin.others, begin.own[:m], self.x0[self.at], begin.own[m:]]
+        else:
+            z = [self.mean, np.array([known[n].value for n in variant.own]), self.x0[self.at], np.array(variant.sizes)]
+        self.z = np.clip(np.concatenate(z), self.lower, self.upper)
+        self.substeps: list[int] | None = None
+
+    def solved(self, steps: int) -> Fit | None:
+        """The fit after so many steps; None where the first values cannot be simulated."""
+        here = self._errors(self.z)
+        if here is None:
+            return None
+        z = self.z
+        for _ in range(1 if steps <= LOOK else 2):  # twice: errors beyond the healthy size say less
+            z, here = self._descended(z, here, self._weights(here[0]), steps)
+        return self._told(z, here)
+
+    def _descended(
+        self, z: Array, here: tuple[Array, Array, Array], weights: Array, steps: int
+    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        damping, now = 1e-3, self._cost(z, here[0], weights)
+        for _ in range(steps):
+            J = (here[1] * weights[:, None]).reshape(-1, len(z))
+            H, g = J.T @ J, J.T @ (here[0] * weights).ravel()
+            H[: self.k, : self.k] += self.prior.T @ self.prior
+            g[: self.k] -= self.prior.T @ self._paid(z)
+            for _ in range(6):
+                trial = np.clip(z + _bounded_step(H, g, z, self.lower, self.upper, damping), self.lower, self.upper)
+                there = self._errors(trial)
+                if there is not None and self._cost(trial, there[0], weights) < now:
+                    break
+                damping = max(damping, 1e-4) * 8.0
+            else:
+                return z, here
+            assert there is not None
+            before, now = now, self._cost(trial, there[0], weights)
+            z, here, damping = trial, there, damping / 10.0
+            if now > before * (1.0 - SETTLED):
+                break
+        return z, here
+
+    def _told(self, z: Array, here: tuple[Array, Array, Array]) -> Fit | None:
+        k, q, nx, variant, fitter = self.k, self.q, self.nx, self.variant, self.fitter
+        J = (here[1] * self._weights(here[0])[:, None]).reshape(-1, len(z))
+        order = [*range(q), *range(q + nx, len(z)), *range(q, q + nx)]
+        x0 = self.x0.copy()
+        x0[self.at] = z[q : q + nx]
+        power = fitter.blocks(here[0])
+        if variant.louder is not None:
+            power = power / np.clip(fitter.louder(here[0]), 1.0, np.maximum(variant.louder(z[q + nx :]), 1.0))
+        information = (J.T @ J)[np.ix_(order, order)]
+        if not (np.all(np.isfinite(power)) and np.all(np.isfinite(information))):
+            return None
+        paid, freedom = self._paid(z), fitter.freedom
+        worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
+        error = np.where(fitter.known, here[2], np.nan)
+        own = np.concatenate([z[k:q], z[q + nx :]])
+        return Fit(variant, z[:k], own, power, worth, here[0], error, information, x0, variant.onset)
+
+    def _paid(self, z: Array) -> Array:
+        return np.asarray(self.prior @ (z[: self.k] - self.mean))
+
+    def _cost(self, z: Array, white: Array, weights: Array) -> float:
+        paid = self._paid(z)
+        return float(np.sum((white * weights) ** 2) + paid @ paid)
+
+    def _weights(self, white: Array) -> Array:
+        rms = np.sqrt((white**2).sum(axis=0) / np.maximum(self.fitter.count, 1))
+        return np.asarray(1.0 / np.sqrt(self.fitter.whitening.inflation) / np.maximum(rms, 1.0))
+
+    def _simulated(self, z: Array, slopes: Sequence[str]) -> tuple[Array, Array | None] | None:
+        q, nx, e = self.q, self.nx, self.fitter.window
+        p, x = self.simulator.p(), self.x0.copy()
+        p[self.columns], x[self.at] = z[:q], z[q : q + nx]
+        if self.variant.inputs is not None:
+            U = self.variant.inputs(e.U, z[q + nx :])
+            e = replace(e, U=U, hold=np.concatenate([e.hold, np.ones(U.shape[1] - e.U.shape[1])]))
+        if self.substeps is None:
+            self.substeps = self.simulator.substeps_each([e], [x], p)
+        run = self.simulator.run_each([e], [x], p, slopes=slopes, substeps=self.substeps)
+        return (run.Y, run.dY) if run.bounded else None
+
+    def _errors(self, z: Array) -> tuple[Array, Array, Array] | None:
+        """Whitened errors, their falling slopes (n, outputs, unknowns), and errors as they are; None where it diverges."""
+        e, known, white = self.fitter.window, self.fitter.known, self.fitter.whitening.white
+        first, variant = self.q + self.nx, self.variant
+        run = self._simulated(z, self.slopes)
+        if run is None or run[1] is None:
+            return None
+        Y, dY = run[0], run[1]
+        if variant.reading is not None:
+            dY = variant.reading(dY, z[first:]) - variant.reading(np.zeros_like(Y), z[first:])[:, :, None]
+            Y = variant.reading(Y, z[first:])
+        for j in range(first, len(z)):  # sizes of what is done to signals: by differences
+            moved = z.copy()
+            moved[j] += 1e-4 * max(abs(z[j]), 1.0)
+            there = self._simulated(moved, ()) if variant.inputs is not None else run
+            if there is None:
+                return None
+            read = there[0] if variant.reading is None else variant.reading(there[0], moved[first:])
+            dY = np.concatenate([dY, ((read - Y) / (moved[j] - z[j]))[:, :, None]], axis=2)
+        return white(e.Y - Y, known), white(dY, known), e.Y - Y
+
+    def _first_states(self, first: Array | None) -> Array:
+        """Those of another fit, else what was measured first."""
+        e, simulator = self.fitter.window, self.simulator
+        x0 = simulator.x0(e.known)
+        if first is not None:
+            x0[: len(first)] = first[: len(x0)]
+            return x0
+        for o, out in enumerate(simulator.model.outputs.values()):
+            name = out.value.text
+            if name in simulator.free_states and name not in e.known and self.fitter.count[o]:
+                x0[simulator.states.index(name)] = e.Y[self.fitter.known[:, o], o][0]
+        return x0
+
+
+def _root_of_inverse(covariance: Array) -> Array:
+    """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each other."""
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
+
+
+def _bounded_step(H: Array, g: Array, z: Array, lower: Array, upper: Array, damping: float) -> Array:
+    """The damped step, unknowns at a bound that it would leave held."""
+    scale, held = np.sqrt(np.maximum(np.diag(H), 1e-300)), np.zeros(len(z), dtype=bool)
+    A = H / scale / scale[:, None] + (damping + 1e-10) * np.eye(len(z))
+    while True:
+        step, free = np.zeros(len(z)), ~held
+        step[free] = np.linalg.solve(A[np.ix_(free, free)], (g / scale)[free]) / scale[free]
+        leaves = free & (((z <= lower) & (step < 0.0)) | ((z >= upper) & (step > 0.0)))
+        if not leaves.any():
+            return step
+        held |= leaves
+
+
+def information(fit: Fit, keep: int) -> Array:
+    """Of the first `keep` unknowns, all others eliminated (Schur's complement)."""
+    A, B, C = fit.information[:keep, :keep], fit.information[:keep, keep:], fit.information[keep:, keep:]
+    if not len(C):
+        return A
+    d = np.sqrt(np.maximum(np.diag(C), 1e-300))
+    left = A - (B / d) @ np.linalg.pinv(C / d / d[:, None], rcond=1e-10, hermitian=True) @ (B / d).T
+    return np.asarray(0.5 * (left + left.T))
+
+
+def log_power(fit: Fit) -> Array:
+    """Logarithm of the RMS of errors as they are and whitened, shape (2 · outputs,)."""
+    known = np.isfinite(fit.error)
+    count = np.maximum(known.sum(axis=0), 1)
+    rms = [np.sqrt((np.where(known, x, 0.0) ** 2).sum(axis=0) / count) for x in (fit.error, fit.white)]
+    return np.asarray(np.log(np.concatenate(rms) + 1e-300))
