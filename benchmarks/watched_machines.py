@@ -387,7 +387,7 @@ PENDULUM = Watched(
         Fault("air × 2", ("b", "viscous-friction@arm"), scaled={"b": 2.0}),
         Fault("friction × 2", ("coulomb-friction@arm",), scaled={"tau_c": 2.0}),
         Fault("friction gone", ("coulomb-friction@arm",), scaled={"tau_c": 0.01}),
-        Fault("motor × 4 slower", ("input-lag@current", "lag@current", "delay@current", "lag@angle", "delay@angle"), scaled={"T_m": 4.0}),
+        Fault("motor × 4 slower", ("input-lag@current", "delay@current", "lag@angle", "delay@angle"), scaled={"T_m": 4.0}),
         Fault("new spring", ("linear-spring@arm", "cubic-spring@arm"), set={"k": 0.1}),
         _sensor("angle", 0.01),
     ),
