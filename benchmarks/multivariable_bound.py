@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import lfilter
 
 from residuum.identification.kernel_based.multivariable import identify_multivariable
@@ -31,20 +32,25 @@ def record(seed: int) -> Record:
     return Record({"u0": u[0], "u1": u[1], "y0": y[0], "y1": y[1]}, dict.fromkeys(("u0", "u1", "y0", "y1"), ""), 1.0)
 
 
-def true_error_over_weight(data: Record, *, cover_cut: bool) -> tuple[float, list[int]]:
-    """The largest over elements and frequencies, and the lengths of the responses that models were drawn from."""
-    model = identify_multivariable(data, ["u0", "u1"], ["y0", "y1"], order=ORDER, cover_cut=cover_cut)
-    problem = MultivariableProblem(model)
+def ratios(problem: MultivariableProblem) -> npt.NDArray[np.float64]:
+    """True |E_ij| over |W_ij| of a problem for this plant, outputs by inputs by unseen frequencies."""
     omega = np.exp(np.random.default_rng(1).uniform(np.log(1e-3), np.log(np.pi), UNSEEN))
     z = np.exp(1j * omega)
     G = np.array([[b / (z - a) for b, a in row] for row in PATHS])
     decoupled = np.einsum("pqw,qr->prw", G, problem.decoupler)
-    worst = 0.0
+    found = np.empty(decoupled.shape)
     for i, loop in enumerate(problem.loops):
         own = loop.plant.frequency_response(omega)
         for j, weight in enumerate(loop.weights):
             error = np.abs((decoupled[i, j] - (own if i == j else 0.0)) / own)
-            worst = max(worst, float((error / np.abs(weight.frequency_response(omega))).max()))
+            found[i, j] = error / np.abs(weight.frequency_response(omega))
+    return found
+
+
+def true_error_over_weight(data: Record, *, cover_cut: bool) -> tuple[float, list[int]]:
+    """The largest over elements and frequencies, and the lengths of the responses that models were drawn from."""
+    model = identify_multivariable(data, ["u0", "u1"], ["y0", "y1"], order=ORDER, cover_cut=cover_cut)
+    worst = float(ratios(MultivariableProblem(model)).max())
     lengths = [ORDER if one is None else len(one.mean) // 2 for one in model.longer or (None, None)]
     return worst, lengths
 

@@ -16,6 +16,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
+from sklearn.base import clone
 
 from reproduction.agreement import lost, recorded
 from reproduction.parts import PARTS, run
@@ -133,6 +135,52 @@ def _band_shifted(original: Any) -> Any:
     return changed
 
 
+def _settled_by_five_percent(original: Any) -> Any:
+    def changed(y: Any, sample_time: float) -> Any:
+        return replace(original(y, sample_time), settling_time=original(1.0 + 0.4 * (y - 1.0), sample_time).settling_time)
+
+    return changed
+
+
+def _aic_of_half_the_parameters(original: Any) -> Any:
+    def changed(fit: Any, orders: Any, n: int) -> Any:
+        found = original(fit, orders, n)
+        return found | {"aic": found["aic"] - orders.count}
+
+    return changed
+
+
+def _one_further(original: Any) -> Any:
+    return lambda self, segment: original(self, segment + 1)
+
+
+def _of_one_degree(original: Any) -> Any:
+    return lambda model, theta, probability=0.95: original(model, theta, float(chi2(2).cdf(chi2(1).ppf(probability))))
+
+
+def _mean_absolute(original: Any) -> Any:
+    return lambda x: replace(original(x), rms=float(np.mean(np.abs(x))))
+
+
+def _wide_band(original: Any) -> Any:
+    return lambda residual, sample_time: original(residual, sample_time, (0.5, 45.0))
+
+
+def _judged_on_what_was_taught(original: Any) -> Any:
+    def changed(estimator: Any, X: Any, y: Any, objects: Any, *args: Any, **given: Any) -> Any:
+        return replace(original(estimator, X, y, objects, *args, **given), predicted=clone(estimator).fit(X, y).predict(X))
+
+    return changed
+
+
+def _norm_too_small(original: Any) -> Any:
+    def changed(*args: Any, **given: Any) -> Any:
+        norm, omega = original(*args, **given)
+        return 0.8 * norm, omega
+
+    return changed
+
+
 _LINEAR, _KERNEL = "residuum.identification.linear_models", "residuum.identification.kernel_based"
 _CONTROL, _DIAGNOSIS = "residuum.robust_control", "residuum.diagnosis"
 MUTATIONS = (
@@ -206,6 +254,61 @@ MUTATIONS = (
         f"{_CONTROL}.certificates.time_domain:assess",
         _field_scaled("overshoot"),
         "nominal_control",
+    ),
+    Mutation(
+        "settled is within 5 % in place of 2 %",
+        f"{_CONTROL}.certificates.time_domain:assess",
+        _settled_by_five_percent,
+        "nominal_control",
+    ),
+    Mutation(
+        "AIC counts half of the parameters",
+        f"{_LINEAR}.prediction_error.order_selection:information",
+        _aic_of_half_the_parameters,
+        "uncertainty",
+    ),
+    Mutation("quadrants are turned by one", f"{_DIAGNOSIS}.vibration.rounds:Rounds.quadrant", _one_further, "gripping_pliers"),
+    Mutation(
+        "the ellipsoid has χ² of one degree of freedom",
+        f"{_LINEAR}.prediction_error.confidence:in_confidence_ellipsoid",
+        _of_one_degree,
+        "prediction_error",
+    ),
+    Mutation(
+        "an RMS is a mean absolute value",
+        f"{_DIAGNOSIS}.vibration.vibration_indicators:indicators",
+        _mean_absolute,
+        "gripping_pliers",
+    ),
+    Mutation(
+        "the residual's envelope is of 0.5 to 45 Hz",
+        f"{_DIAGNOSIS}.gate.residual_envelope:residual_envelope",
+        _wide_band,
+        "gate_actuator",
+    ),
+    Mutation(
+        "mixed folds judge what they were taught",
+        f"{_DIAGNOSIS}.learning.object_wise_validation:mixed_folds",
+        _judged_on_what_was_taught,
+        "gate_actuator",
+    ),
+    Mutation(
+        "the performance weight is half",
+        f"{_CONTROL}.weights.performance_weight:MonotoneWeight.magnitude",
+        _scaled(0.5),
+        "robust_control",
+    ),
+    Mutation(
+        "the average plant is the first configuration's",
+        f"{_CONTROL}.multi_model:average_plant",
+        _first_model_alone,
+        "oven",
+    ),
+    Mutation(
+        "the H∞ norm is a fifth too small",
+        f"{_DIAGNOSIS}.systems.system_norms:h_infinity_norm",
+        _norm_too_small,
+        "robust_residual",
     ),
 )
 

@@ -51,6 +51,15 @@ def cross_validation(observed: Sequence[Observed], X: np.ndarray) -> Item:
             source="variance 0.33 %: deviation 5.7 points",
         ),
     ]
+    checks.append(
+        at_most(
+            "accuracy of mixed folds where the features tell nothing",
+            100 * _of_chance(exemplars),
+            65.0,
+            "%",
+            source="two classes at random: 50 %",
+        )
+    )
     source = "10-fold cross-validation 86.18 %, variance 0.33 %, on two exemplars"
     reason = (
         "these classes overlap between rack and healthy alone, so that folds lose next to nothing; the bench loses ten points "
@@ -109,6 +118,13 @@ def _shared(exemplars: Sequence[int]) -> float:
     groups = np.array(exemplars, dtype=float)
     own = object_wise(DecisionTreeClassifier(), groups[:, None], list(map(str, exemplars)), exemplars)
     return float(np.sum(own.truth == own.predicted))
+
+
+def _of_chance(exemplars: Sequence[int]) -> float:
+    """Accuracy of folds whose labels were drawn: a tree knows each one that it was taught, and half of the others."""
+    drawn = [str(label) for label in np.random.default_rng(0).integers(0, 2, len(exemplars))]
+    features = np.random.default_rng(1).standard_normal((len(drawn), 2))
+    return mixed_folds(DecisionTreeClassifier(random_state=0), features, drawn, exemplars).accuracy
 
 
 def _interval(validation: Validation) -> tuple[float, float]:

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from reproduction.check import at_least, at_most, same, within
+from reproduction.check import at_least, at_most, near, same, within
 from reproduction.item import Item
 from reproduction.oven_case import AIM, DROPPED, DURATION, PLANTS, SEED, TS, N, Oven, algorithm_4, synthesised
 from reproduction.oven_grid import PAIRS, grid_items
 from residuum.robust_control.certificates.time_domain import StepResponse, assess, over_plants, step_response
+from residuum.robust_control.multi_model import average_plant
 from residuum.simulation.oven import OvenMachine
 
 _LOG = {"xaxis_title": "ω [rad/s]", "yaxis_title": "magnitude", "xaxis_type": "log", "yaxis_type": "log"}
@@ -92,9 +93,11 @@ def _models(oven: Oven) -> Item:
     nominal = oven.models["average"].frequency_response(omega)
     fresh = np.concatenate([oven.models[name].sample_frequency_responses(200, omega, SEED + 9) for name in ("worst", "best")])
     over = 100 * float(np.mean((np.abs(fresh / nominal - 1) > magnitude).any(axis=1)))
-    middle = (gains["average"] - gains["worst"]) / (gains["best"] - gains["worst"])
+    mean = float(average_plant([oven.models["worst"], oven.models["best"]]).frequency_response([0.0])[0].real)
+    middle, halfway = ((gain - gains["worst"]) / (gains["best"] - gains["worst"]) for gain in (gains["average"], mean))
     checks = [
         within("where the joined model's static gain lies between the worst's (0) and the best's (1)", middle, 0.0, 1.0),
+        near("where the mean of both models lies in the same way", 0.5, halfway, 1e-6),
         at_most("largest Ω over Ŵ_T", float((oven.largest / magnitude).max()), 1.0 + 1e-9, by_construction=True),
         at_least("largest Ω over Ŵ_T: the weight touches the dots", float((oven.largest / magnitude).max()), 0.8),
         at_most("new draws of both configurations above Ŵ_T anywhere", over, 5.0, "%"),

@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2
 from reproduction.check import Check, near, within
 from reproduction.item import Item
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify
+from residuum.identification.linear_models.prediction_error import STRUCTURES, Orders, identify, in_confidence_ellipsoid
 from residuum.identification.record import Record
 
 A, B, INPUT_VARIANCE = 0.4, 0.6, 0.4
@@ -94,7 +94,7 @@ def _parameter_ellipses(runs: Runs) -> Item:
     checks = []
     figure = go.Figure(layout={"xaxis_title": "â", "yaxis_title": "b̂", "title": "95 % ellipses of the first estimate"})
     for (n, variance), models in runs.items():
-        inside = sum(_inside(model, limit) for model in models)
+        inside = sum(in_confidence_ellipsoid(model, [B, A], LEVEL) for model in models)
         checks.append(_covered(f"ellipses that hold the truth, n = {n}, σe² = {variance:g}", inside, len(models), n))
         ellipse = _ellipse(models[0], limit)
         figure.add_scatter(x=ellipse[:, 1], y=ellipse[:, 0], mode="lines", name=f"n = {n}, σe² = {variance:g}")
@@ -107,11 +107,6 @@ def _ellipse(model: IdentifiedModel, limit: float) -> np.ndarray:
     root = np.linalg.cholesky(model.parameter_covariance)
     centre = np.array([model.numerator[0], model.denominator[1]])
     return centre + np.sqrt(limit) * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ root.T
-
-
-def _inside(model: IdentifiedModel, limit: float) -> bool:
-    error = np.array([model.numerator[0] - B, model.denominator[1] - A])
-    return bool(error @ np.linalg.solve(model.parameter_covariance, error) <= limit)
 
 
 def _nyquist_ellipses(runs: Runs) -> Item:
@@ -131,7 +126,25 @@ def _nyquist_ellipses(runs: Runs) -> Item:
         checks.append(_covered(name, int(inside.min()), len(models), n))
         rows.append((str(n), f"{variance:g}", f"{100 * rate.min():.1f} %", f"{100 * rate.mean():.1f} %"))
     figure = go.Figure(layout={"xaxis_title": "Re G", "yaxis_title": "Im G", "title": "Nyquist ellipses, n = 200, σe² = 1"})
-    for ellipse in runs[200, 1.0][0].confidence_ellipses(FREQUENCIES):
+    shown = runs[200, 1.0][0]
+    ellipses = shown.confidence_ellipses(FREQUENCIES)
+    checks.append(
+        near(
+            "squared distance of drawn ellipses from their centres over χ² of two degrees, the farthest off",
+            1.0,
+            _off(shown, ellipses, limit),
+            0.01,
+        )
+    )
+    for ellipse in ellipses:
         figure.add_scatter(x=ellipse.real, y=ellipse.imag, mode="lines", line={"color": "#8a97a6"}, showlegend=False)
     figure.add_scatter(x=truth.real, y=truth.imag, mode="lines+markers", name="true")
     return Item("Fig. 31–32", "Nyquist ellipses (1.113)", "95 % regions in the frequency domain", checks, "", rows, [figure])
+
+
+def _off(model: IdentifiedModel, ellipses: np.ndarray, limit: float) -> float:
+    """Squared Mahalanobis distance of drawn points from the estimate over the limit, of the point where it is farthest from 1."""
+    off = ellipses - model.frequency_response(FREQUENCIES)[:, None]
+    pair = np.stack([off.real, off.imag], axis=-1)
+    ratio = np.einsum("fki,fij,fkj->fk", pair, np.linalg.inv(model.frequency_covariance(FREQUENCIES)), pair) / limit
+    return float(ratio.ravel()[np.argmax(np.abs(ratio - 1.0))])

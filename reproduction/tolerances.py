@@ -81,8 +81,8 @@ TOLERANCES = {
         "at least."
     ),
     "Fig. 61": (
-        "A model of both lies between the two; the bound's exceptions are ε = 5 %, and a weight that touches its dots is "
-        "nearer than 0.8."
+        "A model of both lies between the two, their mean halfway to rounding; the bound's exceptions are ε = 5 %, and a "
+        "weight that touches its dots is nearer than 0.8."
     ),
     "Fig. 62": "A tenth less of ℓ̂ must break the limit 1 + γ = 1.15; exceptions of the random plants are ε = 5 %.",
     "Fig. 63": "ô and ℓ̂ are limits; groups do not overlap if the least of one is above the largest of the other.",
@@ -112,7 +112,8 @@ TOLERANCES = {
     "Section 6.3": "A line is found if it lies within 2 % of the geometry's: slip of the rolling elements is 1 to 2 %.",
     "Fig. 78": "Cells and colours are read from the source, and equal or not.",
     "Fig. 84": (
-        "Sums over the same lines are exact but for interpolation between them: 1 to 5 %; a window spreads a swing by a tenth."
+        "Sums over the same lines are exact but for interpolation between them: 1 to 5 %; a window spreads a swing by a tenth. "
+        "Four times above the band's edge a tone of 0.5 is damped 256 times; a twentieth is far from both that and from none."
     ),
     "Fig. 85": (
         "A motor's data sheet gives 1/K to a tenth, friction adds half of that: 15 %. The speed was 'about' 4100 rpm: 5 %."
@@ -128,7 +129,8 @@ TOLERANCES = {
     ),
     "Section 7.6": (
         "The source's number must lie in the 95 % interval of ours over exemplars; folds deviate by 5.7 points in the "
-        "source, and 20 is over three times that."
+        "source, and 20 is over three times that. Labels drawn at random are told by half, and 65 % is three standard "
+        "deviations beyond; who judges what he was taught tells all."
     ),
     "(A.7)": ("As Section 7.6. An honest validation may not be better than the mixed one; guessing healthy is beaten by half."),
 }

@@ -65,7 +65,7 @@ def _numbers(where, kind):
         yield int(two[1])
 
 
-@pytest.mark.parametrize("part", ["drawings", "sample_size", "uncertainty", "oven", "gripping_pliers"])
+@pytest.mark.parametrize("part", ["drawings", "sample_size", "uncertainty", "oven", "gripping_pliers", "gate_actuator"])
 def test_the_short_report_still_agrees_where_it_did(part):
     items = run(part, short=True)
     assert lost(recorded(short=True), {part: items}) == []

@@ -108,7 +108,7 @@ class GrippingPliers(Diagnoser):
         return self
 
     def score(self, record: Record) -> Finding:
-        """Judge every complete round of the record; reported are the medians over rounds."""
+        """Judge every complete round of the record; reported are medians over rounds, of quadrants geometric means."""
         baseline = self._trained()
         part = _RoundsOf(record)
         reason = part.reason or baseline.mismatch(part)
@@ -135,7 +135,8 @@ class GrippingPliers(Diagnoser):
         faulty = int(exceeding.sum()) >= min(2, exceeding.shape[0])
         shown = exceeding if faulty else slice(None)
         values, excess = np.median(measured[shown], axis=0), np.median(bands[shown] / band_limits, axis=0)
-        evidence = self._evidence(baseline, part, excess, np.median(bands[shown], axis=0))
+        # Impacts scatter log-normally: of few rounds the geometric mean tells quadrants apart more surely than the median does.
+        evidence = self._evidence(baseline, part, excess, np.exp(np.log(bands[shown]).mean(axis=0)))
         evidence |= {"rounds": part.rounds.count, "exceeding_rounds": int(exceeding.sum())}
         found = dict(zip(NAMES, map(float, values), strict=True)) | {"band_excess": float(excess.max())}
         thresholds = dict(zip(NAMES, map(float, limits), strict=True)) | {"band_excess": 1.0}
