@@ -66,6 +66,8 @@ def _clock(channels: list[Any], source: str) -> Any:
 def _tells_time(channel: Any) -> bool:
     if channel.dtype.kind == "M":
         return True
+    if channel.properties.get("wf_increment"):  # sampled at times of its own: a signal, whatever it is called
+        return False
     unit = _unit(channel)
     return channel.dtype.kind in "fiu" and bool(_TIME_NAME.fullmatch(channel.name)) and (not unit or seconds_of(unit) is not None)
 
