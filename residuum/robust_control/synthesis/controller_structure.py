@@ -138,10 +138,13 @@ class PIDN(ControllerStructure):
         return [(None, None), (None, None), (None, None), (0.55 * self.sample_time, 1e4 * self.sample_time)]
 
     def starts(self, gain: float, time_constant: float) -> list[FloatArray]:
-        """The PI starts with no and with some derivative action, and integrators rolled off: k_i/(s(1 + N_d s))."""
+        """The PI starts with no and with some derivative action, a zero on the plant's pole at two crossovers, and integrators
+        rolled off: k_i/(s(1 + N_d s)).
+        """
         filters = max(0.1 * time_constant, self.sample_time)
         pairs = PI(self.sample_time).starts(gain, time_constant)
         found = [np.r_[pair, d * abs(filters / gain), filters] for pair in pairs for d in (0.0, 0.1)]
+        found += [np.array([loop / gain, loop / gain / time_constant, 0.0, filters]) for loop in (2.0, 10.0)]
         for _, ki in pairs:
             lag = max(0.3 / abs(ki * gain), self.sample_time)
             found.append(np.array([-ki * lag, ki, ki * lag**2, lag]))

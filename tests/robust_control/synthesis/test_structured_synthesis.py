@@ -46,6 +46,18 @@ def test_transfer_functions_agree_with_responses():
         np.testing.assert_allclose(structure.transfer_function(rho).frequency_response(OMEGA), expected, rtol=1e-8)
 
 
+def test_a_slower_reference_costs_no_more():
+    """Its bound asks less; a dearer controller would be another valley's."""
+    plant = TransferFunction([2.0], np.polymul([1200.0, 1.0], [60.0, 1.0])).discretise(60.0)
+    loop = Loop([plant], frequency_grid([plant]))
+    W_T = 0.5 * np.hypot(1.0, loop.omega / 0.017)
+    cost = [
+        synthesise(loop, Weights(ReferenceModel(0.01, time).weight_magnitude(loop.omega), W_T), PIDN(60.0)).cost
+        for time in (300.0, 500.0, 700.0)
+    ]
+    assert cost[2] < cost[1] < cost[0]
+
+
 def test_the_optimum_is_as_good_as_a_global_search():
     weights = Weights(W_S, W_T)
     found = synthesise(LOOP, weights, PI(TS))
