@@ -33,12 +33,14 @@ class NotAssessable(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A window in the baseline's terms, its features, its own values, and the offset that each reading seems to have."""
+    """A window in the baseline's terms, its features, its own values, the offset that each reading seems to have, and the
+    information on that.
+    """
 
     window: Experiment
     features: Array
     fit: Fit
-    offsets: Array
+    offsets: tuple[Array, Array]
 
 
 @one_thread()

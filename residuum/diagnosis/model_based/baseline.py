@@ -20,7 +20,7 @@ from residuum.diagnosis.model_based.policy import LOOK, POWER, STEPS, WIDE
 from residuum.diagnosis.model_based.scatter import Scatter
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.whitening import Whitening
-from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, log_power
+from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information_on_size, log_power
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
 
@@ -116,13 +116,17 @@ class Baseline:
         there = np.tile(self.measured, 2)
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
-    def offsets_in(self, window: Experiment, features: Array) -> Array:
-        """The offset of each output that explains a window best beside values in their healthy scatter, shape (outputs,)."""
-        fitter, found = self.fitter(window, features), np.zeros(len(self.model.outputs))
+    def offsets_in(self, window: Experiment, features: Array) -> tuple[Array, Array]:
+        """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
+        the window has on it, each of shape (outputs,).
+        """
+        fitter = self.fitter(window, features)
+        found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
             fit = fitter.fit(Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted)), LOOK)
-            found[o] = 0.0 if fit is None else fit.own[0]
-        return found
+            if fit is not None:
+                found[o], told[o] = fit.own[0], information_on_size(fit, fitter.covariance)
+        return found, told
 
     def usual_gain(self, hypothesis: Hypothesis) -> float:
         """[nat] Of a hypothesis in healthy windows."""
