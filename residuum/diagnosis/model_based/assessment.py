@@ -15,6 +15,7 @@ from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.detection import Detected, detected
 from residuum.diagnosis.model_based.policy import FEWEST_SAMPLES, LEAST_EXCITED, SHORTEST, STILL
+from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.diagnosis.model_based.wording import said
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
@@ -88,7 +89,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     mean, _ = baseline.values.at(features)
     known = baseline.model.all_parameters
     mean = np.clip(mean, [known[n].lower for n in baseline.free], [known[n].upper for n in baseline.free])
-    fit = alone(baseline.model, window, mean, baseline.whitening)
+    usual = baseline.fitter(window, features).fit(Variant(baseline.model))
+    fit = alone(baseline.model, window, mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves
