@@ -75,12 +75,14 @@ def _pair(verdict: Verdict, causes: list[dict[str, Any]], first: Fault, second: 
         return "not found"
     named = [_is(cause, first) or _is(cause, second) for cause in causes[:3]]
     unknown = any(c["kind"] == "unknown" for c in causes[:2])
-    both = any(_is(c, first) for c in causes[:3]) and any(_is(c, second) for c in causes[:3])
-    if unknown:
+    both = any(_is(c, first) for c in causes[:2]) and any(_is(c, second) for c in causes[:2])
+    if unknown and not both:
         return "`unknown` beside one of them" if any(named[:2]) else "`unknown` beside another"
+    if both:
+        return "both named"
     if causes[0]["probability"] > SURE:
         return "one alone, sure" if named[0] else "another alone, sure"
-    return "both among the first three" if both else "unsure"
+    return "unsure"
 
 
 def onsets(watched: Watched, trained: ModelBased, asked: Any) -> Iterator[tuple[str, str]]:

@@ -181,6 +181,7 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
         "place": "" if h is None else h.place,
         "probability": cause.probability,
         "indistinguishable_from": list(cause.alike),
+        "beside": list(cause.beside),
         "value": size,
         "healthy": None if healthy is None else {"low": healthy[0], "high": healthy[1]},
         "onset_time": onset,
@@ -225,7 +226,8 @@ def _reason(baseline: Baseline, deviation: float, limit: float, told: list[dict[
     if told:
         first = told[0]
         alike = f" (or {', '.join(first['indistinguishable_from'])})" if first["indistinguishable_from"] else ""
-        words = f"{first['says']}{alike}; {words}"
+        also = f", and {told[1]['says']}" if first["beside"] else ""
+        words = f"{first['says']}{alike}{also}; {words}"
     if missing := missing_physics(baseline):
         names = " and ".join(f"{m['effect']}@{m['place']}" for m in missing)
         words += (

@@ -91,6 +91,15 @@ def test_a_sensor_that_reads_too_much_is_told_as_the_sensor():
     assert "velocity" in first["says"]
 
 
+def test_two_things_at_once_are_both_named():
+    windows, _ = axis_windows(10, mass=1.2)
+    record = windows[24]
+    finding = watched().score(changed(record, velocity=record["velocity"] + 0.03))
+    causes = finding.to_json()["causes"][:2]
+    assert {(c["name"], c["place"]) for c in causes} == {("M", ""), ("offset", "velocity")}
+    assert all(c["beside"] and c["probability"] > 0.5 for c in causes) and f", and {causes[1]['says']}" in finding.reason
+
+
 def test_a_stuck_sensor_is_told_with_its_onset():
     record = axis_windows(6)[0][23]
     half = record.n // 2
