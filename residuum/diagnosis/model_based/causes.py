@@ -79,10 +79,11 @@ def _two(
     if not found:
         return None
     rng, names = np.random.default_rng(0), [{h.label for h in pair.both} for pair in found]
-    logs = np.array([fitter.logs(one.fit) for one in [*found, *listed]])
+    fits = [*(pair.fit for pair in found), *(t.fit for t in listed)]
+    logs = np.array([fitter.logs(fit) for fit in fits])
     usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in found]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
-    fixed = np.array([fitter.price(one.fit) for one in [*found, *listed]]) + np.array(usual)
+    fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
     total, wins = logs.sum(axis=1) + fixed, np.zeros(len(logs))
     lead = int(np.argmin(total[: len(found)]))
     if total[lead] > total[len(found) :].min() - TIE:
@@ -92,12 +93,12 @@ def _two(
         near = np.flatnonzero(cost < cost.min() + TIE)
         wins[near] += 1.0 / len(near) / DRAWS
     doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
-    near = [k for k in range(len(found)) if k != lead and total[k] - total[lead] < max(TIE, doubt[k])]
+    rivals = [k for k in range(len(found)) if k != lead and total[k] - total[lead] < max(TIE, doubt[k])]
     best, told = found[lead], []
     std = _open(fitter, best.fit)
     for k, (h, own) in enumerate(zip(best.both, best.sizes, strict=True)):
         other = best.both[1 - k].label
-        alike = tuple(name for j in near if other in names[j] for name in names[j] - {other, h.label})
+        alike = tuple(name for j in rivals if other in names[j] for name in names[j] - {other, h.label})
         p = sum(float(wins[j]) for j in range(len(found)) if h.label in names[j])
         variance = _scatter(
             baseline, fitter, h, [best.fit.variant.own[j] for j in own if j < len(best.fit.variant.own)], len(own)
