@@ -218,6 +218,25 @@ def machine_window(watched: Watched, machine: Any, seed: int, k: int, scaled: Ma
     return _record(watched, run, k, None, temperature)
 
 
+def record_of(watched: Watched, seed: int, k: int, fault: Fault, begins: float) -> Record:
+    """Window k of the machine of this seed, in which a fault begins after this share of it."""
+    machine = watched.make(seed)
+    nominal = getattr(machine, watched.constants)
+    for before in range(k):
+        setattr(machine, watched.constants, _at_temperature(watched, nominal, seed, before)[1])
+        machine.simulate(watched.seconds)
+    temperature, here = _at_temperature(watched, nominal, seed, k)
+    setattr(machine, watched.constants, here)
+    head = machine.simulate(begins * watched.seconds)
+    if "two_bodies" in (fault.set or {}):
+        machine._y[2:4] = machine._y[0:2]
+    setattr(machine, watched.constants, _damaged(here, fault))
+    tail = machine.simulate((1.0 - begins) * watched.seconds)
+    healthy, faulty = (_record(watched, run, k, which, temperature) for run, which in ((head, None), (tail, fault)))
+    joined = {name: np.concatenate([healthy[name], faulty[name]]) for name in healthy.names}
+    return Record(joined, dict(healthy.units), head.sample_time, t0=head.t0, source=f"{watched.name} {k}")
+
+
 def _damaged(constants: Any, fault: Fault) -> Any:
     scaled = {n: _constant(constants, n) * f for n, f in (fault.scaled or {}).items()}
     return constants._replace(**scaled, **(fault.set or {}))

@@ -15,6 +15,7 @@ from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.detection import Detected, detected
 from residuum.diagnosis.model_based.policy import FEWEST_SAMPLES, LEAST_EXCITED, SHORTEST, STILL
+from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.diagnosis.model_based.wording import said
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
@@ -33,12 +34,14 @@ class NotAssessable(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A window in the baseline's terms, its features, its own values, and the offset that each reading seems to have."""
+    """A window in the baseline's terms, its features, its own values, the offset that each reading seems to have, and the
+    information on that.
+    """
 
     window: Experiment
     features: Array
     fit: Fit
-    offsets: Array
+    offsets: tuple[Array, Array]
 
 
 @one_thread()
@@ -86,7 +89,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     mean, _ = baseline.values.at(features)
     known = baseline.model.all_parameters
     mean = np.clip(mean, [known[n].lower for n in baseline.free], [known[n].upper for n in baseline.free])
-    fit = alone(baseline.model, window, mean, baseline.whitening)
+    usual = baseline.fitter(window, features).fit(Variant(baseline.model))
+    fit = alone(baseline.model, window, mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves
@@ -177,6 +181,7 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
         "place": "" if h is None else h.place,
         "probability": cause.probability,
         "indistinguishable_from": list(cause.alike),
+        "beside": list(cause.beside),
         "value": size,
         "healthy": None if healthy is None else {"low": healthy[0], "high": healthy[1]},
         "onset_time": onset,
@@ -221,7 +226,8 @@ def _reason(baseline: Baseline, deviation: float, limit: float, told: list[dict[
     if told:
         first = told[0]
         alike = f" (or {', '.join(first['indistinguishable_from'])})" if first["indistinguishable_from"] else ""
-        words = f"{first['says']}{alike}; {words}"
+        also = f", and {told[1]['says']}" if first["beside"] else ""
+        words = f"{first['says']}{alike}{also}; {words}"
     if missing := missing_physics(baseline):
         names = " and ".join(f"{m['effect']}@{m['place']}" for m in missing)
         words += (

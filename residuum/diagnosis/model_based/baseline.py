@@ -16,11 +16,11 @@ from scipy import stats
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
-from residuum.diagnosis.model_based.policy import LOOK, POWER, STEPS, WIDE
+from residuum.diagnosis.model_based.policy import POWER, STEPS, WIDE
 from residuum.diagnosis.model_based.scatter import Scatter
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.whitening import Whitening
-from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, log_power
+from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information_on_size, log_power
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
 
@@ -116,13 +116,20 @@ class Baseline:
         there = np.tile(self.measured, 2)
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
-    def offsets_in(self, window: Experiment, features: Array) -> Array:
-        """The offset of each output that explains a window best beside values in their healthy scatter, shape (outputs,)."""
-        fitter, found = self.fitter(window, features), np.zeros(len(self.model.outputs))
+    def offsets_in(self, window: Experiment, features: Array) -> tuple[Array, Array]:
+        """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
+        the window has on it, each of shape (outputs,).
+        """
+        fitter = self.fitter(window, features)
+        healthy = fitter.fit(Variant(self.model))
+        first = None if healthy is None else healthy.initial
+        found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
-            fit = fitter.fit(Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted)), LOOK)
-            found[o] = 0.0 if fit is None else fit.own[0]
-        return found
+            moved = Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted))
+            fit = fitter.fit(moved, STEPS, first=first)
+            if fit is not None:
+                found[o], told[o] = fit.own[0], information_on_size(fit, fitter.covariance)
+        return found, told
 
     def usual_gain(self, hypothesis: Hypothesis) -> float:
         """[nat] Of a hypothesis in healthy windows."""
@@ -210,10 +217,13 @@ def wide_prior(values: Array) -> Array:
     return np.diag((WIDE * np.maximum(np.abs(values), 1e-12)) ** 2)
 
 
-def alone(model: PhysicalModel, window: Experiment, mean: Array, whitening: Whitening) -> Fit | None:
-    """The window's own values of the healthy model, all of them free."""
+def alone(model: PhysicalModel, window: Experiment, mean: Array, whitening: Whitening, begin: Fit | None = None) -> Fit | None:
+    """The window's own values of the healthy model, all of them free; the lower of the descents from their mean and from a fit
+    to begin with.
+    """
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
-    return fitter.fit(Variant(model), 2 * STEPS)
+    each = [fitter.fit(Variant(model), 2 * STEPS, one) for one in ([None] if begin is None else [None, begin])]
+    return min((fit for fit in each if fit is not None), key=lambda fit: float(np.mean(fit.power)), default=None)
 
 
 def with_absent(model: PhysicalModel, absent: Sequence[str]) -> PhysicalModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.diagnosis.model_based.onset import begun
+from residuum.diagnosis.model_based.pairs import Pair, pairs
 from residuum.diagnosis.model_based.policy import LEAST_UNKNOWN, TOLD, UNEXPLAINED
 from residuum.diagnosis.model_based.trying import Tried, tried
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information
@@ -27,7 +28,9 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it began, and what is alike."""
+    """A hypothesis (None: `unknown`), its probability, sizes, their standard deviations, where it began, what is alike, and what
+    happened beside it.
+    """
 
     hypothesis: Hypothesis | None
     probability: float
@@ -35,6 +38,7 @@ class Cause:
     std: Array
     onset: int
     alike: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Cause]:
@@ -44,6 +48,7 @@ def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Caus
     if not found:
         return [Cause(None, 1.0, np.zeros(0), np.zeros(0), 0)]
     best = _cheapest(baseline, fitter, found.values())
+    whole = list(found.values())
     left = float(baseline.surprise(features, best.fit).max())
     if best.hypothesis.seen is None and (left > UNEXPLAINED or len(best.fit.own) > 2):  # many sizes may stand for a beginning
         for label, one in begun(baseline, fitter, features).items():
@@ -51,24 +56,70 @@ def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Caus
     listed = list(found.values())
     told = _weighed(baseline, fitter, listed)
     best = _cheapest(baseline, fitter, listed)
-    unknown = _unknown(baseline, fitter, features, healthy, best)
+    unknown = 0.0 if best.hypothesis.seen is not None else _unknown(baseline, fitter, features, healthy, best.fit)
     if not unknown:
         return told
-    others = [Cause(c.hypothesis, (1.0 - unknown) * c.probability, c.size, c.std, c.onset, c.alike) for c in told]
-    nobody = Cause(None, unknown, np.zeros(0), np.zeros(0), 0)
-    return [nobody, *others] if unknown > others[0].probability else [others[0], nobody, *others[1:]]
+    if (two := _two(baseline, fitter, whole, listed)) is not None:
+        alone = 1.0 - two[2]
+        told = [*two[1], *(replace(c, probability=alone * c.probability) for c in told if c.hypothesis not in two[0].both)]
+        unknown = _unknown(baseline, fitter, features, healthy, two[0].fit)
+    lead = 1 if two is None else 2
+    others = [replace(c, probability=(1.0 - unknown) * c.probability) for c in told]
+    nobody = [Cause(None, unknown, np.zeros(0), np.zeros(0), 0)] if unknown else []
+    return [*nobody, *others] if unknown > others[0].probability else [*others[:lead], *nobody, *others[lead:]]
+
+
+def _two(
+    baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
+) -> tuple[Pair, list[Cause], float] | None:
+    """The best pair of what may have been there all window long with both of its causes, where it is cheaper than any single
+    hypothesis, and the probability of any pair; that of a cause is of all pairs which hold it.
+    """
+    found = pairs(baseline, fitter, whole)
+    if not found:
+        return None
+    rng, names = np.random.default_rng(0), [{h.label for h in pair.both} for pair in found]
+    fits = [*(pair.fit for pair in found), *(t.fit for t in listed)]
+    logs = np.array([fitter.logs(fit) for fit in fits])
+    usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in found]
+    usual += [baseline.usual_gain(t.hypothesis) for t in listed]
+    fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
+    total, wins = logs.sum(axis=1) + fixed, np.zeros(len(logs))
+    lead = int(np.argmin(total[: len(found)]))
+    if total[lead] > total[len(found) :].min() - TIE:
+        return None
+    for _ in range(DRAWS):
+        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
+        near = np.flatnonzero(cost < cost.min() + TIE)
+        wins[near] += 1.0 / len(near) / DRAWS
+    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
+    rivals = [k for k in range(len(found)) if k != lead and total[k] - total[lead] < max(TIE, doubt[k])]
+    best, told = found[lead], []
+    std = _open(fitter, best.fit)
+    for k, (h, own) in enumerate(zip(best.both, best.sizes, strict=True)):
+        other = best.both[1 - k].label
+        alike = tuple(name for j in rivals if other in names[j] for name in names[j] - {other, h.label})
+        p = sum(float(wins[j]) for j in range(len(found)) if h.label in names[j])
+        variance = _scatter(
+            baseline, fitter, h, [best.fit.variant.own[j] for j in own if j < len(best.fit.variant.own)], len(own)
+        )
+        told.append(Cause(h, min(p, 1.0), best.fit.own[own], np.sqrt(std[own] ** 2 + variance), 0, alike, (other,)))
+    return best, told, float(wins[: len(found)].sum())
 
 
 def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -> Tried:
     return min(fits, key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
 
 
-def _unknown(baseline: Baseline, fitter: WindowFitter, features: Array, healthy: Fit, best: Tried) -> float:
-    """Probability that something else is there too: the part of the excess that the best cause leaves; 0 where that is usual."""
-    if best.hypothesis.seen is not None or baseline.surprise(features, best.fit).max() <= UNEXPLAINED:
-        return 0.0  # noise and lost readings are what is left: they take nothing away from it
+def _unknown(baseline: Baseline, fitter: WindowFitter, features: Array, healthy: Fit, best: Fit) -> float:
+    """Probability that something else is there too: the part of the excess that the best fit leaves; 0 where that is usual.
+
+    Not asked of noise and lost readings: they are what is left, and take nothing away from it.
+    """
+    if baseline.surprise(features, best).max() <= UNEXPLAINED:
+        return 0.0
     excess = fitter.nats(healthy) - fitter.healthy_logs()
-    taken = fitter.nats(healthy) - fitter.nats(best.fit)
+    taken = fitter.nats(healthy) - fitter.nats(best)
     return float(np.clip(1.0 - taken / max(excess, 1e-12), LEAST_UNKNOWN, 1.0))
 
 
@@ -104,20 +155,27 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
 def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
     """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter in healthy windows."""
     fit, h = tried.fit, tried.hypothesis
-    k, own = len(fit.others), fit.variant.own
+    variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
+    return np.sqrt(variance) if h.seen is not None else np.sqrt(_open(fitter, fit) ** 2 + variance)
+
+
+def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Sequence[str], sizes: int) -> Array:
+    """Variance of a hypothesis' sizes from one healthy window to the next, shape (sizes,)."""
+    if own and own[0] in fitter.free:
+        return np.diag(fitter.covariance)[[fitter.free.index(name) for name in own]]
     known = baseline.usual.get(h.label)
     variance = known.variance if known is not None else 0.0
-    usual = np.broadcast_to(variance if np.size(variance) in (1, len(fit.own)) else 0.0, fit.own.shape)
-    if h.seen is not None:
-        return np.sqrt(usual)
+    return np.broadcast_to(variance if np.size(variance) in (1, sizes) else 0.0, (sizes,))
+
+
+def _open(fitter: WindowFitter, fit: Fit) -> Array:
+    """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of it."""
+    k, own = len(fit.others), fit.variant.own
     H = information(fit, k + len(fit.own))
     keep = [j for j, name in enumerate(fitter.free) if name not in own]
     H[:k, :k] += np.linalg.inv(fitter.covariance[np.ix_(keep, keep)])
     if not np.all(np.abs(H) < _LARGEST) or np.any(np.diag(H)[k:] < 1.0 / _LARGEST):
         return np.full(len(fit.own), np.nan)  # at sizes where the slopes overflow or vanish nothing is known of them
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    open_ = (np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:]  # what nothing tells is wide open
-    if own and own[0] in fitter.free:
-        return np.sqrt(open_ + np.diag(fitter.covariance)[[fitter.free.index(name) for name in own]])
-    return np.sqrt(open_ + usual)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
+    return np.asarray(np.sqrt(np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:])

@@ -34,13 +34,15 @@ class Detected:
     surprise: Array
 
 
-def detected(baseline: Baseline, fit: Fit, offsets: Array, features: Array) -> Detected:
-    """Hold the window's own estimate against healthy ones; Bonferroni's bound over the tests."""
+def detected(baseline: Baseline, fit: Fit, offsets: tuple[Array, Array], features: Array) -> Detected:
+    """Hold the window's own estimate, its error and its offsets (with the information on them) against healthy ones;
+    Bonferroni's bound over the tests.
+    """
     mean, covariance = baseline.values.at(features)
     z, freedom = baseline.surprise(features, fit), baseline.values.freedom
     each = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
     usual, scatter = baseline.offsets.at(features)
-    t = np.abs(offsets - usual) / np.sqrt(np.diag(scatter))
+    t = np.abs(offsets[0] - usual) / np.sqrt(np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300))
     each.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
     if k := len(mean):
         d, H = fit.others - mean, information(fit, k)

@@ -28,6 +28,9 @@ LOOK, STEPS = 2, 8
 """Gauss-Newton steps of a look and of a fit. Chosen."""
 FITTED = 14
 """Hypotheses that are fitted after the look. Chosen."""
+PAIRED, PAIR_STEPS, FITTED_PAIRS = 6, 5, 4
+"""Likeliest hypotheses of which pairs are looked at where one alone leaves too much, Gauss-Newton steps of such a look, and pairs
+that are fitted. Chosen."""
 STARTS = 4
 """First shapes of an effect that are looked at. Chosen."""
 FIRST_SIZE = 0.1

@@ -227,8 +227,8 @@ def _apart(F: Array, x: Array) -> tuple[int, ...]:
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
     """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets in all of them."""
     F = np.array([baseline.kind.features(e) for e in experiments])
-    offsets = np.array([baseline.offsets_in(e, f) for e, f in zip(experiments, F, strict=True)])
-    baseline = replace(baseline, offsets=Scatter.of(F, offsets, None, 1e-6 * baseline.spans + 1e-300))
+    offsets, told = np.array([baseline.offsets_in(e, f) for e, f in zip(experiments, F, strict=True)]).swapaxes(0, 1)
+    baseline = replace(baseline, offsets=Scatter.of(F, offsets, [np.diag(h) for h in told], 1e-6 * baseline.spans + 1e-300))
     every = []
     for k in evenly(len(experiments), CALIBRATED):
         fitter = baseline.fitter(experiments[k], baseline.kind.features(experiments[k]))

@@ -280,8 +280,22 @@ def _bounded_step(H: Array, g: Array, z: Array, lower: Array, upper: Array, damp
 
 
 def information(fit: Fit, keep: int) -> Array:
-    """Of the first `keep` unknowns, all others eliminated (Schur's complement)."""
-    A, B, C = fit.information[:keep, :keep], fit.information[:keep, keep:], fit.information[keep:, keep:]
+    """Of the first `keep` unknowns, all others eliminated."""
+    return _beside(fit.information, keep)
+
+
+def information_on_size(fit: Fit, covariance: Array) -> float:
+    """Of the only size, beside other values of this prior covariance (others, others)."""
+    k = len(fit.others)
+    H = fit.information.copy()
+    H[:k, :k] += np.linalg.inv(covariance)
+    order = [k, *range(k), *range(k + 1, len(H))]
+    return float(_beside(H[np.ix_(order, order)], 1)[0, 0])
+
+
+def _beside(H: Array, keep: int) -> Array:
+    """Schur's complement of all but the first `keep`."""
+    A, B, C = H[:keep, :keep], H[:keep, keep:], H[keep:, keep:]
     if not len(C):
         return A
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))

@@ -12,6 +12,7 @@ from residuum.identification.discrepancy.policy.likelihood import LOWER_TOP
 from residuum.identification.discrepancy.policy.trials import GENERALISED_SHARE
 from residuum.identification.discrepancy.score_test import Screen
 from residuum.identification.discrepancy.soundness import at_estimate, is_sound
+from residuum.identification.discrepancy.start_values import inside_bounds
 from residuum.identification.discrepancy.structure_comparison import likelier, rival_of, schwarz
 from residuum.identification.discrepancy.structure_fits import refit
 from residuum.identification.discrepancy.structures import Structure
@@ -53,7 +54,7 @@ def grown(screen: Screen, pairs: Sequence[Key], refitted: Mapping[Key, Structure
         known = best.model.with_values({n: v for n, v in special.model.values.items() if n in best.model.all_parameters})
         initial = special.initial if find_effect(id).generalises == id else best.initial
         each = _grown_starts(id, target, special, experiments)
-        starts += [(known.with_effect(id, target, values), initial) for values in each]
+        starts += [(known.with_effect(id, target, inside_bounds(known, id, target, values)), initial) for values in each]
     structures = side_by_side(lambda one: refit(best, one[0], experiments, initial=one[1], rival=rival), starts)
     found: dict[Key, Structure] = {}
     for (model, _), structure in zip(starts, structures, strict=True):
@@ -80,7 +81,9 @@ def simplified(screen: Screen, refitted: Mapping[Key, Structure]) -> dict[Key, S
         if not values:
             continue
         known = {n: v for n, v in general.model.values.items() if n in best.model.all_parameters}
-        again = refit(best, best.model.with_values(known).with_effect(*key, values), experiments, initial=general.initial)
+        model = best.model.with_values(known)
+        model = model.with_effect(*key, inside_bounds(model, *key, values))
+        again = refit(best, model, experiments, initial=general.initial)
         higher = again is not None and (special is None or again.log_likelihood > special.log_likelihood)
         if again is not None and higher and is_sound(again, key, screen):
             found[key] = again

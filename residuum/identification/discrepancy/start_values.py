@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from residuum.identification.discrepancy.policy.trials import BASE_STEP, SHAPE_STEP, SMALL_START
@@ -9,7 +11,7 @@ from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.model import find_effect
 
 
-def inside_bounds(model: PhysicalModel, id: str, target: str, values: dict[str, float]) -> dict[str, float]:
+def inside_bounds(model: PhysicalModel, id: str, target: str, values: Mapping[str, float]) -> dict[str, float]:
     """The values moved to within their bounds."""
     declared = {p.name: p for p in find_effect(id).parameters(model.site(target, find_effect(id)))}
     return {n: float(np.clip(v, declared[n].lower, declared[n].upper)) for n, v in values.items() if n in declared}

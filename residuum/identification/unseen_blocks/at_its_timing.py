@@ -8,8 +8,9 @@ import numpy as np
 
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
-from residuum.identification.unseen_blocks.data import data_of, matched
+from residuum.identification.residual_analysis.input_timing import innovations_of
+from residuum.identification.unseen_blocks.coarser import coarser, turned
+from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.search import Search, Wanted, search
 from residuum.identification.unseen_blocks.structure import fitted
 from residuum.identification.work import OutOfWork, Tell, left_out, untold
@@ -27,7 +28,10 @@ def searched(
     NotIdentifiable
         The model diverges on a record.
     """
-    found = search(matched(model, records, mapping), wanted, tell)
+    data = matched(model, records, mapping)
+    found = search(coarser(data), wanted, tell)
+    if found.court.scale.nats and found.court.data.finer is not None:
+        found = search(data, wanted, tell)  # in noise every sample counts
     try:
         return _at_its_timing(found, wanted, tell)
     except OutOfWork:
@@ -40,11 +44,11 @@ def _at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
     court, best = found.court, found.best
     if not best.keys:
         return found
-    other = data_of(court.data.model, turned_timing(court.data.experiments))
+    other = turned(court.data)
     rung = other.rung(court.last.windows)
     states = best.structure.states[court.last.windows]
-    turned = fitted(best.model, rung.parts, states, court.scale, steps=10, tolerance=1e-4)
+    there = fitted(best.model, rung.parts, states, court.scale, steps=10, tolerance=1e-4)
     here = innovations_of(np.split(best.errors, court.last.starts[1:-1]))
-    if turned is None or innovations_of(turned.residuals) >= here:
+    if there is None or innovations_of(there.residuals) >= here:
         return found
     return search(other, wanted, tell, turn=False)

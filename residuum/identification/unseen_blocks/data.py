@@ -55,6 +55,8 @@ class Data:
         From the shortest windows to whole records.
     fold : array, shape (blocks,)
         Which blocks are left out together.
+    finer : Data or None
+        At the rate of the records, where this is at a lower one.
     """
 
     model: PhysicalModel
@@ -63,6 +65,7 @@ class Data:
     spread: Array
     rungs: tuple[Rung, ...]
     fold: Integers
+    finer: Data | None = None
 
     @property
     def blocks(self) -> int:

@@ -14,9 +14,10 @@ import numpy as np
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.feedback import feeds_back
-from residuum.identification.residual_analysis.input_timing import innovations_of, turned_timing
+from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.side_by_side import side_by_side
-from residuum.identification.unseen_blocks.data import Data, Rung, data_of
+from residuum.identification.unseen_blocks.coarser import turned
+from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import FOLLOWED, FORGETS
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, fitted
@@ -92,7 +93,7 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
         except NotIdentifiable as diverges:
             return diverges
 
-    found = side_by_side(climbed, [data, data_of(data.model, turned_timing(data.experiments))])
+    found = side_by_side(climbed, [data, turned(data)])
     known = [one for one in found if isinstance(one, Climbed)]
     if not known:
         raise next(one for one in found if isinstance(one, NotIdentifiable))

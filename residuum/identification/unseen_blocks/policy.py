@@ -18,6 +18,10 @@ to refits with masked blocks."""
 CLIPPED = 8.0
 """[robust spreads] As which a larger error counts: an event that nobody recorded. Chosen."""
 
+ENOUGH, LOST = 5000, 1e-6
+"""[samples] Of all records, above which a lower rate may do; and the part of the first error's power that it may lose: next to
+nothing of what is left at the end. Chosen."""
+
 FORGETS = 0.3
 """[of its peak] Effect of a first state that may be left at the end of a window. Chosen."""
 

@@ -73,21 +73,23 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
     beam, kept = [found.best], None
     try:
         for depth in range(DEPTH):
-            if is_nothing(found.best, found.base, found.court.scale):
-                break
             tell(0.1 + 0.6 * depth / DEPTH, _beside(found.best.keys))
-            glances = _glances(found, beam, wanted, kept)
-            kept = _kept(glances) if kept is None else kept
-            ranked = _fitted(found, glances)
-            if not ranked:
-                break
-            found.tried = len(glances)
-            if _joins(found, ranked):
+            ranked: list[Judged] = []
+            if not is_nothing(found.best, found.base, found.court.scale):
+                glances = _glances(found, beam, wanted, kept)
+                kept = _kept(glances) if kept is None else kept
+                ranked = _fitted(found, glances)
+                found.tried = len(glances) or found.tried
+            if ranked and _joins(found, ranked):
                 beam = _settled(found, ranked)
-                continue
-            if depth > 0 or found.court.scale.nats:
+            elif found.best.keys and (longer := _lengthened(found)) is not None:
+                found.court, found.base, found.best = longer
+                found.every, found.group = {(): found.base, found.best.keys: found.best}, []
+                beam = [found.best]
+            elif ranked and depth == 0 and not found.court.scale.nats:
+                beam = going_on(ranked, found.court.scale)
+            else:
                 break
-            beam = going_on(ranked, found.court.scale)
     except OutOfWork:
         left_out(f"effects {_beside(found.best.keys)}")
     return found
@@ -219,13 +221,7 @@ def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
 
 
 def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
-    """The beam for the next level: after the windows were lengthened, or the unit of the error turned, its structures judged
-    anew.
-    """
-    if not found.court.scale.nats and (longer := _lengthened(found)) is not None:
-        found.court, found.base, found.best = longer
-        found.every, found.group = {(): found.base, found.best.keys: found.best}, []
-        return [found.best]
+    """The beam for the next level; where the unit of the error turned, its structures judged anew."""
     turned = None if found.court.scale.nats else settle(found.best, found.court)
     if turned is None:
         beam = going_on(ranked, found.court.scale)
@@ -244,6 +240,8 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
 def _lengthened(found: Search) -> tuple[Court, Judged, Judged] | None:
     """Base and best judged on the next longer windows, where the best one follows those now; None otherwise."""
     data, court = found.court.data, found.court
+    if court.scale.nats:
+        return None
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
     if not longer:
         return None

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
@@ -12,12 +13,26 @@ from residuum.diagnosis.model_based.assessment import seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.detection import detected
 from residuum.diagnosis.model_based.training import Undetermined
+from residuum.diagnosis.model_based.variant import Variant, edited, shifted
+from residuum.diagnosis.model_based.whitening import Whitening
+from residuum.diagnosis.model_based.window_fit import WindowFitter, information_on_size
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import load_model
+from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
 WINDOW = 6.0
+LAG = """
+name: lag
+inputs: {voltage: V}
+states: {w: {unit: rpm}}
+parameters:
+  T: {value: 0.05, unit: s, fixed: true}
+  G: {value: 2.0, unit: rpm/V, lower: 0.1, upper: 10}
+balances:
+  shaft: {kind: torque, storage: T * der(w), terms: {motor: G * voltage, loss: -w}, velocity: w}
+outputs: {speed: {value: w, unit: rpm}}
+"""
 
 
 @cache
@@ -74,6 +89,15 @@ def test_a_sensor_that_reads_too_much_is_told_as_the_sensor():
     first = finding.to_json()["causes"][0]
     assert first["kind"] == "sensor" and first["value"]["value"] == pytest.approx(0.06, abs=0.01)
     assert "velocity" in first["says"]
+
+
+def test_two_things_at_once_are_both_named():
+    windows, _ = axis_windows(10, mass=1.2)
+    record = windows[24]
+    finding = watched().score(changed(record, velocity=record["velocity"] + 0.03))
+    causes = finding.to_json()["causes"][:2]
+    assert {(c["name"], c["place"]) for c in causes} == {("M", ""), ("offset", "velocity")}
+    assert all(c["beside"] and c["probability"] > 0.5 for c in causes) and f", and {causes[1]['says']}" in finding.reason
 
 
 def test_a_stuck_sensor_is_told_with_its_onset():
@@ -172,6 +196,23 @@ def test_an_offset_is_held_against_that_of_healthy_windows():
     record, b = axis_windows(6)[0][22], watched().baseline
     seen = seen_window(b, record)
     moved = seen_window(b, changed(record, velocity=record["velocity"] + 0.01))
-    assert moved.offsets[1] - seen.offsets[1] == pytest.approx(0.01, rel=0.05)
-    healthy, faulty = (detected(b, seen.fit, offsets, seen.features).p for offsets in (seen.offsets, moved.offsets))
-    assert faulty < 1e-6 < healthy
+    assert moved.offsets[0][1] - seen.offsets[0][1] == pytest.approx(0.01, rel=0.05)
+    untold = (moved.offsets[0], 1e-12 * moved.offsets[1])
+    healthy, faulty, open_ = (detected(b, seen.fit, each, seen.features).p for each in (seen.offsets, moved.offsets, untold))
+    assert faulty < 1e-6 < healthy <= open_
+
+
+def test_the_information_on_an_offset_is_what_it_scatters_by():
+    """Beside a gain with a prior, of which a nearly steady input says little: simulated again and again."""
+    model, rng = read_model(LAG), np.random.default_rng(3)
+    u, told, found = np.repeat(5.0 + 0.3 * rng.standard_normal(8), 50), [], []
+    x = signal.lfilter([0.0, 1.0 - np.exp(-0.01 / 0.05)], [1.0, -np.exp(-0.01 / 0.05)], u - u[0]) + u[0]
+    for _ in range(200):
+        y = (2.0 + 0.05 * rng.standard_normal()) * x + 0.1 * rng.standard_normal(400)
+        _, (window,) = match(model, [Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rpm"}, 0.01)])
+        window = replace(window, hold=np.ones(1))
+        fitter = WindowFitter(model, window, np.array([2.0]), np.array([[0.05**2]]), Whitening.plain(np.array([0.1])), 1e6)
+        fit = fitter.fit(Variant(model, sizes=(0.0,), lower=(-np.inf,), reading=edited(0, shifted)), 8)
+        found.append(fit.own[0])
+        told.append(information_on_size(fit, fitter.covariance))
+    assert np.std(found) == pytest.approx(np.mean(np.array(told) ** -0.5), rel=0.15)

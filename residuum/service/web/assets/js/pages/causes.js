@@ -64,7 +64,8 @@ function cause(each) {
   const alike = each.indistinguishable_from.length
     ? ` This window cannot tell it from ${each.indistinguishable_from.join(", ")}.`
     : "";
-  return h("li", {}, h("b", {}, `${percent(each.probability)}: ${title(each.name)}${place}. `), said(each.says), alike);
+  const beside = each.beside?.length ? ` Beside it: ${each.beside.map(title).join(", ")}.` : "";
+  return h("li", {}, h("b", {}, `${percent(each.probability)}: ${title(each.name)}${place}. `), said(each.says), alike, beside);
 }
 
 // Physics that healthy windows show too is no fault: just these windows lead to the workbench.

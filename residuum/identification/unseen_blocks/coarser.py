@@ -1,0 +1,85 @@
+"""Records sampled much more finely than anything moves in them, at a rate that loses nothing.
+
+Work grows with the samples, and a controller's kilohertz says no more of a slide that moves for seconds than a hundred hertz do.
+Readings are taken at every k-th sample; inputs are means over the k samples that follow it where they are held, centred ones
+where they move evenly. Whether that loses anything is not guessed from spectra: the model is simulated on both, and the
+difference has to be nothing beside its error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator
+from residuum.identification.residual_analysis.input_timing import turned_timing
+from residuum.identification.unseen_blocks.data import Data, data_of
+from residuum.identification.unseen_blocks.policy import ENOUGH, LOST
+
+Array = npt.NDArray[np.float64]
+
+
+def coarser(data: Data) -> Data:
+    """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
+    best, step = data, 2
+    while sum(e.n for e in data.experiments) >= step * ENOUGH and min(e.n for e in data.experiments) // step >= 2:
+        there = [_at_every(e, step) for e in data.experiments]
+        if not _loses_nothing(data.model, data.experiments, there, step):
+            break
+        best, step = replace(data_of(data.model, there), finer=data), 2 * step
+    return best
+
+
+def turned(data: Data) -> Data:
+    """The data at the other input timing: inputs that were held move evenly, and those that moved are held."""
+    records = data_of(data.model, turned_timing((data.finer or data).experiments))
+    return coarser(records) if data.finer else records
+
+
+def _at_every(e: Experiment, k: int) -> Experiment:
+    """Every k-th sample of an experiment."""
+    n = e.n // k
+    U = e.U[: n * k : k].copy()
+    for j, hold in enumerate(e.hold):
+        U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
+    spare = {name: replace(s, values=_means(s.values, k, n, centred=False)) for name, s in e.spare.items()}
+    return replace(e, U=U, Y=e.Y[: n * k : k], sample_time=k * e.sample_time, spare=spare)
+
+
+def _means(values: Array, k: int, n: int, *, centred: bool) -> Array:
+    """Means over k samples from every k-th on, or around it."""
+    if centred:
+        half = k // 2
+        padded = np.concatenate([np.full(half, values[0]), values, np.full(half, values[-1])])
+        weights = np.ones(k + 1)
+        weights[[0, -1]] = 0.5  # of the straight lines between samples
+        return np.asarray(np.convolve(padded, weights / k, mode="valid")[: n * k : k])
+    return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
+
+
+def _loses_nothing(model: PhysicalModel, fine: Sequence[Experiment], coarse: Sequence[Experiment], k: int) -> bool:
+    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from those at the fine one."""
+    simulator = Simulator(model)
+    for e, c in zip(fine, coarse, strict=True):
+        x0 = simulator.x0(e.known)
+        try:
+            y, z = (_outputs(simulator, one, x0) for one in (e, c))
+        except BadInput:
+            return False
+        if y is None or z is None:
+            return False
+        error, lost = c.Y - y[: c.n * k : k], z - y[: c.n * k : k]
+        if np.any(np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0) > LOST * np.nansum(error**2, axis=0)):
+            return False
+    return True
+
+
+def _outputs(simulator: Simulator, e: Experiment, x0: Array) -> Array | None:
+    p = simulator.p()
+    substeps = simulator.substeps_each([e], [x0], p)
+    run = simulator.run_each([e], [x0], p, substeps=substeps)
+    return run.Y if run.bounded else None
