@@ -23,7 +23,7 @@ outputs: {position: {value: q, unit: m}}
 RATE, VISCOUS, DRY = 500, 210.0, 20.0
 
 
-def _slide(seed, seconds=16, noise=2e-7):
+def _slide(seed, seconds=24, noise=2e-7):
     """Three sines of the reference, force held over a sample, friction that sticks; and 2 N that nothing explains."""
     rng, h, n = np.random.default_rng(seed), 1.0 / RATE / 4, RATE * seconds
     t = np.arange(n) / RATE
@@ -63,7 +63,7 @@ def test_a_lower_rate_moves_the_model_s_outputs_by_nothing():
 
 def test_records_that_would_lose_by_a_lower_rate_keep_theirs():
     rng = np.random.default_rng(5)
-    u = rng.choice([-50.0, 50.0], 8000)  # a new force at every sample
+    u = rng.choice([-50.0, 50.0], 12000)  # a new force at every sample
     v = np.cumsum(u) / 100.0 / RATE
     q = np.cumsum(v) / RATE
     model = read_model(AXIS)
