@@ -67,12 +67,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n" + "\n".join(details))
 
 
+def untrained(watched: Watched) -> ModelBased:
+    """The diagnoser of a machine, at the rate of false alarms at which faults are found."""
+    a_day = 86400.0 / watched.seconds
+    return ModelBased(model=watched.model(), fix_undetermined=True, false_alarms_per_day=DECIDED * a_day)
+
+
 def measured(watched: Watched, seed: int, asked: Any, tally: Tally) -> list[str]:
     """One machine: counts into the tally, and a line a fault."""
     trained_on, healthy = windows(watched, seed, 0, TRAINED_ON), windows(watched, seed, TRAINED_ON, 150)[: asked.healthy]
-    a_day = 86400.0 / watched.seconds
     begun = time.process_time()
-    trained = ModelBased(model=watched.model(), fix_undetermined=True, false_alarms_per_day=DECIDED * a_day).fit(trained_on)
+    trained = untrained(watched).fit(trained_on)
     tally.trained.append(time.process_time() - begun)
     scores = [trained.score(r) for r in healthy]
     chances = stats.norm.sf([f.indicators.get("deviation", 0.0) for f in scores])
@@ -89,7 +94,7 @@ def measured(watched: Watched, seed: int, asked: Any, tally: Tally) -> list[str]
             tally.seconds.append(time.process_time() - begun)
             causes = finding.evidence.get("causes") or []
             tally.answers.append(judged(trained, watched, seed, fault, finding.verdict is Verdict.FAULTY, causes, record))
-            told.append(f"{_label(causes[0])} {causes[0]['probability']:.2f}" if causes else finding.verdict.value)
+            told.append(f"{label(causes[0])} {causes[0]['probability']:.2f}" if causes else finding.verdict.value)
         lines.append(f"{watched.name} {seed}, {fault.id} ({' or '.join(fault.causes)}): {', '.join(told)}")
     return lines
 
@@ -100,13 +105,14 @@ def judged(
     """What was right in the answer on one faulty window."""
     if not causes:
         return Answer(faulty, False, False, False, None)
-    first, told = _label(causes[0]), causes[0]["kind"]
+    first, told = label(causes[0]), causes[0]["kind"]
     named = bool({first, *causes[0]["indistinguishable_from"]} & set(fault.causes))
     confused = not named and (told == "sensor") != (fault.kind == "sensor") and told != "unknown"
     return Answer(faulty, first in fault.causes, named, confused, _covered(trained, watched, seed, causes, fault, record))
 
 
-def _label(cause: dict[str, Any]) -> str:
+def label(cause: dict[str, Any]) -> str:
+    """As which a cause is named in `Fault.causes`."""
     return f"{cause['name']}@{cause['place']}".rstrip("@")
 
 
@@ -118,7 +124,7 @@ def _covered(
         return None
     name = fault.size[0]
     wanted = fault.causes[0] if name == "offset" else name.rpartition(".")[0] or name
-    told = [c for c in causes if _label(c) == wanted and c["value"]]
+    told = [c for c in causes if label(c) == wanted and c["value"]]
     true = truth(trained, watched, seed, fault, record)
     if not told or true is None:
         return None

@@ -187,18 +187,31 @@ def _folder() -> Path:
 
 
 def _made(watched: Watched, seed: int, first: int, count: int, fault: Fault | None) -> list[Record]:
+    machine, nominal = _run_before(watched, seed, first)
+    if fault:
+        _break(machine, fault)
+    found = []
+    for k in range(first, first + count):
+        temperature, here = _at_temperature(watched, nominal, seed, k)
+        setattr(machine, watched.constants, _damaged(here, fault) if fault else here)
+        found.append(_record(watched, machine.simulate(watched.seconds), k, fault, temperature))
+    return found
+
+
+def _run_before(watched: Watched, seed: int, k: int) -> tuple[Any, Any]:
+    """The healthy machine of this seed after its windows before k, and its constants."""
     machine = watched.make(seed)
     nominal = getattr(machine, watched.constants)
-    found = []
-    for k in range(first + count):
-        temperature, here = _at_temperature(watched, nominal, seed, k)
-        if fault and k == first and "two_bodies" in (fault.set or {}):
-            machine._y[2:4] = machine._y[0:2]  # the gate was where its drive was
-        setattr(machine, watched.constants, _damaged(here, fault) if fault and k >= first else here)
-        run = machine.simulate(watched.seconds)
-        if k >= first:
-            found.append(_record(watched, run, k, fault, temperature))
-    return found
+    for before in range(k):
+        setattr(machine, watched.constants, _at_temperature(watched, nominal, seed, before)[1])
+        machine.simulate(watched.seconds)
+    return machine, nominal
+
+
+def _break(machine: Any, fault: Fault) -> None:
+    """Two bodies begin where their one was."""
+    if "two_bodies" in (fault.set or {}):
+        machine._y[2:4] = machine._y[0:2]
 
 
 def _at_temperature(watched: Watched, nominal: Any, seed: int, k: int) -> tuple[float, Any]:
@@ -220,16 +233,11 @@ def machine_window(watched: Watched, machine: Any, seed: int, k: int, scaled: Ma
 
 def record_of(watched: Watched, seed: int, k: int, fault: Fault, begins: float) -> Record:
     """Window k of the machine of this seed, in which a fault begins after this share of it."""
-    machine = watched.make(seed)
-    nominal = getattr(machine, watched.constants)
-    for before in range(k):
-        setattr(machine, watched.constants, _at_temperature(watched, nominal, seed, before)[1])
-        machine.simulate(watched.seconds)
+    machine, nominal = _run_before(watched, seed, k)
     temperature, here = _at_temperature(watched, nominal, seed, k)
     setattr(machine, watched.constants, here)
     head = machine.simulate(begins * watched.seconds)
-    if "two_bodies" in (fault.set or {}):
-        machine._y[2:4] = machine._y[0:2]
+    _break(machine, fault)
     setattr(machine, watched.constants, _damaged(here, fault))
     tail = machine.simulate((1.0 - begins) * watched.seconds)
     healthy, faulty = (_record(watched, run, k, which, temperature) for run, which in ((head, None), (tail, fault)))

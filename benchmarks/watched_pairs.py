@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.model_based import DECIDED
+from benchmarks.model_based import label, untrained
 from benchmarks.watched_machines import TRAINED_ON, WATCHED, Fault, Watched, record_of, windows
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
@@ -33,9 +33,7 @@ def main(arguments: list[str]) -> None:
     asked = parser.parse_args(arguments)
     for name in asked.machines or ["gate-drive", "two-tanks", "pendulum"]:
         watched = WATCHED[name]
-        a_day = 86400.0 / watched.seconds
-        trained = ModelBased(model=watched.model(), fix_undetermined=True, false_alarms_per_day=DECIDED * a_day)
-        trained = trained.fit(windows(watched, asked.seed, 0, TRAINED_ON))
+        trained = untrained(watched).fit(windows(watched, asked.seed, 0, TRAINED_ON))
         print(f"{name}, seed {asked.seed}", flush=True)
         counts: dict[str, int] = {}
         for line, kind in [*pairs(watched, trained, asked), *onsets(watched, trained, asked)]:
@@ -106,16 +104,12 @@ def onsets(watched: Watched, trained: ModelBased, asked: Any) -> Iterator[tuple[
 
 
 def _is(cause: dict[str, Any], fault: Fault) -> bool:
-    return bool({_label(cause), *cause["indistinguishable_from"]} & set(fault.causes))
-
-
-def _label(cause: dict[str, Any]) -> str:
-    return f"{cause['name']}@{cause['place']}".rstrip("@")
+    return bool({label(cause), *cause["indistinguishable_from"]} & set(fault.causes))
 
 
 def told(causes: list[dict[str, Any]]) -> str:
     """The first three, with their probabilities."""
-    return ", ".join(f"{_label(c)} {c['probability']:.2f}" for c in causes[:3]) or "healthy"
+    return ", ".join(f"{label(c)} {c['probability']:.2f}" for c in causes[:3]) or "healthy"
 
 
 if __name__ == "__main__":

@@ -89,7 +89,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     mean, _ = baseline.values.at(features)
     known = baseline.model.all_parameters
     mean = np.clip(mean, [known[n].lower for n in baseline.free], [known[n].upper for n in baseline.free])
-    usual = baseline.fitter(window, features).fit(Variant(baseline.model))
+    fitter = baseline.fitter(window, features)
+    usual = fitter.fit(Variant(baseline.model))
     fit = alone(baseline.model, window, mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
@@ -99,7 +100,7 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
         raise NotAssessable(
             "the window says next to nothing of any value of the model: let its inputs move as they did in the healthy windows"
         )
-    return Seen(window, features, fit, baseline.offsets_in(window, features))
+    return Seen(window, features, fit, baseline.offsets_in(fitter, usual))
 
 
 def _experiment(baseline: Baseline, record: Record) -> Experiment:

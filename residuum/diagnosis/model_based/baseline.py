@@ -116,12 +116,10 @@ class Baseline:
         there = np.tile(self.measured, 2)
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
-    def offsets_in(self, window: Experiment, features: Array) -> tuple[Array, Array]:
+    def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[Array, Array]:
         """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
-        the window has on it, each of shape (outputs,).
+        the window has on it, each of shape (outputs,); begun where the healthy model's fit ended.
         """
-        fitter = self.fitter(window, features)
-        healthy = fitter.fit(Variant(self.model))
         first = None if healthy is None else healthy.initial
         found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):

@@ -78,32 +78,26 @@ def _two(
     found = pairs(baseline, fitter, whole)
     if not found:
         return None
-    rng, names = np.random.default_rng(0), [{h.label for h in pair.both} for pair in found]
+    names = [{h.label for h in pair.both} for pair in found]
     fits = [*(pair.fit for pair in found), *(t.fit for t in listed)]
     logs = np.array([fitter.logs(fit) for fit in fits])
     usual = [sum(baseline.usual_gain(h) for h in pair.both) for pair in found]
     usual += [baseline.usual_gain(t.hypothesis) for t in listed]
     fixed = np.array([fitter.price(fit) for fit in fits]) + np.array(usual)
-    total, wins = logs.sum(axis=1) + fixed, np.zeros(len(logs))
+    total = logs.sum(axis=1) + fixed
     lead = int(np.argmin(total[: len(found)]))
     if total[lead] > total[len(found) :].min() - TIE:
         return None
-    for _ in range(DRAWS):
-        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
-        near = np.flatnonzero(cost < cost.min() + TIE)
-        wins[near] += 1.0 / len(near) / DRAWS
-    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
-    rivals = [k for k in range(len(found)) if k != lead and total[k] - total[lead] < max(TIE, doubt[k])]
+    wins, near = _wins(logs, fixed), _near(logs, total, lead)
+    rivals = [k for k in range(len(found)) if k != lead and near[k]]
     best, told = found[lead], []
     std = _open(fitter, best.fit)
-    for k, (h, own) in enumerate(zip(best.both, best.sizes, strict=True)):
+    for k, (h, own, at) in enumerate(zip(best.both, best.own, best.sizes, strict=True)):
         other = best.both[1 - k].label
         alike = tuple(name for j in rivals if other in names[j] for name in names[j] - {other, h.label})
         p = sum(float(wins[j]) for j in range(len(found)) if h.label in names[j])
-        variance = _scatter(
-            baseline, fitter, h, [best.fit.variant.own[j] for j in own if j < len(best.fit.variant.own)], len(own)
-        )
-        told.append(Cause(h, min(p, 1.0), best.fit.own[own], np.sqrt(std[own] ** 2 + variance), 0, alike, (other,)))
+        doubt = np.sqrt(std[at] ** 2 + _scatter(baseline, fitter, h, own, len(at)))
+        told.append(Cause(h, min(p, 1.0), best.fit.own[at], doubt, 0, alike, (other,)))
     return best, told, float(wins[: len(found)].sum())
 
 
@@ -124,21 +118,16 @@ def _unknown(baseline: Baseline, fitter: WindowFitter, features: Array, healthy:
 
 
 def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) -> list[Cause]:
-    """Probability by how often each is the cheapest over resampled blocks; those within a factor of twenty and of fewest sizes
-    share a draw. Whoever is within the doubt of the difference to the leading one, and no richer, is alike."""
-    fits, rng = [t.fit for t in listed], np.random.default_rng(0)
+    """Probability by how often each is the cheapest over resampled blocks; whoever is near the leading one, and no richer, is
+    alike.
+    """
+    fits = [t.fit for t in listed]
     logs = np.array([fitter.logs(fit) for fit in fits])
     fixed = np.array([fitter.price(t.fit) + baseline.usual_gain(t.hypothesis) for t in listed])
     sizes = np.array([len(fit.own) + (fit.onset > 0) for fit in fits])
-    total, wins = logs.sum(axis=1) + fixed, np.zeros(len(fits))
-    for _ in range(DRAWS):
-        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
-        near = np.flatnonzero(cost < cost.min() + TIE)
-        near = near[sizes[near] == sizes[near].min()]
-        wins[near] += 1.0 / len(near) / DRAWS
+    total, wins = logs.sum(axis=1) + fixed, _wins(logs, fixed, sizes)
     lead = int(np.lexsort((total, -wins.round(2)))[0])
-    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
-    group = (total - total[lead] < np.maximum(TIE, doubt)) & (sizes <= sizes[lead])
+    group = _near(logs, total, lead) & (sizes <= sizes[lead])
     group[lead] = True
     changed = [0 if set(t.fit.variant.own) & set(baseline.free) else _RANK[t.hypothesis.kind] for t in listed]
     same = total - total[group].min() < 0.5 * TIE
@@ -150,6 +139,26 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
         alike = tuple(n for n in names if n != one.hypothesis.label) if group[k] else ()
         found.append(Cause(one.hypothesis, float(wins[k]), one.fit.own, _doubt(baseline, fitter, one), one.fit.onset, alike))
     return found
+
+
+def _wins(logs: Array, fixed: Array, sizes: Array | None = None) -> Array:
+    """How often each is the cheapest over resampled blocks; those within a factor of twenty share a draw, of them the ones of
+    fewest sizes.
+    """
+    rng, wins = np.random.default_rng(0), np.zeros(len(logs))
+    for _ in range(DRAWS):
+        cost = logs[:, rng.integers(0, BLOCKS, BLOCKS)].sum(axis=1) + fixed
+        near = np.flatnonzero(cost < cost.min() + TIE)
+        if sizes is not None:
+            near = near[sizes[near] == sizes[near].min()]
+        wins[near] += 1.0 / len(near) / DRAWS
+    return wins
+
+
+def _near(logs: Array, total: Array, lead: int) -> npt.NDArray[np.bool_]:
+    """Whether each lies within the doubt of its difference to the leading one."""
+    doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
+    return np.asarray(total - total[lead] < np.maximum(TIE, doubt))
 
 
 def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:

@@ -22,10 +22,11 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two hypotheses in one fit, and which of its sizes are whose."""
+    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes are its own."""
 
     both: tuple[Hypothesis, Hypothesis]
     fit: Fit
+    own: tuple[tuple[str, ...], tuple[str, ...]]
     sizes: tuple[list[int], list[int]]
 
 
@@ -37,9 +38,10 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
     for a, b in combinations([*ranked[:PAIRED], *plain], 2):
         if set(a.fit.variant.own) & set(b.fit.variant.own):
             continue
-        fit = fitter.fit(beside(fitter.model, _ended(a.fit), b.fit.variant), PAIR_STEPS, first=a.fit.initial)
+        one, other = _ended(a.fit), b.fit.variant
+        fit = fitter.fit(beside(fitter.model, one, other), PAIR_STEPS, first=a.fit.initial)
         if fit is not None:
-            looks.append(Pair((a.hypothesis, b.hypothesis), fit, _whose(a.fit.variant, b.fit.variant)))
+            looks.append(Pair((a.hypothesis, b.hypothesis), fit, (one.own, other.own), _whose(one, other)))
     looks.sort(key=lambda pair: fitter.nats(pair.fit))
     return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
 

@@ -26,6 +26,7 @@ from residuum.diagnosis.model_based.policy import (
 )
 from residuum.diagnosis.model_based.scatter import Scatter
 from residuum.diagnosis.model_based.trying import tried
+from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.diagnosis.model_based.window_fit import Fit, information, log_power
 from residuum.identification.blas_threads import one_thread
@@ -227,13 +228,13 @@ def _apart(F: Array, x: Array) -> tuple[int, ...]:
 def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseline:
     """With what each hypothesis gains in healthy windows, and how its sizes scatter there; offsets in all of them."""
     F = np.array([baseline.kind.features(e) for e in experiments])
-    offsets, told = np.array([baseline.offsets_in(e, f) for e, f in zip(experiments, F, strict=True)]).swapaxes(0, 1)
+    fitters = [baseline.fitter(e, f) for e, f in zip(experiments, F, strict=True)]
+    offsets, told = np.array([baseline.offsets_in(one, one.fit(Variant(baseline.model))) for one in fitters]).swapaxes(0, 1)
     baseline = replace(baseline, offsets=Scatter.of(F, offsets, [np.diag(h) for h in told], 1e-6 * baseline.spans + 1e-300))
     every = []
     for k in evenly(len(experiments), CALIBRATED):
-        fitter = baseline.fitter(experiments[k], baseline.kind.features(experiments[k]))
-        healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
-        every.append((fitter, fitter.nats(healthy), found))
+        healthy, found = tried(fitters[k], baseline.hypotheses, baseline.usual_gain)
+        every.append((fitters[k], fitters[k].nats(healthy), found))
     usual = {}
     for h in baseline.hypotheses:
         there = [(f, null, t.fit) for f, null, found in every if (t := found.get(h.label))]

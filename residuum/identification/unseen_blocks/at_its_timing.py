@@ -28,10 +28,13 @@ def searched(
     NotIdentifiable
         The model diverges on a record.
     """
-    data = matched(model, records, mapping)
-    found = search(coarser(data), wanted, tell)
-    if found.court.scale.nats and found.court.data.finer is not None:
-        found = search(data, wanted, tell)  # in noise every sample counts
+    found = search(coarser(matched(model, records, mapping)), wanted, tell)
+    if found.court.scale.nats and (finer := found.court.data.finer) is not None:  # in noise every sample counts
+        try:
+            found = search(finer, wanted, tell)
+        except OutOfWork:
+            left_out("the samples between those of a lower rate")
+            return found
     try:
         return _at_its_timing(found, wanted, tell)
     except OutOfWork:

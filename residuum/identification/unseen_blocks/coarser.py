@@ -17,7 +17,7 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.input_timing import turned_timing
-from residuum.identification.unseen_blocks.data import Data, data_of
+from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, Data, data_of
 from residuum.identification.unseen_blocks.policy import ENOUGH, LOST
 
 Array = npt.NDArray[np.float64]
@@ -25,10 +25,13 @@ Array = npt.NDArray[np.float64]
 
 def coarser(data: Data) -> Data:
     """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
+    counts = [e.n for e in data.experiments]
+    most = min(sum(counts) // ENOUGH, min(counts) // FEWEST_SAMPLES)
+    outputs = _outputs(data.model, data.experiments) if most >= 2 else None
     best, step = data, 2
-    while sum(e.n for e in data.experiments) >= step * ENOUGH and min(e.n for e in data.experiments) // step >= 2:
+    while outputs is not None and step <= most:
         there = [_at_every(e, step) for e in data.experiments]
-        if not _loses_nothing(data.model, data.experiments, there, step):
+        if not _loses_nothing(data.model, outputs, there, step):
             break
         best, step = replace(data_of(data.model, there), finer=data), 2 * step
     return best
@@ -61,25 +64,24 @@ def _means(values: Array, k: int, n: int, *, centred: bool) -> Array:
     return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
 
 
-def _loses_nothing(model: PhysicalModel, fine: Sequence[Experiment], coarse: Sequence[Experiment], k: int) -> bool:
-    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from those at the fine one."""
-    simulator = Simulator(model)
-    for e, c in zip(fine, coarse, strict=True):
-        x0 = simulator.x0(e.known)
-        try:
-            y, z = (_outputs(simulator, one, x0) for one in (e, c))
-        except BadInput:
-            return False
-        if y is None or z is None:
-            return False
-        error, lost = c.Y - y[: c.n * k : k], z - y[: c.n * k : k]
+def _loses_nothing(model: PhysicalModel, fine: Sequence[Array], coarse: Sequence[Experiment], k: int) -> bool:
+    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from the fine ones."""
+    there = _outputs(model, coarse)
+    if there is None:
+        return False
+    for e, y, z in zip(coarse, (y[::k] for y in fine), there, strict=True):
+        error, lost = e.Y - y[: e.n], z - y[: e.n]
         if np.any(np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0) > LOST * np.nansum(error**2, axis=0)):
             return False
     return True
 
 
-def _outputs(simulator: Simulator, e: Experiment, x0: Array) -> Array | None:
-    p = simulator.p()
-    substeps = simulator.substeps_each([e], [x0], p)
-    run = simulator.run_each([e], [x0], p, substeps=substeps)
-    return run.Y if run.bounded else None
+def _outputs(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[Array] | None:
+    """The model's outputs along experiments; None where it diverges."""
+    simulator = Simulator(model)
+    p, initial = simulator.p(), [simulator.x0(e.known) for e in experiments]
+    try:
+        runs = simulator.run_each(experiments, initial, p, substeps=simulator.substeps_each(experiments, initial, p))
+    except BadInput:
+        return None
+    return [run.Y for run in runs] if runs.bounded else None

@@ -82,9 +82,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
                 beam = _settled(found, ranked)
-            elif found.best.keys and (longer := _lengthened(found)) is not None:
-                found.court, found.base, found.best = longer
-                found.every, found.group = {(): found.base, found.best.keys: found.best}, []
+            elif found.best.keys and _lengthened(found):
                 beam = [found.best]
             elif ranked and depth == 0 and not found.court.scale.nats:
                 beam = going_on(ranked, found.court.scale)
@@ -237,29 +235,31 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     return [chosen, *found.group][:BEAM]
 
 
-def _lengthened(found: Search) -> tuple[Court, Judged, Judged] | None:
-    """Base and best judged on the next longer windows, where the best one follows those now; None otherwise."""
+def _lengthened(found: Search) -> bool:
+    """Whether the best one follows the next longer windows now; it and the base are judged there from now on."""
     data, court = found.court.data, found.court
     if court.scale.nats:
-        return None
+        return False
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
     if not longer:
-        return None
+        return False
     rung, flat = longer[0], plain(data)
     best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
     if best is None or base is None or mean_error(best, flat) > FOLLOWED:
-        return None
+        return False
     scale = clipped(flat, base.residuals, rung)
     first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
     if first is None:
-        return None
+        return False
     scale = of_power(scale, data, first.power)
     now = judged(found.best.structure.at(rung, best), best, rung, data, scale)
     if now is None:
-        return None
+        return False
     first = replace(first, cost=scale.cost(first.power, first.parameters))
-    return replace(court, last=rung, scale=scale), first, now
+    found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, now
+    found.every, found.group = {(): first, now.keys: now}, []
+    return True
 
 
 def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
