@@ -59,6 +59,7 @@ function drawTrained(place, way, found) {
       "p",
       { role: "status" },
       `Trained on ${count(found.windows)} windows; ${count(found.alarms)} of them would raise an alarm.`,
+      found.passed_over ? ` Passed over, since samples are missing: ${count(found.passed_over)}.` : null,
     ),
     h(
       "ul",
