@@ -33,7 +33,7 @@ from residuum.service.machines.kept_passwords import with_kept_passwords
 from residuum.service.machines.model_texts import ModelText, model_of_settings, stored_model
 from residuum.service.machines.second_opinion import what_is_trained
 from residuum.service.machines.stored_baselines import has_baseline
-from residuum.service.machines.training_windows import training_windows
+from residuum.service.machines.training_windows import MOST, training_windows
 from residuum.service.machines.watched_machine import WatchedMachine
 from residuum.service.security.access import ANYBODY
 from residuum.service.services import Running, Services
@@ -219,6 +219,7 @@ def _described(running: Services, machine: str) -> dict[str, Any]:
         "settings": plain,
         "status": running.pipeline.status()["machines"].get(machine),
         "recorded_windows": running.store.recorded_windows(machine, _WINDOWS_SHOWN),
+        "learned_from_at_most": MOST,
         "baseline": has_baseline(running.store, machine, settings.baseline),
     }
 

@@ -11,7 +11,8 @@ from residuum.service.machines.healthy_windows import healthy_windows
 from residuum.service.store import Conflict, SignalLetGo, Store
 
 FEWEST = 5
-_MOST = 60
+MOST = 60
+"""Recorded windows that are learned from at most: the newest."""
 
 
 def training_windows(
@@ -38,7 +39,7 @@ def training_windows(
     if judged:
         return healthy_windows(store, asset), 0
     found, holes = [], 0
-    for window in store.recorded_windows(asset, _MOST):
+    for window in store.recorded_windows(asset, MOST):
         if window not in leave_out:
             try:
                 record = store.window_record(asset, window)
