@@ -34,5 +34,7 @@ def read_map_text(path: str | Path) -> Any:
     except yaml.constructor.ConstructorError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise BadBusDescription(f"{where}{line}: {error.problem}") from None
+    except FileNotFoundError:
+        raise BadBusDescription(f"{where}: no such file") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, TypeError) as error:
         raise BadBusDescription(f"{where}: cannot be read as YAML: {' '.join(str(error).split())}") from None

@@ -62,7 +62,7 @@ class Table:
         """Refuse a key that is not allowed."""
         for key, place in self.keys.items():
             if key not in allowed:
-                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}")
+                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}{self._remedy(key)}")
 
     def table(self, key: str, what: str, *, required: bool = False) -> Table:
         """The mapping under `key` (empty when absent and not required)."""
@@ -86,6 +86,12 @@ class Table:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
+
+    def _remedy(self, key: str) -> str:
+        """How to go on where the key is the rest of a text that YAML cut at its comma: nothing stands under it."""
+        value = self.entries[key]
+        cut = isinstance(value, Scalar) and not value.text
+        return "; a text with a comma stands in quotation marks" if cut else ""
 
     def _get(self, key: str, what: str, required: bool) -> Tree | None:
         if key not in self.entries and required:
