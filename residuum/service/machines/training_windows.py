@@ -8,7 +8,7 @@ from residuum.identification.record import Record
 from residuum.service.machines.healthy_windows import healthy_windows
 from residuum.service.store import Conflict, SignalLetGo, Store
 
-FEWEST = 5
+FEWEST_NEW_WINDOWS = 5
 _MOST = 60
 
 
@@ -31,6 +31,8 @@ def training_windows(store: Store, asset: str, leave_out: Collection[int], *, ju
                 found.append(store.window_record(asset, window))
             except SignalLetGo:
                 continue
-    if len(found) < FEWEST:
-        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST} are needed, 20 are good")
+    if len(found) < FEWEST_NEW_WINDOWS:
+        raise Conflict(
+            f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
+        )
     return found
