@@ -35,8 +35,7 @@ from residuum.service.machines.second_opinion import what_is_trained
 from residuum.service.machines.stored_baselines import has_baseline
 from residuum.service.machines.training_windows import MOST, training_windows
 from residuum.service.machines.watched_machine import WatchedMachine
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of
 from residuum.service.work.record_parts import parts_of
 
@@ -123,7 +122,7 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
     with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
     await running.pipeline.put_machine(with_files)
-    await run_in_threadpool(keep_machine, running.store, settings, maps, _caller(request))
+    await run_in_threadpool(keep_machine, running.store, settings, maps, caller_of(request).name)
     return Json(await run_in_threadpool(_described, running, machine))
 
 
@@ -131,7 +130,7 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
 async def remove_machine(request: Request, running: Running, machine: MachineName) -> Response:
     """Watch a machine no more; its windows and findings stay."""
     await running.pipeline.remove_machine(machine)
-    await run_in_threadpool(forget_machine, running.store, machine, _caller(request))
+    await run_in_threadpool(forget_machine, running.store, machine, caller_of(request).name)
     return Response(status_code=204)
 
 
@@ -192,7 +191,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
     given: dict[str, Any] = {"fix_undetermined": asked.fix_undetermined or None, "method": asked.method}
     given |= {"false_alarms_per_day": asked.false_alarms_per_day}
     own = {name: value for name, value in given.items() if value is not None}
-    by = _caller(request)
+    by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"trained on {outcome['windows']} windows" + (f" with {model[0]}" if model else "")
@@ -231,7 +230,3 @@ def _model(running: Services, asked: Training, of_machine: str | None) -> ModelT
     if of_machine is None:
         raise BadInput("body, model: is missing; the diagnoser model-based is trained with a model")
     return model_of_settings(running.store, of_machine)
-
-
-def _caller(request: Request) -> str:
-    return str(getattr(request.state, "caller", ANYBODY).name)

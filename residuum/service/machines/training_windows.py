@@ -10,7 +10,7 @@ from residuum.service.machines.complete_windows import REMEDY, holed
 from residuum.service.machines.healthy_windows import healthy_windows
 from residuum.service.store import Conflict, SignalLetGo, Store
 
-FEWEST = 5
+FEWEST_NEW_WINDOWS = 5
 MOST = 60
 """Recorded windows that are learned from at most: the newest."""
 
@@ -49,7 +49,7 @@ def training_windows(
                 holes += 1
             else:
                 found.append(record)
-    if len(found) < FEWEST:
+    if len(found) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
-        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST} are needed, 20 are good{lacking}")
+        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST_NEW_WINDOWS} are needed, 20 are good{lacking}")
     return found, holes

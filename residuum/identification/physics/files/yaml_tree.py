@@ -14,8 +14,8 @@ import yaml
 
 from residuum.identification.physics.files.expression import Place
 
-LARGEST = 200_000
-DEEPEST = 12
+MOST_CHARACTERS = 200_000
+DEEPEST_NESTING = 12
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ Tree = Scalar | Listing | Table
 def read_tree(text: str, source: str) -> Table:
     """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
     start = Place(source)
-    if len(text) > LARGEST:
-        raise start.refuse(f"{len(text)} characters; a model file has at most {LARGEST}")
+    if len(text) > MOST_CHARACTERS:
+        raise start.refuse(f"{len(text)} characters; a model file has at most {MOST_CHARACTERS}")
     try:
         _bounded(text, source)
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -133,8 +133,8 @@ def _bounded(text: str, source: str) -> None:
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        if depth > DEEPEST:
-            raise place.refuse(f"nested more than {DEEPEST} deep")
+        if depth > DEEPEST_NESTING:
+            raise place.refuse(f"nested more than {DEEPEST_NESTING} deep")
 
 
 def _tree(node: yaml.Node, source: str) -> Tree:
