@@ -113,7 +113,7 @@ class WindowFitter:
     def fit(self, variant: Variant, steps: int = STEPS, begin: Fit | None = None, beside: Fit | None = None) -> Fit | None:
         """From a fit of the same variant, or from the variant's values and the first states of a fit beside it.
 
-        A look keeps the steps of the fit beside it too, where it adds no state that may be faster. None where it cannot be simulated.
+        A look keeps the steps of that fit too, where it adds no state that may be faster. None where it cannot be simulated.
         """
         try:
             problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
