@@ -51,5 +51,6 @@ def training_windows(
                 found.append(record)
     if len(found) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
-        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST_NEW_WINDOWS} are needed, 20 are good{lacking}")
+        needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
+        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; {needed}{lacking}")
     return found, holes
