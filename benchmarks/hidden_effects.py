@@ -5,7 +5,8 @@ nominal model. `python -m benchmarks hidden_effects`; the campaign is resumable:
 (default var/hidden_effects.jsonl) and not run again. $HIDDEN_SEEDS (default 1) is the number of seeds a case,
 $HIDDEN_FAMILIES (default all) a comma-separated choice of families, $HIDDEN_SIZES one of sizes. Cases are run in an order drawn
 by lot, so that a campaign cut short is a fair sample of the whole one; $HIDDEN_SECONDS (default: no end) is when no further case
-begins, and what is known by then is told.
+begins, and what is known by then is told. Whether the probabilities that were said came true is drawn into $HIDDEN_PICTURE
+(default var/said_and_true.svg).
 """
 
 import os
@@ -20,6 +21,8 @@ from typing import Any
 import numpy as np
 import orjson
 
+from benchmarks.reliability_picture import reliability_svg
+from benchmarks.said_probabilities import KINDS, Statement, lines_of, statements, told
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
@@ -35,6 +38,7 @@ SIZES = os.environ.get("HIDDEN_SIZES", "small,medium,large").split(",")
 FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks,improve").split(",")
 SECONDS = float(os.environ.get("HIDDEN_SECONDS", "inf"))
 RESULTS = Path(os.environ.get("HIDDEN_RESULTS", "var/hidden_effects.jsonl"))
+PICTURE = Path(os.environ.get("HIDDEN_PICTURE", "var/said_and_true.svg"))
 
 SINGLE = ("drive", "oven", "tanks")
 """Families in which one effect of the catalogue is hidden."""
@@ -243,6 +247,7 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
         if case.family == "two":
             print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
     _report_calibration([(case, out) for case, out in outcomes if case.family in SINGLE])
+    _report_said([s for case, out in outcomes if "none" in out for s in statements([id for id, _ in case.hidden], out)])
     _report_improved(outcomes)
     seconds = [out["seconds"] for _, out in outcomes]
     print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
@@ -295,6 +300,13 @@ def _report_calibration(single: list[tuple[Case, dict[str, Any]]]) -> None:
     sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
     print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
+
+
+def _report_said(made: list[Statement]) -> None:
+    if made:
+        print(told(made))
+        PICTURE.parent.mkdir(parents=True, exist_ok=True)
+        PICTURE.write_text(reliability_svg({what: lines_of([s for s in made if s.what == what]) for what in KINDS}))
 
 
 def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
