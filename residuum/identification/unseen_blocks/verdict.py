@@ -132,12 +132,16 @@ def is_timing(key: Key, found: Search) -> bool:
 def _candidates(
     step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], found: Search
 ) -> list[Candidate]:
-    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins."""
+    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins.
+
+    What won beside the group won nothing in its place.
+    """
     rest = set(step.before.keys)
     group = {step.key: step.after} | {_added(one, rest): one for one in step.group if _is_one(one, rest)}
     others = {_added(one, rest): one for one in step.others if _is_one(one, rest)}
-    shares = {key: sum(w for keys, w in wins.items() if not isinstance(keys, str) and key in keys) for key in [*group, *others]}
-    together = sum(w for keys, w in wins.items() if not isinstance(keys, str) and any(key in keys for key in group))
+    won = [(set(keys), w) for keys, w in wins.items() if not isinstance(keys, str)]
+    together = sum(w for keys, w in won if keys & group.keys())
+    shares = {key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in others}
     named = [key for key in group if key.effect != HELD]
     listed = [
         _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, found)

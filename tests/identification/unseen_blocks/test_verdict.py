@@ -75,6 +75,17 @@ def test_what_is_told_apart_is_said_with_what_it_wins():
     assert sum(shares.values()) + verdict.none + verdict.unknown == pytest.approx(1.0)
 
 
+def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
+    """The structure of both wins every draw: neither stood in the other's place."""
+    both = judged(0.05 * EVEN, FRICTION, DRAG)
+    verdict, wins = said(both, judged(0.5 * EVEN, FRICTION), judged(0.7 * EVEN, DRAG), judged(0.9 * EVEN, LOAD))
+    assert wins == {both.keys: pytest.approx(1.0)}
+    accepted = [(c.key, c.step) for c in verdict.candidates if c.probability > 0.0]
+    assert accepted == [(FRICTION, 0), (DRAG, 1)]
+    assert [c.probability for c in verdict.candidates if c.probability] == pytest.approx([1.0, 1.0])
+    assert (verdict.none, verdict.unknown) == pytest.approx((0.0, 0.0))
+
+
 @pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])
 def test_where_nothing_takes_anything_away_nothing_or_something_unknown_is_certain(adequate, says):
     verdict, _ = said(judged(0.99 * EVEN, FRICTION), best=-1, adequate=adequate)
