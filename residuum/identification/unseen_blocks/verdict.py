@@ -94,13 +94,14 @@ def verdict_on(
     found: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
 ) -> Verdict:
     """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
-    wins = counted(found, free, adequate=adequate)
-    steps = [step for step in joined if not is_timing(step.key, found)]
+    timing = {step.key for step in joined if is_timing(step.key, found)}
+    wins = _named(counted(found, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
+    steps = [step for step in joined if step.key not in timing]
     listed: list[Candidate] = []
     for number, step in enumerate(step for step in steps if step.key.effect != HELD):
         listed += _candidates(step, number, wins, stds, found)
     if not steps:
-        listed = _undecided(found, wins, stds)
+        listed = _undecided(found, wins, stds, timing)
     unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
     named = sum(c.probability for c in listed if c.step == 0)
     excess = max(named + none + unknown, 1.0)
@@ -114,6 +115,18 @@ def verdict_on(
         says = "adequate" if adequate else "unknown-effect"
     rest = max(0.0, 1.0 - named / excess - none / excess)
     return Verdict(says, tuple(listed), none / excess, rest)
+
+
+def _named(wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothing: str) -> dict[tuple[Key, ...] | str, float]:
+    """What was counted, told as `nothing` where no physics is named: a structure of how the record was taken and of values that
+    the model holds has none.
+    """
+    named: dict[tuple[Key, ...] | str, float] = {}
+    for keys, won in wins.items():
+        physics = isinstance(keys, str) or any(key.effect != HELD and key not in timing for key in keys)
+        name = keys if physics else nothing
+        named[name] = named.get(name, 0.0) + won
+    return named
 
 
 def _scaled(candidate: Candidate, factor: float) -> Candidate:
@@ -162,11 +175,13 @@ def _added(one: Judged, rest: set[Key]) -> Key:
     return next(iter(set(one.keys) - rest))
 
 
-def _undecided(found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float]) -> list[Candidate]:
+def _undecided(
+    found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], timing: set[Key]
+) -> list[Candidate]:
     """Nothing is real: those that took away most are told with what they win."""
     alone = sorted((one for one in found.every.values() if len(one.keys) == 1), key=lambda one: one.cost)[:LISTED]
     step = Step(Key("", ""), found.base, found.base, (), ())
-    told = [one for one in alone if one.keys[0].effect != HELD and one.cost < found.base.cost]
+    told = [one for one in alone if one.keys[0].effect != HELD and one.keys[0] not in timing and one.cost < found.base.cost]
     return [_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found) for one in told]
 
 

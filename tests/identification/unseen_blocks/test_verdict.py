@@ -21,6 +21,7 @@ balances: {body: {kind: force, storage: M * der(v), terms: {drive: force}, veloc
 outputs: {speed: {value: v, unit: m/s}}
 """
 FRICTION, DRAG, LOAD = (Key(name, "body") for name in ("coulomb-friction", "quadratic-drag", "constant-load"))
+LAG = Key("output-lag", "speed")
 SCALE = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
 EVEN = 1.0 + 0.1 * np.sin(np.arange(20.0))
 
@@ -34,11 +35,11 @@ def judged(power, *keys):
     return Judged(Structure(keys, model, {}, {}), parameters, power, rows, cost, cost, power, np.ones((20, 1)), rows)
 
 
-def said(*tried, best=0, adequate=False):
+def said(*tried, best=0, adequate=False, sample_time=1e-3):
     """The verdict on these structures beside the model as it is, of which one joined (none: -1)."""
     base = judged(EVEN)
     every = {one.keys: one for one in (base, *tried)}
-    court = SimpleNamespace(scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=0.01)]))
+    court = SimpleNamespace(scale=SCALE, data=SimpleNamespace(experiments=[SimpleNamespace(sample_time=sample_time)]))
     found = Search(court, base, base if best < 0 else tried[best], None, every)
     return verdict_on(found, steps_of(found), (), {}, adequate=adequate), counted(found, (), adequate=adequate)
 
@@ -84,6 +85,16 @@ def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
     assert accepted == [(FRICTION, 0), (DRAG, 1)]
     assert [c.probability for c in verdict.candidates if c.probability] == pytest.approx([1.0, 1.0])
     assert (verdict.none, verdict.unknown) == pytest.approx((0.0, 0.0))
+
+
+@pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])
+def test_how_the_record_was_taken_is_no_candidate_and_takes_no_belief(adequate, says):
+    """A lag of less than a sample joined, and nothing else: what is left says whether something is missing."""
+    verdict, wins = said(judged(0.1 * EVEN, LAG), judged(0.9 * EVEN, LOAD), sample_time=10.0, adequate=adequate)
+    assert wins == {(LAG,): pytest.approx(1.0)}
+    assert verdict.verdict == says
+    assert (verdict.none, verdict.unknown) == pytest.approx((1.0, 0.0) if adequate else (0.0, 1.0))
+    assert [(c.key, c.probability) for c in verdict.candidates] == [(LOAD, 0.0)]
 
 
 @pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])
