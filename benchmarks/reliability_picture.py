@@ -1,4 +1,4 @@
-"""A reliability diagram as a small SVG: what came true over what was said, with 95 % intervals, on the diagonal where both agree."""
+"""A reliability diagram as a small SVG: what came true over what was said, with 95 % intervals; both agree on the diagonal."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from benchmarks.reliability import ReliabilityLine, expected_calibration_error, 
 TENTHS = tuple(np.linspace(0.0, 1.0, 11).tolist())
 NAMED, UNKNOWN, NONE = "the first group", "something unknown", "nothing"
 KINDS = (NAMED, UNKNOWN, NONE)
+HEAD = "| said | statements | mean said | true | 95 % | agrees |\n|---|---|---|---|---|---|"
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def told(made: Sequence[Statement]) -> str:
     for what in (*KINDS, "all three"):
         of = [s for s in made if what in (s.what, "all three")]
         if of:
-            text.append(f"\n{what[0].upper()}{what[1:]}:\n\n| said | statements | mean said | true | 95 % | agrees |\n|---|---|---|---|---|---|")
+            text.append(f"\n{what[0].upper()}{what[1:]}:\n\n{HEAD}")
             text += [_row(line) for line in lines_of(of)]
             error = expected_calibration_error([s.said for s in of], [s.true for s in of], TENTHS)
             text.append(f"\nExpected calibration error {error:.3f}")
@@ -60,5 +61,5 @@ def told(made: Sequence[Statement]) -> str:
 
 def _row(line: ReliabilityLine) -> str:
     low, high = line.interval
-    agrees = "yes" if line.agrees else "no"
-    return f"| {line.low:.1f}–{line.high:.1f} | {line.n} | {line.predicted:.3f} | {line.observed:.3f} | {low:.3f}–{high:.3f} | {agrees} |"
+    bins = f"{line.low:.1f}–{line.high:.1f} | {line.n} | {line.predicted:.3f} | {line.observed:.3f}"
+    return f"| {bins} | {low:.3f}–{high:.3f} | {'yes' if line.agrees else 'no'} |"
