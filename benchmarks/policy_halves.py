@@ -1,7 +1,8 @@
 """Which numbers of the judge on unseen blocks decide a verdict? Each halved, and taken half as large again, on quick records.
 
-`python -m benchmarks policy_halves [--only NAME,…]`: every variant is a process of its own, in which the policy has its value
-before anything reads it. Told are the answers that differ from those with the policy as it is.
+`python -m benchmarks policy_halves [--only NAME,…] [--seconds S]`: every variant is a process of its own, in which the policy has
+its value before anything reads it. Told are the answers that differ from those with the policy as it is. All numbers are
+halved first; after S seconds no further variant begins.
 """
 
 from __future__ import annotations
@@ -43,10 +44,8 @@ def _times(value: float, factor: float) -> float:
 
 
 def variants(only: set[str]) -> Iterator[tuple[str, float]]:
-    """Names and factors, in the policy's order."""
-    for name in numbers():
-        if not only or name in only:
-            yield from ((name, factor) for factor in FACTORS)
+    """Names and factors, in the policy's order for each factor."""
+    yield from ((name, factor) for factor in FACTORS for name in numbers() if not only or name in only)
 
 
 def answers(name: str = "", factor: float = 1.0) -> dict[str, str]:
@@ -82,6 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help=argparse.SUPPRESS)
     parser.add_argument("--only", default="", help="numbers of the policy, with commas")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--answer", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.answer:
@@ -95,6 +95,8 @@ def main() -> None:
     print("\n| number | is | taken as | answers that differ |\n|---|---|---|---|", flush=True)
     asked, changed, began = 0, set(), time.monotonic()
     for name, factor in variants({name for name in given.only.split(",") if name}):
+        if time.monotonic() - began > given.seconds:
+            break
         found = answers(name, factor)
         differ = [f"{record}: {answer}" for record, answer in found.items() if _named(answer) != _named(usual.get(record, ""))]
         asked += 1
