@@ -22,7 +22,7 @@ import numpy as np
 import orjson
 
 from benchmarks.reliability_picture import reliability_svg
-from benchmarks.said_probabilities import KINDS, Statement, lines_of, statements, told
+from benchmarks.said_probabilities import KINDS, Statement, lines_of, real_names, statements, told
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
@@ -306,7 +306,8 @@ def _report_said(made: list[Statement]) -> None:
     if made:
         print(told(made))
         PICTURE.parent.mkdir(parents=True, exist_ok=True)
-        PICTURE.write_text(reliability_svg({what: lines_of([s for s in made if s.what == what]) for what in KINDS}))
+        series = {what: lines_of([s for s in made if s.what == what]) for what in KINDS}
+        PICTURE.write_text(reliability_svg(series, [(s.said, s.true) for s in real_names()]), encoding="utf-8")
 
 
 def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:

@@ -1,6 +1,6 @@
 """Which numbers of the judge on unseen blocks decide a verdict? Each halved, and taken half as large again, on quick records.
 
-`python -m benchmarks policy_halves [--only NAME,…] [--seconds S]`: every variant is a process of its own, in which the policy has
+`python -m benchmarks.policy_halves [--only NAME,…] [--seconds S]`: every variant is a process of its own, in which the policy has
 its value before anything reads it. Told are the answers that differ from those with the policy as it is. All numbers are
 halved first; after S seconds no further variant begins.
 """

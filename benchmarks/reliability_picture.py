@@ -12,9 +12,9 @@ APART = 5
 """[px] Between the series, so that intervals of one bin do not hide each other."""
 
 
-def reliability_svg(series: Mapping[str, Sequence[ReliabilityLine]]) -> str:
-    """The picture of several series of bins, by name."""
-    parts = [_axes()]
+def reliability_svg(series: Mapping[str, Sequence[ReliabilityLine]], single: Sequence[tuple[float, bool]] = ()) -> str:
+    """The picture of several series of bins, by name, and of `single` statements, (said, whether true)."""
+    parts = [_axes(), *(_diamond(said, true) for said, true in single)]
     for k, (name, lines) in enumerate(series.items()):
         colour, aside = COLOURS[k % len(COLOURS)], APART * (k - (len(series) - 1) / 2)
         parts += [_point(line, colour, aside) for line in lines]
@@ -22,7 +22,13 @@ def reliability_svg(series: Mapping[str, Sequence[ReliabilityLine]]) -> str:
         count = sum(line.n for line in lines)
         parts.append(f'<circle cx="{LEFT + 6}" cy="{y - 4}" r="4" fill="{colour}"/>')
         parts.append(f'<text x="{LEFT + 18}" y="{y}">{name} ({count})</text>')
-    width, height = LEFT + SIDE + 20, TOP + SIDE + BELOW + 4
+    if single:
+        y = TOP + SIDE + 58 + 16 * len(series)
+        parts += [
+            _diamond_at(LEFT + 6, y - 4),
+            f'<text x="{LEFT + 18}" y="{y}">real machines, first group ({len(single)})</text>',
+        ]
+    width, height = LEFT + SIDE + 20, TOP + SIDE + BELOW + 20
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
     style = 'font-family="sans-serif" font-size="12" fill="#333"'
     back = f'<rect width="{width}" height="{height}" fill="#fff"/>'
@@ -54,3 +60,11 @@ def _point(line: ReliabilityLine, colour: str, aside: float) -> str:
     bar = f'<path d="M{x:.1f} {_y(low):.1f}V{_y(high):.1f}" stroke="{colour}" stroke-width="1.5"/>'
     told = f"said {line.predicted:.2f}, true {line.observed:.2f} of {line.n}"
     return f'{bar}<circle cx="{x:.1f}" cy="{_y(line.observed):.1f}" r="4" fill="{colour}"><title>{told}</title></circle>'
+
+
+def _diamond(said: float, true: bool) -> str:
+    return _diamond_at(_x(said), _y(1.0 if true else 0.0))
+
+
+def _diamond_at(x: float, y: float) -> str:
+    return f'<path d="M{x - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z" fill="none" stroke="#333" stroke-width="1.5"/>'
