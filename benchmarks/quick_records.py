@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from benchmarks.watched_machines import FAN, PENDULUM, windows
+from benchmarks.watched_machines import PENDULUM, windows
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks
 from residuum.identification.physics import PhysicalModel, load_model
@@ -60,8 +60,6 @@ RECORDS = (
     Quick("tanks, leak", ("leak", "pump-nonlinearity"), Simulated("two-tanks", 3, 2000.0, {"leak": "medium"})),
     Quick("oven, radiation", OVEN, Simulated("oven", 3, 86400.0, {"radiation": "medium"}, {"configuration": "lumped"})),
     Quick("pendulum, friction and a lag", ARM, lambda: (PENDULUM.model(), windows(PENDULUM, 5, 0, 1)[0])),
-    Quick("fan, nothing but a little friction", DRIVE, lambda: (FAN.model(), windows(FAN, 5, 0, 1)[0])),
-    Quick("drive, small Coulomb friction", DRIVE, _drive(3, {"coulomb-friction": "small"})),
     Quick("drive, nothing, coloured noise", DRIVE, _drive(6, {}, noise_color=0.9)),
     Quick(
         "drive, a resonance outside the catalogue",
