@@ -8,6 +8,7 @@ from typing import Any
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
 from residuum.identification.residual_analysis.locate import Region
+from residuum.library.answers.chance import chance
 
 
 def comparison_json(model: str, records: list[str], comparison: Comparison) -> dict[str, Any]:
@@ -74,7 +75,7 @@ def comparison_text(comparison: Comparison) -> str:
         )
     present = comparison.present
     lines.append(
-        f"structured error: {'yes' if present else 'no'} (p = {comparison.p_value:.2g}"
+        f"structured error: {'yes' if present else 'no'} ({chance(comparison.p_value)}"
         + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise alone explains the error)")
     )
     lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
