@@ -1,6 +1,7 @@
 FROM python:3.12-slim AS build
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml setup.py mkdocs.yml README.md LICENSE ./
+COPY docs ./docs
 COPY residuum ./residuum
 RUN python -m venv /opt/residuum && /opt/residuum/bin/pip install --no-cache-dir ".[postgres,mqtt,oidc,opcua,sparkplug,parquet]"
 

@@ -12,7 +12,6 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 	@echo "installing residuum into .venv, and compiling what every explanation needs (once; about two minutes)"
 	@$(BIN)/python -m pip install -qq -e .
 	@$(BIN)/python -m residuum.identification.discrepancy.compile_ahead
-	@if $(BIN)/python -m pip install -qq 'mkdocs-material>=9.5'; then NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet; fi || true
 	@touch $@
 
 .venv/dev: pyproject.toml .venv/run

@@ -3,7 +3,10 @@
 Every case is one record of a virtual machine (`residuum.simulation`, which shares no code with the models) explained with the
 nominal model. `python -m benchmarks hidden_effects`; the campaign is resumable: each case is appended to $HIDDEN_RESULTS
 (default var/hidden_effects.jsonl) and not run again. $HIDDEN_SEEDS (default 1) is the number of seeds a case,
-$HIDDEN_FAMILIES (default all) a comma-separated choice of families, $HIDDEN_SIZES one of sizes.
+$HIDDEN_FAMILIES (default all) a comma-separated choice of families, $HIDDEN_SIZES one of sizes. Cases are run in an order drawn
+by lot, so that a campaign cut short is a fair sample of the whole one; $HIDDEN_SECONDS (default: no end) is when no further case
+begins, and what is known by then is told. Whether the probabilities that were said came true is drawn into $HIDDEN_PICTURE
+(default var/said_and_true.svg).
 """
 
 import os
@@ -18,6 +21,8 @@ from typing import Any
 import numpy as np
 import orjson
 
+from benchmarks.reliability_picture import reliability_svg
+from benchmarks.said_probabilities import KINDS, Statement, lines_of, real_names, statements, told
 from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
@@ -31,7 +36,9 @@ SEEDS = int(os.environ.get("HIDDEN_SEEDS", "1"))
 FIRST_SEED = int(os.environ.get("HIDDEN_FIRST_SEED", "0"))
 SIZES = os.environ.get("HIDDEN_SIZES", "small,medium,large").split(",")
 FAMILIES = os.environ.get("HIDDEN_FAMILIES", "none,drive,outside,two,oven,tanks,improve").split(",")
+SECONDS = float(os.environ.get("HIDDEN_SECONDS", "inf"))
 RESULTS = Path(os.environ.get("HIDDEN_RESULTS", "var/hidden_effects.jsonl"))
+PICTURE = Path(os.environ.get("HIDDEN_PICTURE", "var/said_and_true.svg"))
 
 SINGLE = ("drive", "oven", "tanks")
 """Families in which one effect of the catalogue is hidden."""
@@ -71,7 +78,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Seed by seed, so that a campaign cut short has seen every kind of case."""
+    """Seed by seed and family by family."""
     for seed in range(FIRST_SEED, FIRST_SEED + SEEDS):
         for family in FAMILIES:
             yield from _FAMILIES[family](seed)
@@ -181,6 +188,9 @@ def _explained(case: Case) -> dict[str, Any]:
         "probability": group_probability(explanation),
         "accepted": [key.effect for key in explanation.accepted],
         "unknown": explanation.probability_unknown,
+        "none": explanation.probability_none,
+        "by_share": explanation.by_share,
+        "candidates": [[c.effect, c.step, c.probability] for c in explanation.candidates],
         "seconds": explanation.seconds,
     }
 
@@ -208,19 +218,19 @@ def group_probability(explanation: Explanation) -> float:
 
 
 def campaign(chosen: Iterable[Case]) -> list[tuple[Case, dict[str, Any]]]:
-    """Every case with its outcome, from the file of results where it is there already."""
+    """The cases with their outcomes, from the file of results where they are there already; those that the time allowed."""
     known = {}
     if RESULTS.exists():
         known = {line["case"]: line for line in map(orjson.loads, RESULTS.read_bytes().splitlines())}
     RESULTS.parent.mkdir(parents=True, exist_ok=True)
-    outcomes = []
-    for case in chosen:
-        if case.key not in known:
-            known[case.key] = run(case)
-            with RESULTS.open("ab") as file:
-                file.write(orjson.dumps(known[case.key]) + b"\n")
-        outcomes.append((case, known[case.key]))
-    return outcomes
+    asked, began = list(chosen), time.monotonic()
+    for k in np.random.default_rng(0).permutation(len(asked)):
+        if asked[k].key in known or time.monotonic() - began > SECONDS:
+            continue
+        known[asked[k].key] = run(asked[k])
+        with RESULTS.open("ab") as file:
+            file.write(orjson.dumps(known[asked[k].key]) + b"\n")
+    return [(case, known[case.key]) for case in asked if case.key in known]
 
 
 def main() -> None:
@@ -237,6 +247,7 @@ def report(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:
         if case.family == "two":
             print(f"| {' + '.join(id for id, _ in case.hidden)} | {' + '.join(out['accepted'])} |")
     _report_calibration([(case, out) for case, out in outcomes if case.family in SINGLE])
+    _report_said([s for case, out in outcomes if "none" in out for s in statements([id for id, _ in case.hidden], out)])
     _report_improved(outcomes)
     seconds = [out["seconds"] for _, out in outcomes]
     print(f"\nCases: {len(outcomes)}; seconds a case: median {np.median(seconds):.1f}, largest {np.max(seconds):.1f}")
@@ -289,6 +300,14 @@ def _report_calibration(single: list[tuple[Case, dict[str, Any]]]) -> None:
     sure = [(case, out) for case, out in single if out["probability"] >= 0.9]
     right = sum(case.hidden[0][0] in out["group"] for case, out in sure if _blames(out))
     print(f"\nVerdicts with p ≥ .9 that name the right group: {right} / {sum(_blames(out) for _, out in sure)}")
+
+
+def _report_said(made: list[Statement]) -> None:
+    if made:
+        print(told(made))
+        PICTURE.parent.mkdir(parents=True, exist_ok=True)
+        series = {what: lines_of([s for s in made if s.what == what]) for what in KINDS}
+        PICTURE.write_text(reliability_svg(series, [(s.said, s.true) for s in real_names()]), encoding="utf-8")
 
 
 def _report_improved(outcomes: list[tuple[Case, dict[str, Any]]]) -> None:

@@ -123,7 +123,7 @@ def _covered(
     if fault.size is None:
         return None
     name = fault.size[0]
-    wanted = fault.causes[0] if name == "offset" else name.rpartition(".")[0] or name
+    wanted = fault.causes[0] if fault.kind == "sensor" else name.rpartition(".")[0] or name
     told = [c for c in causes if label(c) == wanted and c["value"]]
     true = truth(trained, watched, seed, fault, record)
     if not told or true is None:
@@ -136,7 +136,7 @@ def truth(trained: ModelBased, watched: Watched, seed: int, fault: Fault, record
     """The true size in the model's terms: of a value the usual one for such a run, changed as the machine's own constant was."""
     assert fault.size is not None
     name, size = fault.size
-    if name == "offset":
+    if fault.kind == "sensor":
         return size
     band = trained.score(record).evidence["parameters"].get(name)
     if band is None:

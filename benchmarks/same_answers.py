@@ -1,8 +1,10 @@
-"""Does an answer depend on anything but the data? `explain` and `improve` with code compiled and not, idle and beside load.
+"""Does an answer depend on anything but the data? `explain` and `improve` with code compiled and not, one thread and two, idle
+and beside load.
 
 `python -m benchmarks same_answers`: ten records of simulated machines; each command runs as a process of its own, first with an
-empty cache of compiled equations, then with the cache that left behind, then with three busy processes beside it. The three JSON
-answers have to be equal but for `seconds` and `model_file`.
+empty cache of compiled equations, then with the cache that left behind and one thread of linear algebra, then with two, then with
+three busy processes beside it. The four JSON answers have to be equal but for `seconds` and `model_file`. $SAME_ANSWERS_OF
+(default all) chooses records by number, with commas.
 """
 
 import os
@@ -30,6 +32,7 @@ RECORDS = (
 )
 BESIDE = 3
 """Busy processes."""
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @contextmanager
@@ -45,21 +48,24 @@ def busy(processes: int) -> Iterator[None]:
 
 
 def answers(command: Sequence[str], cache: Path) -> dict[str, dict[str, Any]]:
-    """What one command of `residuum` answers: with `cache` not yet there, with it filled, and beside load."""
-    environment = os.environ | {"RESIDUUM_CACHE": str(cache)}
+    """What one command of `residuum` answers: with `cache` not yet there, with it filled, with two threads, and beside load."""
 
-    def answer() -> dict[str, Any]:
+    def answer(threads: int) -> dict[str, Any]:
+        environment = os.environ | {"RESIDUUM_CACHE": str(cache)} | dict.fromkeys(THREADS, str(threads))
         done = subprocess.run([*command, "--json"], env=environment, capture_output=True, check=True)
         return {k: v for k, v in orjson.loads(done.stdout).items() if k not in {"seconds", "model_file"}}
 
-    found = {"empty cache": answer(), "filled": answer()}
+    found = {"empty cache": answer(1), "filled": answer(1), "two threads": answer(2)}
     with busy(BESIDE):
-        return found | {"beside load": answer()}
+        return found | {"beside load": answer(1)}
 
 
 def main() -> None:
-    print("| command | machine | answer | samples | fits | not tried | the same |\n|---|---|---|---|---|---|---|")
+    print("| command | machine | answer | samples | fits | not tried | differ |\n|---|---|---|---|---|---|---|")
+    chosen = {int(k) for k in os.environ.get("SAME_ANSWERS_OF", "").split(",") if k}
     for number, (name, machine, options) in enumerate(RECORDS):
+        if chosen and number not in chosen:
+            continue
         with tempfile.TemporaryDirectory() as folder:
             record = str(Path(folder) / "record.csv")
             command = [sys.executable, "-m", "residuum"]
@@ -68,7 +74,7 @@ def main() -> None:
             written = ["--auto", "--out", str(Path(folder) / "model.yaml")] if name == "improve" else []
             found = answers([*command, name, machine, record, *written], Path(folder) / "cache")
         first = found["filled"]
-        work, same = first["work"], all(one == first for one in found.values())
+        work, same = first["work"], ", ".join(how for how, one in found.items() if one != first) or "none"
         counted = f"{work['samples']} | {work['fits']} | {', '.join(work['not_tried'])}"
         print(f"| {name} | {machine} {options[1]} | {first['verdict']} | {counted} | {same} |", flush=True)
 

@@ -30,7 +30,10 @@ _COPPER, _GREASE = 0.0039, -0.006
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault: its factor on constants of the machine, or what is added to a channel, and the causes that may be named."""
+    """A fault: its factor on constants of the machine, or what is done to a channel, and the causes that may be named.
+
+    `reading` is added to a channel, `gain` multiplies it, `noise` is the standard deviation of white noise more in it.
+    """
 
     id: str
     causes: tuple[str, ...]
@@ -38,6 +41,8 @@ class Fault:
     scaled: Mapping[str, float] | None = None
     set: Mapping[str, float] | None = None
     reading: Mapping[str, float] | None = None
+    gain: Mapping[str, float] | None = None
+    noise: Mapping[str, float] | None = None
     size: tuple[str, float] | None = None
 
 
@@ -252,13 +257,23 @@ def _damaged(constants: Any, fault: Fault) -> Any:
 
 def _record(watched: Watched, run: Any, k: int, fault: Fault | None, temperature: float) -> Record:
     channels, units = dict(run.channels), dict(run.units)
-    for name, added in ((fault.reading or {}) if fault else {}).items():
-        channels[name] = channels[name] + added
+    if fault is not None:
+        channels |= _misread(channels, fault, k)
     if watched.warm:
         n = len(next(iter(channels.values())))
         draws = np.random.default_rng([k, 22]).standard_normal(n)
         channels["temperature"], units["temperature"] = temperature + 0.2 * draws, "degC"
     return Record(channels, units, run.sample_time, t0=run.t0, source=f"{watched.name} {k}")
+
+
+def _misread(channels: Mapping[str, Any], fault: Fault, k: int) -> dict[str, Any]:
+    """The channels that the fault's sensors read otherwise in window k."""
+    rng = np.random.default_rng([k, 23])
+    found = {name: channels[name] + added for name, added in (fault.reading or {}).items()}
+    found |= {name: channels[name] * factor for name, factor in (fault.gain or {}).items()}
+    return found | {
+        name: channels[name] + std * rng.standard_normal(len(channels[name])) for name, std in (fault.noise or {}).items()
+    }
 
 
 # --- models and faults
@@ -369,6 +384,8 @@ DRIVE = Watched(
         *_pair("R", "R", ("R",), "R"), *_pair("K", "K", ("K",), "K"), *_pair("gate's inertia", "J_L", ("m",), "m"),
         Fault("friction +30 %", ("coulomb-friction@shaft",), scaled={"tau_c": 1.3}, size=("coulomb-friction@shaft.tau_c", 1.3)),
         _sensor("speed", 3.45), _sensor("current", 0.3),
+        Fault("speed reads 4 % more", ("gain@speed",), "sensor", gain={"speed": 1.04}, size=("gain", 0.04)),
+        Fault("current noisier", ("noise@current",), "sensor", noise={"current": 0.15}, size=("noise", 0.15)),
         Fault("new play", ("backlash@shaft", "elastic-transmission@shaft"), set={"two_bodies": True, "gap": 0.5}),
     ),
     {"m": ("J_L", (44 / (0.028 * (2.0 - OFF))) ** 2)},  # m makes up for the rotor's inertia too, held at the file's

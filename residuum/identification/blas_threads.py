@@ -6,13 +6,13 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-LARGEST = 400
+LARGEST_FOR_ONE_THREAD = 400
 
 
 @contextmanager
 def one_thread_if_small(size: int) -> Iterator[None]:
     """Pin BLAS to one thread while matrices of `size` rows are factored; larger ones keep all threads."""
-    if size > LARGEST:
+    if size > LARGEST_FOR_ONE_THREAD:
         yield
         return
     with one_thread():

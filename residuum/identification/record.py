@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -138,11 +139,11 @@ class Record:
 
         BadUnit where the channel has none and one is wanted: not to say a unit is not to say that there is none.
         """
+        where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
-            where = f"record {self.source!r}, " if self.source else ""
-            how = f"--unit {name}={unit} if it is in that, in Python units={{{name!r}: {unit!r}}}"
+            how = f"--unit {shlex.quote(f'{name}={unit}')} if it is in that, in Python units={{{name!r}: {unit!r}}}"
             raise BadUnit(f"{where}channel {name!r}: unit none cannot be converted to {unit!r}; say it, {how}")
-        return convert(self[name], self.units[name], unit, what=f"channel {name!r}")
+        return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}")
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:
         """Mask of the missing samples of channel `name`, shape (n,)."""

@@ -16,7 +16,7 @@ from residuum.identification.work import Work, begun, counted_as, go_on
 
 MOST_THREADS = 4
 """Threads for pieces of work side by side."""
-AT_ONCE = 8
+BEGUN_AT_ONCE = 8
 """Pieces of work that begin before it is asked again how much work is left, on every machine."""
 
 T = TypeVar("T")
@@ -55,8 +55,8 @@ def each_beside(function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         return [function(item) for item in items]
     found: list[R] = []
     with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1, len(items))) as pool:
-        for begin in range(0, len(items), AT_ONCE):
-            whole, several = begun(), items[begin : begin + AT_ONCE]
+        for begin in range(0, len(items), BEGUN_AT_ONCE):
+            whole, several = begun(), items[begin : begin + BEGUN_AT_ONCE]
             parts = [whole.part() for _ in several]
             running = [
                 pool.submit(copy_context().run, _counted, part, lambda item=item: function(item))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.exceptions import NotFittedError
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding as Judged
 from residuum.diagnosis.finding import Verdict
@@ -224,23 +224,17 @@ def load_monitor(diagnoser: str, path: str | PathLike[str]) -> Monitor:
     'healthy'
     """
     loaded = Monitor(diagnoser)
-    loaded.diagnoser_ = _class(diagnoser).load(Path(path))
+    loaded.diagnoser_ = diagnoser_class(diagnoser).load(Path(path))
     return loaded
 
 
 def _made(name: str, settings: Mapping[str, Any]) -> Diagnoser:
-    kind: Any = _class(name)
+    kind: Any = diagnoser_class(name)
     try:
         made: Diagnoser = kind(**settings)
     except TypeError as error:
         raise BadInput(f"diagnoser {name!r}: {str(error).split('()')[-1].strip()}") from None
     return made
-
-
-def _class(name: str) -> type[Diagnoser]:
-    if name not in DIAGNOSERS:
-        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
-    return DIAGNOSERS[name]
 
 
 def _largest(finding: Judged) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from residuum.library.optional_package import need
 from residuum.library.picture import Bars, Curve, Panel, Picture
 
-POINTS = 4000
+MOST_POINTS = 4000
 _COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 _HEIGHT = 260
 """Of a panel [px]."""
@@ -46,7 +46,7 @@ def _traces(graphs: Any, panel: Panel) -> list[Any]:
     traces: list[Any] = []
     for number, curve in enumerate(panel.content):
         colour = _COLOURS[number % len(_COLOURS)]
-        traces += _curve(graphs, curve.reduced(POINTS), colour)
+        traces += _curve(graphs, curve.reduced(MOST_POINTS), colour)
     return traces
 
 

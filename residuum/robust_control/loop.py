@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -152,7 +152,7 @@ class Loop:
             for k, plant in enumerate(self.plants)
         )
 
-    @one_thread_if_small(LARGEST)
+    @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
     def is_certainly_stable(self, controller: TransferFunction) -> bool:
         """The same from the closed-loop roots themselves, for the final word; measured plants by Nyquist's criterion."""
         return all(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.drawn_errors import DrawnErrors
 from residuum.identification.linear_models.error_grid import refined_grid
@@ -39,7 +39,7 @@ def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:
     return TransferFunction(mean, np.r_[1.0, np.zeros(length - 1)], models[0].sample_time)
 
 
-@one_thread_if_small(LARGEST)
+@one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def overall_uncertainty(
     models: Sequence[IdentifiedModel],
     average: TransferFunction,

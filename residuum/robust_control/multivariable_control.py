@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel
 from residuum.identification.linear_models.drawn_errors import DrawnErrors
@@ -174,7 +174,7 @@ class MultivariableProblem:
         decoupled = np.einsum("npqm,qr->nprm", plants, self.decoupler)
         return tuple(self._loop(i, decoupled) for i in range(len(self.gains)))
 
-    @one_thread_if_small(LARGEST)
+    @one_thread_if_small(LARGEST_FOR_ONE_THREAD)
     def _loop(self, i: int, decoupled: FloatArray) -> DecoupledLoop:
         own = decoupled[0, i, i]
         taps = np.trim_zeros(own, "f")

@@ -7,7 +7,7 @@ import re
 from urllib.parse import quote
 
 _PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
-_UNIT = re.compile(r"--unit ([^\s=,;)]+)=([^\s,;)]+)")
+_UNIT = re.compile(r"--unit (?:'([^=']+)=([^']+)'|([^\s=,;)]+)=([^\s,;)]+))")
 _MAP = re.compile(r"--map ([^\s=,;)]+)=([^\s,;)]+)")
 
 
@@ -16,10 +16,17 @@ def said_over_http(says: str) -> str:
 
     >>> said_over_http("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}")
     "unit none is no '%'; say it, POST /records?unit=duty=%25 if it is in that"
+    >>> said_over_http("say it, --unit 'Motor voltage=V' if it is in that")
+    'say it, POST /records?unit=Motor%20voltage=V if it is in that'
     >>> said_over_http("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}")
     'map one of them: "map": {"u": "COLUMN"} in the body'
     """
     if "--" not in says:
         return says
-    says = _UNIT.sub(lambda found: f"POST /records?unit={quote(found[1])}={quote(found[2], safe='/*')}", _PYTHON.sub("", says))
+    says = _UNIT.sub(_unit_key, _PYTHON.sub("", says))
     return _MAP.sub(lambda found: f'"map": {{"{found[1]}": "{found[2]}"}} in the body', says)
+
+
+def _unit_key(found: re.Match[str]) -> str:
+    name, unit = (each for each in found.groups() if each is not None)
+    return f"POST /records?unit={quote(name)}={quote(unit, safe='/*')}"

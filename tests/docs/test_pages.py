@@ -92,6 +92,22 @@ def test_the_site_is_built_and_fetches_nothing(tmp_path):
     assert [address for address in fetched if "canonical" not in address] == []
 
 
+def test_a_package_that_is_built_takes_the_pages_along(tmp_path):
+    pytest.importorskip("mkdocs")
+    clone, package = tmp_path / "clone", tmp_path / "package"
+    (clone / "residuum" / "service" / "web").mkdir(parents=True)
+    for name in ("docs", "mkdocs.yml", "setup.py", "README.md"):
+        (clone / name).symlink_to(ROOT / name)
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")  # older setuptools know no licence expressions
+    (clone / "pyproject.toml").write_text(re.sub("^license.*$", "", project, flags=re.MULTILINE), encoding="utf-8")
+    for folder in ("residuum", "residuum/service", "residuum/service/web"):
+        (clone / folder / "__init__.py").touch()
+    command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", str(package)]
+    built = subprocess.run(command, cwd=clone, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert "first hour" in (package / "residuum/service/web/site/tutorials/first-hour.html").read_text(encoding="utf-8").lower()
+
+
 @pytest.mark.parametrize(
     "page", [ROOT / "README.md", DOCS / "index.md", *(DOCS / "tutorials").glob("*.md")], ids=lambda p: p.stem
 )

@@ -32,6 +32,18 @@ def test_a_channel_without_a_unit_is_converted_to_none(wanted):
     assert record.in_unit("duty", "")[0] == record.in_unit("duty", "1")[0] == 60.0
 
 
+def test_what_is_to_be_typed_is_said_as_a_shell_takes_it():
+    record = Record({"Motor voltage": [6.0]}, {"Motor voltage": ""}, 1.0)
+    with pytest.raises(BadUnit, match="--unit 'Motor voltage=V' if"):
+        record.in_unit("Motor voltage", "V")
+
+
+def test_a_unit_of_another_kind_is_refused_with_its_record():
+    record = Record({"n": [6.0]}, {"n": "bar"}, 1.0, source="r.csv")
+    with pytest.raises(BadUnit, match=r"record 'r\.csv', channel 'n': unit 'bar' cannot be converted to 'rad/s'"):
+        record.in_unit("n", "rad/s")
+
+
 @pytest.mark.parametrize(
     ("channels", "units", "sample_time", "rule"),
     [

@@ -23,6 +23,7 @@ from sqlalchemy.engine import make_url
 from residuum.service.app import create_app
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.settings import load_settings
+from residuum.service.simulated.demo_training import train
 
 PATIENCE = 60.0
 _PROCESS = os.environ.get("PYTEST_XDIST_WORKER")  # gw0, gw1, … when several processes run the tests, each its share
@@ -60,11 +61,15 @@ def _free_port():
             return port
 
 
-@pytest.fixture(scope="session", autouse=True)
-def trained_diagnosers(tmp_path_factory):
-    """A folder in which `trained.py` keeps what one of the processes that run the tests has trained, for the others."""
-    folder = tmp_path_factory.getbasetemp()
-    os.environ["RESIDUUM_TEST_TRAINED"] = str(folder if _PROCESS is None else folder.parent)
+@pytest.fixture(scope="session")
+def demo_baseline(made_once):
+    """Gives the baseline file of a machine of the demo, as the demo trains it."""
+
+    def baseline(machine):
+        diagnoser = {"process-plant": "robust-residual"}.get(machine, machine)
+        return made_once(f"{machine}.zip", lambda file: train(machine, diagnoser, str(file.parent)))
+
+    return baseline
 
 
 @pytest.fixture

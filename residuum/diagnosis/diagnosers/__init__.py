@@ -7,6 +7,7 @@ from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.entry_points import from_entry_points
+from residuum.identification.errors import BadInput
 
 DIAGNOSERS: dict[str, type[Diagnoser]] = {
     GateActuator.name: GateActuator,
@@ -17,3 +18,10 @@ DIAGNOSERS: dict[str, type[Diagnoser]] = {
 }
 for _found in from_entry_points("residuum.diagnosers"):
     DIAGNOSERS.setdefault(_found.name, _found)
+
+
+def diagnoser_class(name: str) -> type[Diagnoser]:
+    """The class of this name; BadInput lists the names there are."""
+    if name not in DIAGNOSERS:
+        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+    return DIAGNOSERS[name]

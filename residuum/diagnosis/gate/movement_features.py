@@ -13,7 +13,7 @@ from residuum.diagnosis.gate.operating_events import slow_residual
 from residuum.diagnosis.gate.position_domain import PositionProfile, position_profile
 from residuum.diagnosis.gate.residual_envelope import EnvelopeSpectrum, envelope_spectrum, fault_indicators, residual_envelope
 from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.vibration.shaft_pattern import POINTS, ShaftPattern, shaft_pattern
+from residuum.diagnosis.vibration.shaft_pattern import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
 
 Signal = npt.NDArray[np.float64]
 RATE = 500.0  # Hz; over seven samples a motor turn, 320 a shaft turn
@@ -155,8 +155,8 @@ def _pulses(
         pattern = shaft_pattern(z, turns)
         periodic = max(periodic, _peak(pattern.typical) * float(np.sqrt(min(pattern.turns.shape[0], _AVERAGED_TURNS))))
         whole = turns - turns[0] < pattern.turns.shape[0]
-        place = (turns[whole] - turns[0]) % 1.0 * POINTS
-        shared = np.interp(place, np.arange(POINTS + 1), np.append(pattern.typical, pattern.typical[0]))
+        place = (turns[whole] - turns[0]) % 1.0 * POINTS_OF_A_TURN
+        shared = np.interp(place, np.arange(POINTS_OF_A_TURN + 1), np.append(pattern.typical, pattern.typical[0]))
         largest[whole] = np.maximum(largest[whole], np.abs(z[whole] - shared))
     return _Pulses(float(np.max(largest)), periodic, largest)
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
-from residuum.diagnosis.vibration.shaft_pattern import POINTS
+from residuum.diagnosis.vibration.shaft_pattern import POINTS_OF_A_TURN
 from residuum.identification.errors import NotIdentifiable
 
 Signal = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ class NotchMatch:
 
     @classmethod
     def of(cls, typical_turns: Sequence[Signal], gear_teeth: int) -> NotchMatch:
-        """From the typical turns of healthy movements, each of shape (POINTS,); NotIdentifiable without any."""
+        """From the typical turns of healthy movements, each of shape (POINTS_OF_A_TURN,); NotIdentifiable without any."""
         if len(typical_turns) == 0:
             raise NotIdentifiable("notch match: no healthy turn to learn the tooth errors from")
         power = np.mean([np.abs(_spectrum(turn, gear_teeth)) ** 2 for turn in typical_turns], axis=0)
@@ -81,7 +81,7 @@ class NotchMatch:
             place = int(np.argmax(np.abs(correlation)))
             z = float(np.abs(correlation[place])) / np.sqrt(energy)
             if z > best:
-                turned = S * np.exp(-2j * np.pi * self.orders * place / POINTS)
+                turned = S * np.exp(-2j * np.pi * self.orders * place / POINTS_OF_A_TURN)
                 best, bump = z, correlation[place] / energy * turned
         return best, bump
 
@@ -91,12 +91,12 @@ class NotchMatch:
         return [s**2 / (1.0 + s * T) * np.exp(-0.5 * (k * width * 2 * np.pi / self.gear_teeth) ** 2) for width in _WIDTHS]
 
     def _correlation(self, X: ComplexArray, S: ComplexArray) -> Signal:
-        """Whitened correlation with the bump at each of POINTS places, shape (POINTS,)."""
-        weighted = np.zeros(POINTS, dtype=complex)
+        """Whitened correlation with the bump at each of POINTS_OF_A_TURN places, shape (POINTS_OF_A_TURN,)."""
+        weighted = np.zeros(POINTS_OF_A_TURN, dtype=complex)
         weighted[1 : self.gear_teeth] = np.conj(S) * X / self.power
-        return np.asarray(2.0 * POINTS * np.real(np.fft.ifft(weighted)))
+        return np.asarray(2.0 * POINTS_OF_A_TURN * np.real(np.fft.ifft(weighted)))
 
 
 def _spectrum(typical_turn: Signal, gear_teeth: int) -> ComplexArray:
     """Fourier coefficients of the orders 1 … gear_teeth − 1."""
-    return np.asarray(np.fft.rfft(typical_turn)[1:gear_teeth] / POINTS)
+    return np.asarray(np.fft.rfft(typical_turn)[1:gear_teeth] / POINTS_OF_A_TURN)

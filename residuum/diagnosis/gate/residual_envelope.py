@@ -11,7 +11,7 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 Signal = npt.NDArray[np.float64]
 BAND = (0.5, 10.0)  # Hz
-HARMONICS = 3
+ENVELOPE_HARMONICS = 3
 _NEIGHBOURHOOD = 0.05  # of each harmonic, either side
 _ZERO_PADDING = 8
 
@@ -67,7 +67,9 @@ def envelope_spectrum(envelope: Signal, sample_time: float) -> EnvelopeSpectrum:
     )
 
 
-def fault_indicators(spectrum: EnvelopeSpectrum, fault_frequency: float, harmonics: int = HARMONICS) -> tuple[float, float]:
+def fault_indicators(
+    spectrum: EnvelopeSpectrum, fault_frequency: float, harmonics: int = ENVELOPE_HARMONICS
+) -> tuple[float, float]:
     """F₁ = Σₖ θ(k f) and F₂ = Σₖ Σ_{0.95 k f ≤ j ≤ 1.05 k f} θ(j) of (7.6), k = 1 … harmonics, f the fault frequency [Hz]."""
     orders = [k * fault_frequency for k in range(1, harmonics + 1)]
     return sum(map(spectrum.at, orders)), sum(map(spectrum.around, orders))

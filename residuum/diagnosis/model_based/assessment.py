@@ -186,7 +186,7 @@ def _told(baseline: Baseline, found: Detected, record: Record, cause: Cause) -> 
         "value": size,
         "healthy": None if healthy is None else {"low": healthy[0], "high": healthy[1]},
         "onset_time": onset,
-        "says": said(h, value, std, healthy, "" if onset is None else f" since {onset:.6g} s"),
+        "says": said(h, value, std, healthy, "" if onset is None else f", since {onset - record.t0:.4g} s into the window"),
     }
 
 

@@ -120,11 +120,10 @@ class Baseline:
         """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
         the window has on it, each of shape (outputs,); begun where the healthy model's fit ended.
         """
-        first = None if healthy is None else healthy.initial
         found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
             moved = Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted))
-            fit = fitter.fit(moved, STEPS, first=first)
+            fit = fitter.fit(moved, STEPS, beside=healthy)
             if fit is not None:
                 found[o], told[o] = fit.own[0], information_on_size(fit, fitter.covariance)
         return found, told

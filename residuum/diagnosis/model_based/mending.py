@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.diagnosis.model_based.baseline import alone
-from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, OPEN, SEARCH, SEARCHED
+from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, NONE, OPEN, SEARCH, SEARCHED
 from residuum.diagnosis.model_based.whitening import Whitening
-from residuum.diagnosis.model_based.window_fit import Fit, information, log_power
+from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.effects.base import Parameter
@@ -38,9 +38,20 @@ class _Mended:
 
     @property
     def log_errors(self) -> Array:
-        """Mean over the outputs of the logarithm of the RMS error in each window; infinite where the model diverges."""
+        """Mean over the outputs of the logarithm of the RMS error in each window, in the model's over all of them; infinite where
+        it diverges.
+
+        An error a thousand times smaller is none: in a window in which nothing moves any error can be taken away.
+        """
         there = self.windows[0].measured
-        return np.array([np.inf if f is None else np.mean(log_power(f)[: len(there)], where=there) for f in self.fits])
+        power = [None if f is None else f.power.mean(axis=0) for f in self.fits]
+        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NONE**2), where=there) for p in power])
+
+    @property
+    def told(self) -> Array:
+        """What each window tells of the values, shape (windows, values): 0 where the model diverges."""
+        count = len(self.model.free)
+        return np.array([np.zeros(count) if f is None else np.diag(information(f, count)) for f in self.fits])
 
 
 def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
@@ -51,7 +62,8 @@ def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: White
     """
     few = [windows[k] for k in evenly(len(windows), CALIBRATED)]
     base = _fitted(model, few, whitening)
-    found = [_fitted(*one, whitening) for one in _lacking(model, few)]
+    searched = np.argsort(-_telling(base), kind="stable")[:SEARCHED]
+    found = [_fitted(*one, whitening) for one in _lacking(model, few, searched.tolist())]
     errors = [one.log_errors for one in found]
     better = [k for k, error in enumerate(errors) if _falls(base.log_errors - error)]
     if not better:
@@ -77,10 +89,18 @@ def evenly(windows: int, count: int) -> list[int]:
     return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
 
 
-def _lacking(model: PhysicalModel, windows: Sequence[Experiment]) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
-    """The model with what one of the windows lacks, for some of them, at either input timing of all windows."""
+def _telling(base: _Mended) -> Array:
+    """How much each window tells of the values, shape (windows,): the geometric mean of the information on each of them."""
+    told = np.nan_to_num(base.told)
+    return np.asarray(np.log(np.maximum(told, 1e-12 * told.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
+
+
+def _lacking(
+    model: PhysicalModel, windows: Sequence[Experiment], searched: Sequence[int]
+) -> list[tuple[PhysicalModel, Sequence[Experiment]]]:
+    """The model with what one of the windows that are searched lacks, at either input timing of all windows."""
     found: dict[tuple[Key, ...], list[tuple[PhysicalModel, Sequence[Experiment]]]] = {}
-    for k in evenly(len(windows), SEARCHED):
+    for k in searched:
         try:
             with at_most(SEARCH):
                 there = search(data_of(model, [windows[k]]), Wanted(held=False))
@@ -108,9 +128,11 @@ def _fitted(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whit
 
 
 def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
-    """At the middle of the windows' values; of new effects held are shapes, which no window changes, and what they leave open."""
+    """At the middle of the windows' values, each weighing as much as it tells; of new effects held are shapes, which no window
+    changes, and what they leave open.
+    """
     names, fits = list(found.model.free), [fit for fit in found.fits if fit is not None]
-    values = np.median([fit.others for fit in fits], axis=0)
+    values = _middle(np.array([fit.others for fit in fits]), found.told[[fit is not None for fit in found.fits]])
     total = np.sum([information(fit, len(names)) for fit in fits], axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
@@ -119,6 +141,14 @@ def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
     }
     new = [name for name, there in zip(names, told, strict=True) if name not in before.free and (name in shapes or not there)]
     return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
+
+
+def _middle(values: Array, weights: Array) -> Array:
+    """The weighted median over the rows."""
+    order = np.argsort(values, axis=0, kind="stable")
+    below = np.cumsum(np.take_along_axis(weights + 1e-300, order, axis=0), axis=0)
+    at = np.argmax(below >= 0.5 * below[-1], axis=0)
+    return np.asarray(np.take_along_axis(values, np.take_along_axis(order, at[None], axis=0), axis=0)[0])
 
 
 def _falls(gain: Array, times: float = ALWAYS) -> bool:

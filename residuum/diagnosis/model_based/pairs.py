@@ -39,7 +39,7 @@ def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) ->
         if set(a.fit.variant.own) & set(b.fit.variant.own):
             continue
         one, other = _ended(a.fit), b.fit.variant
-        fit = fitter.fit(beside(fitter.model, one, other), PAIR_STEPS, first=a.fit.initial)
+        fit = fitter.fit(beside(fitter.model, one, other), PAIR_STEPS, beside=a.fit)
         if fit is not None:
             looks.append(Pair((a.hypothesis, b.hypothesis), fit, (one.own, other.own), _whose(one, other)))
     looks.sort(key=lambda pair: fitter.nats(pair.fit))

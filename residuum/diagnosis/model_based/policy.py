@@ -21,6 +21,8 @@ SEARCHED, CALIBRATED = 1, 8
 """Healthy windows in which missing physics is sought, and in which every hypothesis is tried. Chosen."""
 SEARCH = 1e9
 """[samples] Of work in one such search. Chosen."""
+NONE = 1e-3
+"""[of the error over all windows] An error in one of them that is none. Chosen."""
 ALWAYS = 3.0
 """[standard errors over windows] By which the error has to fall in them for an effect to be missing physics. Chosen."""
 

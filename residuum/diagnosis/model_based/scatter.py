@@ -79,7 +79,7 @@ def _fitted(F: Array, x: Array, information: Sequence[Array] | None, floor: Arra
     for _ in range(1 if information is None else EM_STEPS):
         B = np.einsum("pij,wj,wp->ip", M, F, post)
         d = post - F @ B
-        S = (d.T @ d + V.sum(axis=0)) / np.sqrt(np.outer(freedom, freedom)) + np.diag(floor**2)
+        S = d.T @ d / np.sqrt(np.outer(freedom, freedom)) + V.mean(axis=0) + np.diag(floor**2)
         if information is not None:
             P = np.linalg.inv(S)
             V = np.array([np.linalg.inv(P + h) for h in information])

@@ -38,7 +38,7 @@ def tried(
         if h.seen is not None:
             each = [h.seen(fitter, healthy)]
         else:
-            each = [fitter.fit(v, LOOK, first=healthy.initial) for v in h.variants(fitter.window, X)]
+            each = [fitter.fit(v, LOOK, beside=healthy) for v in h.variants(fitter.window, X)]
         if known := [fit for fit in each if fit is not None]:
             looks.append(Tried(h, min(known, key=fitter.nats)))
     looks.sort(key=lambda t: fitter.nats(t.fit) + usual_gain(t.hypothesis))
@@ -56,6 +56,6 @@ def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     best = min(known, key=fitter.nats)
     while h.begin is not None and (steps := steps // 2):
         beside = [t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2]
-        others = [fitter.fit(h.begin(fitter.window, t), LOOK, first=healthy.initial) for t in beside]
+        others = [fitter.fit(h.begin(fitter.window, t), LOOK, beside=healthy) for t in beside]
         best = min([best, *(fit for fit in others if fit is not None)], key=fitter.nats)
     return Tried(h, best)

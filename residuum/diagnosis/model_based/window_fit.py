@@ -44,6 +44,8 @@ class Fit:
         Of (others, own, first states), the prior left out.
     initial : array
         First states.
+    substeps : list of int
+        Runge–Kutta steps a sample.
     """
 
     variant: Variant
@@ -55,6 +57,7 @@ class Fit:
     error: Array
     information: Array
     initial: Array
+    substeps: list[int]
     onset: int = 0
 
 
@@ -107,10 +110,16 @@ class WindowFitter:
         """[nat] What it costs."""
         return float(self.logs(fit).sum()) + self.price(fit)
 
-    def fit(self, variant: Variant, steps: int = STEPS, begin: Fit | None = None, first: Array | None = None) -> Fit | None:
-        """From a fit of the same variant, or from the variant's values and `first` states; None where it cannot be simulated."""
+    def fit(self, variant: Variant, steps: int = STEPS, begin: Fit | None = None, beside: Fit | None = None) -> Fit | None:
+        """From a fit of the same variant, or from the variant's values and the first states of a fit beside it.
+
+        A look keeps the steps of that fit too, where it adds no state that may be faster. None where it cannot be simulated.
+        """
         try:
-            return _Problem(self, variant, begin, first).solved(steps)
+            problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
+            if beside is not None and steps <= LOOK and len(problem.x0) == len(beside.initial):
+                problem.substeps = beside.substeps
+            return problem.solved(steps)
         except (BadInput, NotImplementedError, np.linalg.LinAlgError):
             return None
 
@@ -118,8 +127,7 @@ class WindowFitter:
         """States along a fit of the healthy model, shape (n, states)."""
         simulator = Simulator(self.model)
         p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
-        substeps = simulator.substeps_each([self.window], [fit.initial], p)
-        return np.asarray(simulator.run_each([self.window], [fit.initial], p, substeps=substeps).X)
+        return np.asarray(simulator.run_each([self.window], [fit.initial], p, substeps=fit.substeps).X)
 
 
 class _Problem:
@@ -147,7 +155,7 @@ class _Problem:
         else:
             z = [self.mean, np.array([known[n].value for n in variant.own]), self.x0[self.at], np.array(variant.sizes)]
         self.z = np.clip(np.concatenate(z), self.lower, self.upper)
-        self.substeps: list[int] | None = None
+        self.substeps: list[int] = []
 
     def solved(self, steps: int) -> Fit | None:
         """The fit after so many steps; None where the first values cannot be simulated."""
@@ -199,7 +207,7 @@ class _Problem:
         worth = 0.5 * (freedom + k) * float(np.log1p(paid @ paid / freedom))
         error = np.where(fitter.known, here[2], np.nan)
         own = np.concatenate([z[k:q], z[q + nx :]])
-        return Fit(variant, z[:k], own, power, worth, here[0], error, information, x0, variant.onset)
+        return Fit(variant, z[:k], own, power, worth, here[0], error, information, x0, self.substeps, variant.onset)
 
     def _paid(self, z: Array) -> Array:
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
@@ -219,7 +227,7 @@ class _Problem:
         if self.variant.inputs is not None:
             U = self.variant.inputs(e.U, z[q + nx :])
             e = replace(e, U=U, hold=np.concatenate([e.hold, np.ones(U.shape[1] - e.U.shape[1])]))
-        if self.substeps is None:
+        if not self.substeps:
             self.substeps = self.simulator.substeps_each([e], [x], p)
         run = self.simulator.run_each([e], [x], p, slopes=slopes, substeps=self.substeps)
         return (run.Y, run.dY) if run.bounded else None
@@ -285,12 +293,12 @@ def information(fit: Fit, keep: int) -> Array:
 
 
 def information_on_size(fit: Fit, covariance: Array) -> float:
-    """Of the only size, beside other values of this prior covariance (others, others)."""
+    """Of the only size, beside other values of this prior covariance (others, others); of one that they make up for wholly, 0."""
     k = len(fit.others)
     H = fit.information.copy()
     H[:k, :k] += np.linalg.inv(covariance)
     order = [k, *range(k), *range(k + 1, len(H))]
-    return float(_beside(H[np.ix_(order, order)], 1)[0, 0])
+    return max(float(_beside(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
 
 
 def _beside(H: Array, keep: int) -> Array:

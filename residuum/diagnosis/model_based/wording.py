@@ -55,4 +55,5 @@ def said(
         return f"a load that nobody recorded acts on the {h.place}{since}"
     where = f" of the {h.place}" if h.place else ""
     usual = "" if healthy is None else f", healthy {number(healthy[0])} to {number(healthy[1])}"
-    return f"{h.name.replace('-', ' ')}{where} {size}{usual}{since}"
+    much = f" {size}" if size else ", of a size that the window leaves open"
+    return f"{h.name.replace('-', ' ')}{where}{much}{usual}{since}"

@@ -23,7 +23,7 @@ from residuum.diagnosis.residuals.window_scan import (
     scan_limits,
 )
 from residuum.diagnosis.thresholds.false_alarm_rate import scan_rate, shiryaev_roberts_rate
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import FloatArray
 
@@ -171,7 +171,7 @@ class LikelihoodRatioBank:
         self._counts = np.array(state["counts"], dtype=np.int64)
 
 
-@one_thread_if_small(LARGEST)
+@one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def covariance_root(covariance: FloatArray) -> FloatArray:
     """Rows of Bᵀ with Σ_g = B Bᵀ, largest first, shape (r, m); what makes up less than 10⁻⁶ of the trace is left out."""
     eigenvalues, vectors = np.linalg.eigh(covariance)

@@ -24,7 +24,7 @@ from residuum.identification.record import Record
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
-LONGEST = 1024
+LONGEST_SCAN = 1024
 _EVERY = 8
 """A window is looked at each time this part of its length has passed."""
 _AFTER, _COARSE = 1024, 64
@@ -122,7 +122,7 @@ def detect_multivariable(
 
 def threshold_of(hypotheses: int, rate: float) -> float:
     """b that the windows of so many hypotheses, of either sign, exceed `rate` times a sample."""
-    lengths = window_lengths(LONGEST).tolist()
+    lengths = window_lengths(LONGEST_SCAN).tolist()
 
     def excess(b: float) -> float:
         return float(np.log(2.0 * hypotheses * scan_rate(b, lengths) / rate))
@@ -169,7 +169,7 @@ class _Scan:
 
     def _windows(self) -> Iterator[tuple[int, IntArray]]:
         """(length, last samples) of the windows without a sample that is not valid."""
-        for length in window_lengths(LONGEST).tolist():
+        for length in window_lengths(LONGEST_SCAN).tolist():
             last = np.arange(length - 1, self.n, max(1, length // _EVERY))
             whole = self.ends[last + 1] - self.ends[last + 1 - length] == length
             if whole.any():
@@ -201,7 +201,7 @@ class _Scan:
         broken = np.flatnonzero(~self.residual.valid[alarm:stop])
         stop = alarm + int(broken[0]) if len(broken) else stop
         before = np.flatnonzero(~self.residual.valid[:alarm])
-        start = max(int(before[-1]) + 1 if len(before) else 0, alarm - LONGEST)
+        start = max(int(before[-1]) + 1 if len(before) else 0, alarm - LONGEST_SCAN)
         found = []
         for one, f in self.hypotheses:
             response = own_response(self.design, one.place, one.kind == "actuator", stop - start)

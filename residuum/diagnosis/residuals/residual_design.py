@@ -29,7 +29,7 @@ from residuum.diagnosis.systems.system_norms import peak_gain
 from residuum.diagnosis.thresholds.hazard_tail import HazardTail
 from residuum.diagnosis.thresholds.healthy_reference import block_peaks
 from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_healthy_tail
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.state_space import FloatArray, StateSpace
@@ -233,7 +233,7 @@ class ResidualDesign:
 _NUMBERS = ("method", "gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
 
 
-@one_thread_if_small(LARGEST)
+@one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def design_residual(
     model: IdentifiedModel,
     W_T: TransferFunction | None,

@@ -15,7 +15,7 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 
 Array = npt.NDArray[np.float64]
 
-FEWEST = 8
+FEWEST_WINDOWS_OF_A_TRACK = 8
 _MOST = 300
 """Samples that are followed; of longer histories neighbours are joined."""
 _MARGIN = 3
@@ -150,8 +150,8 @@ def _samples(
         raise BadInput(f"track: times {t.shape}, values {y.shape} and deviations {s.shape} must be equal vectors, times rising")
     kept = np.isfinite(y) & np.isfinite(s) & np.isfinite(x).all(axis=1)
     t, y, s, x = t[kept], y[kept], s[kept], x[kept]
-    if len(t) < FEWEST:
-        raise NotIdentifiable(f"track: {len(t)} windows tell the value; at least {FEWEST} are needed")
+    if len(t) < FEWEST_WINDOWS_OF_A_TRACK:
+        raise NotIdentifiable(f"track: {len(t)} windows tell the value; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
     x = x - x.mean(axis=0)
     return t, y, s, x[:, np.ptp(x, axis=0) > 0]
 

@@ -24,8 +24,8 @@ from residuum.diagnosis.vibration.envelope import envelope_of_spectrum, padded_s
 from residuum.identification.errors import BadInput
 
 Array = npt.NDArray[Any]
-HARMONICS = 4
-TOLERANCE = 0.02  # of the fault frequency: slip of the balls and error of the stated speed
+LINES_OF_A_FAMILY = 4
+SLIP = 0.02  # of the fault frequency: slip of the balls and error of the stated speed
 _PERIODS = 140  # of the slowest line a segment: over longer ones slip smears lines faster than the spectrum sharpens
 _PERIODS_OF_CAGE = 60
 _FEWEST_PERIODS = 8
@@ -119,7 +119,7 @@ def _evidence(
     centres = {name: [variant * f for variant in _VARIANTS[name]] for name, f in lines.items()}
     all_centres = [f for variants in centres.values() for f in variants]
     slowest, fastest = min(all_centres), max(all_centres)
-    if fastest * (1 + TOLERANCE) > rate / 8:
+    if fastest * (1 + SLIP) > rate / 8:
         raise BadInput(
             f"bearing: lines up to {fastest:.4g} Hz need a sampling rate above {8 * fastest:.4g} Hz; it is {rate:g} Hz"
         )
@@ -129,7 +129,7 @@ def _evidence(
     if control.sum() < _FEWEST_CONTROLS:
         raise BadInput("bearing: the fault lines leave too few frequencies between them to compare with; are they right?")
     bands, flattened = _bands(rate, fastest)
-    spectra = averaged_spectra(x, rate, bands, length, HARMONICS * float(grid[-1]), flattened)
+    spectra = averaged_spectra(x, rate, bands, length, LINES_OF_A_FAMILY * float(grid[-1]), flattened)
     bands += flattened
     floored = [
         _Floored.of(spectrum, rate / length, high - low, frequencies.shaft)
@@ -155,7 +155,7 @@ def _bands(rate: float, fastest: float) -> tuple[list[tuple[float, float]], list
 
 def _prominence(scores: Array, of_controls: Array, control: Array) -> Array:
     """Scores maximised over the tolerance, in deciles above the median of the control frequencies, a band a row."""
-    window = 2 * round(TOLERANCE / _GRID) + 1
+    window = 2 * round(SLIP / _GRID) + 1
     T = maximum_filter1d(scores, window, axis=1)
     others = T if of_controls is scores else maximum_filter1d(of_controls, window, axis=1)
     middle, decile = np.quantile(others[:, control], [0.5, 0.9], axis=1)
@@ -177,7 +177,7 @@ def _clean(
     the less it would stand out from them.
     """
     j = int(np.abs(grid - f).argmin())
-    near = np.flatnonzero(np.abs(grid / f - 1) <= TOLERANCE)
+    near = np.flatnonzero(np.abs(grid / f - 1) <= SLIP)
     sides = [side for side in (frequencies.shaft, frequencies.lines.get("ftf")) if side]
     for band in np.argsort(-prominence[:, j])[:_BANDS_CLEANED]:
         own = float(grid[near[scores[band, near].argmax()]])
@@ -198,7 +198,7 @@ def _best(
     for centre in centres:
         j = int(np.abs(grid - centre).argmin())
         band = int(prominence[:, j].argmax())
-        near = np.flatnonzero(np.abs(grid / centre - 1) <= TOLERANCE)
+        near = np.flatnonzero(np.abs(grid / centre - 1) <= SLIP)
         at = int(near[scores[band, near].argmax()])
         candidates.append(
             LineEvidence(float(prominence[band, j]) - looks, float(depths[band, at]), float(grid[at]), centre, *bands[band])
@@ -311,7 +311,7 @@ class _Floored:
         from there on count as noise does on average, ln 2.
         """
         T, depth = np.zeros_like(grid), np.zeros_like(grid)
-        for k in range(1, HARMONICS + 1):
+        for k in range(1, LINES_OF_A_FAMILY + 1):
             index = np.rint(k * grid / self.df).astype(int)
             inside = (index < self.ratio.shape[0]) & (k * grid < self.width - _FLOOR_CELLS * self.cell)
             index = np.minimum(index, self.ratio.shape[0] - 1)
@@ -352,7 +352,7 @@ def _is_control(grid: Array, frequencies: BearingFrequencies) -> Array:
     if frequencies.shaft:
         explained += [f + k * frequencies.shaft for name, f in frequencies.lines.items() if name != "ftf" for k in (-2, -1, 1, 2)]
         for harmonic in np.arange(frequencies.shaft, grid[-1], frequencies.shaft):
-            control &= np.abs(grid / harmonic - 1) > TOLERANCE
+            control &= np.abs(grid / harmonic - 1) > SLIP
     for f in explained:
-        control &= np.abs(grid - f) > 1.7 * TOLERANCE * f
+        control &= np.abs(grid - f) > 1.7 * SLIP * f
     return control

@@ -27,8 +27,8 @@ from residuum.identification.errors import BadInput
 from residuum.kept_loops import njit
 
 Array = npt.NDArray[Any]
-FEWEST = 32  # samples of a band's envelope: its kurtosis then scatters by 2/√32 = 0.35
-DEEPEST = 12
+FEWEST_OF_A_BAND = 32  # samples of a band's envelope: its kurtosis then scatters by 2/√32 = 0.35
+DEEPEST_LEVEL = 12
 
 
 @dataclass(frozen=True)
@@ -186,8 +186,8 @@ def kurtogram(
     """
     x = _checked(x)
     deepest = _deepest(x.shape[0], levels)
-    if segments < 1 or segments * FEWEST > x.shape[0]:
-        raise BadInput(f"kurtogram: segments is {segments}; must be at least 1 and leave {FEWEST} samples each")
+    if segments < 1 or segments * FEWEST_OF_A_BAND > x.shape[0]:
+        raise BadInput(f"kurtogram: segments is {segments}; must be at least 1 and leave {FEWEST_OF_A_BAND} samples each")
     if method not in ("filter-bank", "fft"):
         raise BadInput(f"kurtogram: method is {method!r}; must be 'filter-bank' or 'fft'")
     rows = _by_fft(x, deepest, segments) if method == "fft" else _by_filter_bank(x, deepest, segments)
@@ -213,7 +213,12 @@ def _checked(x: npt.ArrayLike) -> Array:
 
 def _deepest(n: int, levels: int | None) -> int:
     possible, half = 0, n
-    while length_of_half(half) >= FEWEST and half > TAPS_OF_THIRDS and length_of_third(half) >= FEWEST and possible < DEEPEST:
+    while (
+        length_of_half(half) >= FEWEST_OF_A_BAND
+        and half > TAPS_OF_THIRDS
+        and length_of_third(half) >= FEWEST_OF_A_BAND
+        and possible < DEEPEST_LEVEL
+    ):
         half = length_of_half(half)
         possible += 1
     if levels is None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 
 Array = npt.NDArray[Any]
-PLACES = 200  # along a round: 10 ms of a round of 2 s, long against a ring, short against a quadrant
+PLACES_OF_A_ROUND = 200  # along a round: 10 ms of a round of 2 s, long against a ring, short against a quadrant
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class RoundComparison:
 
 
 def round_profile(segments: Sequence[Array]) -> Array:
-    """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES,)."""
-    each = PLACES // len(segments)
+    """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES_OF_A_ROUND,)."""
+    each = PLACES_OF_A_ROUND // len(segments)
     return np.array([np.sqrt(np.mean(part * part)) for segment in segments for part in np.array_split(segment, each)])
 
 
 def compare_rounds(healthy: HealthyBand, profiles: Array, false_alarm: float, quadrants: int) -> RoundComparison:
-    """Profiles of a record's rounds, shape (rounds, PLACES), beside the healthy ones."""
-    place = (np.arange(PLACES) + 0.5) * quadrants / PLACES
+    """Profiles of a record's rounds, shape (rounds, PLACES_OF_A_ROUND), beside the healthy ones."""
+    place = (np.arange(PLACES_OF_A_ROUND) + 0.5) * quadrants / PLACES_OF_A_ROUND
     square = profiles.reshape(profiles.shape[0], quadrants, -1) ** 2
-    upper = healthy.upper(false_alarm / PLACES, 1.3)
+    upper = healthy.upper(false_alarm / PLACES_OF_A_ROUND, 1.3)
     return RoundComparison(place, np.exp(healthy.mean), upper, profiles, np.sqrt(square.mean(axis=2)))

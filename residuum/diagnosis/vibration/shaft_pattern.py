@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 Signal = npt.NDArray[np.float64]
-POINTS = 256  # a turn; orders up to 128
+POINTS_OF_A_TURN = 256  # a turn; orders up to 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class ShaftPattern:
 
     Parameters
     ----------
-    turns : array, shape (n_turns, POINTS)
+    turns : array, shape (n_turns, POINTS_OF_A_TURN)
         The signal on an even grid of shaft angle: order tracking, so a speed that is not constant does not smear orders.
     """
 
@@ -25,27 +25,27 @@ class ShaftPattern:
 
     @property
     def typical(self) -> Signal:
-        """Median over the turns, shape (POINTS,): a synchronous average in which an event in one turn alone leaves no trace."""
+        """Median over the turns, shape (POINTS_OF_A_TURN,): an average in which an event in one turn alone leaves no trace."""
         return np.asarray(np.median(self.turns, axis=0))
 
     @property
     def single(self) -> Signal:
-        """What the turns do not share: each minus the typical turn, shape (n_turns, POINTS)."""
+        """What the turns do not share: each minus the typical turn, shape (n_turns, POINTS_OF_A_TURN)."""
         return np.asarray(self.turns - self.typical)
 
     def orders(self) -> Signal:
-        """Amplitude of each order 0 … POINTS/2 of the typical turn [unit of the signal], shape (POINTS/2 + 1,)."""
-        return np.asarray(np.abs(np.fft.rfft(self.typical)) * 2.0 / POINTS)
+        """Amplitude of each order of the typical turn [unit of the signal], shape (POINTS_OF_A_TURN/2 + 1,)."""
+        return np.asarray(np.abs(np.fft.rfft(self.typical)) * 2.0 / POINTS_OF_A_TURN)
 
     def band(self, low: int, high: int) -> npt.NDArray[np.complex128]:
-        """Analytic signal of the typical turn with the orders low … high alone, shape (POINTS,), complex.
+        """Analytic signal of the typical turn with the orders low … high alone, shape (POINTS_OF_A_TURN,), complex.
 
         Its real part is the band-limited turn, its magnitude the envelope (McFadden 1986).
         """
-        coefficients = np.fft.fft(self.typical)[: POINTS // 2 + 1]
+        coefficients = np.fft.fft(self.typical)[: POINTS_OF_A_TURN // 2 + 1]
         order = np.arange(coefficients.shape[0])
         kept = np.where((order >= low) & (order <= high), coefficients, 0.0)
-        return np.asarray(2.0 * np.fft.ifft(kept, POINTS))
+        return np.asarray(2.0 * np.fft.ifft(kept, POINTS_OF_A_TURN))
 
 
 def shaft_pattern(x: Signal, shaft_turns: Signal) -> ShaftPattern:
@@ -64,5 +64,5 @@ def shaft_pattern(x: Signal, shaft_turns: Signal) -> ShaftPattern:
     """
     start = float(shaft_turns[0])
     whole = int(np.floor(shaft_turns[-1] - start))
-    grid = start + np.arange(whole * POINTS) / POINTS
-    return ShaftPattern(np.interp(grid, shaft_turns, x).reshape(whole, POINTS))
+    grid = start + np.arange(whole * POINTS_OF_A_TURN) / POINTS_OF_A_TURN
+    return ShaftPattern(np.interp(grid, shaft_turns, x).reshape(whole, POINTS_OF_A_TURN))

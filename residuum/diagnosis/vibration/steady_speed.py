@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.vibration.fault_lines import TOLERANCE
+from residuum.diagnosis.vibration.fault_lines import SLIP
 from residuum.diagnosis.vibration.order_tracking import angle_from_speed, at_even_angle
 from residuum.diagnosis.vibration.shaft_speed import speed_in_rpm
 from residuum.identification.errors import BadInput
@@ -49,10 +49,10 @@ def at_steady_speed(
         return x
     middle, change = float(np.median(known)), f"channel {name!r} goes from {known.min():.4g} to {known.max():.4g} rpm"
     if in_hertz:
-        if np.ptp(known) <= 2 * TOLERANCE * middle:
+        if np.ptp(known) <= 2 * SLIP * middle:
             return x
         raise BadInput(f"bearing: {change}, but lines in hertz hold for one speed; give orders")
-    if said_rpm is not None and abs(said_rpm / middle - 1) > TOLERANCE:
+    if said_rpm is not None and abs(said_rpm / middle - 1) > SLIP:
         raise BadInput(f"bearing: speed_rpm is {said_rpm:g}, but {change}; leave speed_rpm out, or that channel")
     turned = angle_from_speed(_bridged(speed, record.sampling_rate), record.sampling_rate)
     return at_even_angle(x, turned, 60 * record.sampling_rate / middle)

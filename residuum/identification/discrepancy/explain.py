@@ -15,6 +15,8 @@ from residuum.identification.discrepancy.exact_structure import (
 )
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, search_on_blocks
+from residuum.identification.discrepancy.policy.answers import FEWEST_TO_JUDGE
+from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
@@ -58,7 +60,7 @@ def explain(
     Raises
     ------
     BadRecord, BadUnit, BadModel
-        Columns that do not fit the model; an effect that is not in the catalogue.
+        Columns that do not fit the model; fewer than 40 samples in all; an effect that is not in the catalogue.
     NotIdentifiable
         The model diverges on a record.
 
@@ -70,9 +72,21 @@ def explain(
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
     """
+    check_length(records)
     return explained(
         model, records, records, mapping, Wanted(None if effects is None else tuple(effects), learned), seconds, tell
     )
+
+
+def check_length(records: Sequence[Record]) -> None:
+    """BadRecord where the records are so short together that an effect may follow every sample."""
+    samples = sum(record.n for record in records)
+    if samples < FEWEST_TO_JUDGE:
+        names = ", ".join(repr(record.source) for record in records)
+        raise BadRecord(
+            f"record {names}: {samples} samples; at least {FEWEST_TO_JUDGE} are needed to tell what is missing from noise: "
+            "record longer or faster, or give several records"
+        )
 
 
 def explained(

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
+from residuum.identification.discrepancy.explain import check_length
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.final_estimate import (
     doubts_of,
@@ -81,6 +82,8 @@ def improve(
         The model diverges on a record.
     """
     _check_fixed(model, free)
+    if add is None:
+        check_length(records)
     how = Request(mapping, add, effects, free, learned, None if seconds is None else EXPLAINING_TIME * seconds)
     with at_most() as work:
         found = _either_way(model, records, how, seconds, tell)

@@ -21,7 +21,7 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
 from residuum.identification.kernel_based.kernels import KERNELS
 from residuum.identification.kernel_based.lagged_data import LaggedData, lagged_data
-from residuum.identification.kernel_based.marginal_bands import LARGEST, HyperMixture, PointwiseBands
+from residuum.identification.kernel_based.marginal_bands import MOST_COEFFICIENTS, HyperMixture, PointwiseBands
 from residuum.identification.kernel_based.marginal_likelihood import (
     RESOLUTION,
     MarginalLikelihood,
@@ -201,7 +201,7 @@ def fit_impulse_response(
         _named(likelihood, x, posterior.noise_variance * ratio**2),
         value + likelihood.n * math.log(output_scale),
         tuple(_warnings(likelihood, posterior, value, excited)),
-        HyperMixture(likelihood, x, per_coefficient) if hyper_uncertainty and len(per_coefficient) <= LARGEST else None,
+        HyperMixture(likelihood, x, per_coefficient) if hyper_uncertainty and len(per_coefficient) <= MOST_COEFFICIENTS else None,
     )
 
 

@@ -28,7 +28,7 @@ COVERAGE = {"tc": "94 to 97", "dc": "94 to 98", "di": "94 to 96", "ss": "81 to 9
 """Measured share [%] within 1.96 standard deviations, variance ratios 1, 10, 100 (benchmarks/results/identification.md)."""
 WEAK_SLOW_MODE = {"tc": 67, "dc": 53, "di": 60, "ss": 57}
 """The same where a weak slow mode lies beside a fast one: the likelihood settles for the fast decay, and rules the other out."""
-LARGEST = 1000
+MOST_COEFFICIENTS = 1000
 """Coefficients up to which bands are marginalised; beyond, sixty factorisations cost too much."""
 _PAIRS, _STEP, _WIDEST, _WIDENED = 30, 1e-3, 2.0, 2.0
 _FEWEST = 8.0  # effective draws; weights that leave fewer are flattened

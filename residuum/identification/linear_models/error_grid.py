@@ -25,7 +25,7 @@ _DECADES, _LOGARITHMIC = 5.5, 600
 _POINTS_A_LAG, _FINE = 4, 30
 """Points of the linear grid, and of the one on which minima of the nominal response are looked for, a lag."""
 _MINIMA = 60
-TOLERANCE = 0.005
+OFF_THE_LINE = 0.005
 """By how much a middle may lie above the line through its neighbours, in parts."""
 _ROUNDS, _MOST = 12, 6000
 _NARROWEST = 1e-6
@@ -39,7 +39,7 @@ def refined_grid(
     sample_time: float,
     asked: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its points, within `TOLERANCE`.
+    """Frequencies [rad/s] and the envelope there: between them it lies below the lines through its points, within `OFF_THE_LINE`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def refined_grid(
         middle = np.sqrt(np.maximum(omega[left], 0.1 * omega[left + 1]) * omega[left + 1])  # from ω = 0: a tenth
         seen = envelope(middle)
         line = np.sqrt(values[left] * values[left + 1])  # the middle of a straight line in (ln ω, ln Ω)
-        doubtful[left] = above = seen > line * (1.0 + TOLERANCE)
+        doubtful[left] = above = seen > line * (1.0 + OFF_THE_LINE)
         order = np.argsort(np.concatenate([omega, middle]))
         omega, values, doubtful = (np.concatenate(pair)[order] for pair in ((omega, middle), (values, seen), (doubtful, above)))
     return omega, values

@@ -21,7 +21,7 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
-TOLERANCE = 0.005
+ABOVE_THE_SEEN = 0.005
 """By how much the bound may lie above the largest value that was seen, in parts."""
 _MOST_ROUNDS, _MOST_INTERVALS = 40, 200_000
 _VALUES_AT_ONCE = 1_000_000
@@ -57,7 +57,7 @@ def largest_excess(errors: DrawnErrors, weight: TransferFunction, omega: npt.Arr
     for _ in range(_MOST_ROUNDS):
         at_centre, bound = _bounds(errors, weight, left, right)
         seen = max(seen, float(at_centre.max(initial=0.0)))
-        enough = bound <= max(1.0, seen) * (1.0 + TOLERANCE)
+        enough = bound <= max(1.0, seen) * (1.0 + ABOVE_THE_SEEN)
         finished = max(finished, float(bound[enough].max(initial=0.0)))
         if enough.all():
             return Certificate(seen, finished * (1.0 + _ROUNDING), True)

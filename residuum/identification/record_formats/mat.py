@@ -11,7 +11,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import FloatArray, on_grid
 from residuum.identification.record_formats.logger_time import seconds_of
-from residuum.identification.record_formats.mat_variables import SHORTEST, MatVariables, variables_of
+from residuum.identification.record_formats.mat_variables import SHORTEST_SIGNAL, MatVariables, variables_of
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 
@@ -40,7 +40,7 @@ def read_mat(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
     if times:
         return _timed_record(found, times, str(path), options)
     if not found.vectors:
-        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST} samples{_instead(found, content)}")
+        raise BadRecord(f"{path}: holds no numeric vector of at least {SHORTEST_SIGNAL} samples{_instead(found, content)}")
     length = max(map(len, found.vectors.values()))
     channels = {name: vector.astype(float) for name, vector in found.vectors.items() if len(vector) == length}
     units = {name: _unit(found, name, options) for name in channels}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-SHORTEST = 3
+SHORTEST_SIGNAL = 3
 """Samples of a signal, at least: fewer are a setting."""
 
 
@@ -76,9 +76,9 @@ def _sort(found: MatVariables, name: str, value: Any) -> None:
     elif not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
         if isinstance(value, np.ndarray | list) and np.size(value):
             found.rest.append(f"{name} ({_kind(value)})")
-    elif value.size >= SHORTEST and value.size == max(value.shape):
+    elif value.size >= SHORTEST_SIGNAL and value.size == max(value.shape):
         found.vectors[name] = np.ravel(value)
-    elif value.ndim == 2 and value.size >= SHORTEST:
+    elif value.ndim == 2 and value.size >= SHORTEST_SIGNAL:
         found.matrices[name] = value
     elif value.ndim > 2:
         found.rest.append(f"{name} ({' × '.join(map(str, value.shape))} values)")

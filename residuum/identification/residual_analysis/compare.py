@@ -64,8 +64,8 @@ class Comparison:
 
     @property
     def p_value(self) -> float:
-        """Of "every output's error is noise of some colour" (Bonferroni over the outputs)."""
-        return min(1.0, len(self.structured) * min((test.p_value for test in self.structured.values()), default=1.0))
+        """Of "every output's error is noise of some colour" (Bonferroni over the outputs); 1 where no output could be tested."""
+        return min((1.0, *(len(self.structured) * test.p_value for test in self.structured.values())))
 
     @property
     def share(self) -> float:

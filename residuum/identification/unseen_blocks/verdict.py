@@ -94,13 +94,14 @@ def verdict_on(
     found: Search, joined: Sequence[Step], free: Sequence[BlockTerm], stds: Mapping[str, float], *, adequate: bool
 ) -> Verdict:
     """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
-    wins = counted(found, free, adequate=adequate)
-    steps = [step for step in joined if not is_timing(step.key, found)]
+    timing = {step.key for step in joined if is_timing(step.key, found)}
+    wins = _named(counted(found, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
+    steps = [step for step in joined if step.key not in timing]
     listed: list[Candidate] = []
     for number, step in enumerate(step for step in steps if step.key.effect != HELD):
         listed += _candidates(step, number, wins, stds, found)
     if not steps:
-        listed = _undecided(found, wins, stds)
+        listed = _undecided(found, wins, stds, timing)
     unknown, none = wins.get(UNKNOWN, 0.0), wins.get(NONE, 0.0)
     named = sum(c.probability for c in listed if c.step == 0)
     excess = max(named + none + unknown, 1.0)
@@ -114,6 +115,18 @@ def verdict_on(
         says = "adequate" if adequate else "unknown-effect"
     rest = max(0.0, 1.0 - named / excess - none / excess)
     return Verdict(says, tuple(listed), none / excess, rest)
+
+
+def _named(wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothing: str) -> dict[tuple[Key, ...] | str, float]:
+    """What was counted, told as `nothing` where no physics is named: a structure of how the record was taken and of values that
+    the model holds has none.
+    """
+    named: dict[tuple[Key, ...] | str, float] = {}
+    for keys, won in wins.items():
+        physics = isinstance(keys, str) or any(key.effect != HELD and key not in timing for key in keys)
+        name = keys if physics else nothing
+        named[name] = named.get(name, 0.0) + won
+    return named
 
 
 def _scaled(candidate: Candidate, factor: float) -> Candidate:
@@ -132,12 +145,16 @@ def is_timing(key: Key, found: Search) -> bool:
 def _candidates(
     step: Step, number: int, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], found: Search
 ) -> list[Candidate]:
-    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins."""
+    """The accepted effect, its group, and what else won draws in its place; a group shares what it wins.
+
+    What won beside the group won nothing in its place.
+    """
     rest = set(step.before.keys)
     group = {step.key: step.after} | {_added(one, rest): one for one in step.group if _is_one(one, rest)}
     others = {_added(one, rest): one for one in step.others if _is_one(one, rest)}
-    shares = {key: sum(w for keys, w in wins.items() if not isinstance(keys, str) and key in keys) for key in [*group, *others]}
-    together = sum(w for keys, w in wins.items() if not isinstance(keys, str) and any(key in keys for key in group))
+    won = [(set(keys), w) for keys, w in wins.items() if not isinstance(keys, str)]
+    together = sum(w for keys, w in won if keys & group.keys())
+    shares = {key: sum(w for keys, w in won if key in keys and not keys & group.keys()) for key in others}
     named = [key for key in group if key.effect != HELD]
     listed = [
         _candidate(key, group[key], step, number, together / len(named), [k for k in named if k != key], stds, found)
@@ -158,11 +175,13 @@ def _added(one: Judged, rest: set[Key]) -> Key:
     return next(iter(set(one.keys) - rest))
 
 
-def _undecided(found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float]) -> list[Candidate]:
+def _undecided(
+    found: Search, wins: Mapping[tuple[Key, ...] | str, float], stds: Mapping[str, float], timing: set[Key]
+) -> list[Candidate]:
     """Nothing is real: those that took away most are told with what they win."""
     alone = sorted((one for one in found.every.values() if len(one.keys) == 1), key=lambda one: one.cost)[:LISTED]
     step = Step(Key("", ""), found.base, found.base, (), ())
-    told = [one for one in alone if one.keys[0].effect != HELD and one.cost < found.base.cost]
+    told = [one for one in alone if one.keys[0].effect != HELD and one.keys[0] not in timing and one.cost < found.base.cost]
     return [_candidate(one.keys[0], one, step, 0, wins.get(one.keys, 0.0), [], stds, found) for one in told]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
 from residuum.identification.residual_analysis.locate import Region
+from residuum.library.answers.chance import chance
 
 
 def comparison_json(model: str, records: list[str], comparison: Comparison) -> dict[str, Any]:
@@ -72,13 +73,18 @@ def comparison_text(comparison: Comparison) -> str:
             f"balance {name}: missing term of {balance.missing_rms:.3g} {balance.unit} RMS"
             + (f", {balance.relative_percent:.1f} % of what drives it" if math.isfinite(balance.relative_percent) else "")
         )
-    present = comparison.present
-    lines.append(
-        f"structured error: {'yes' if present else 'no'} (p = {comparison.p_value:.2g}"
-        + (f", {100 * comparison.share:.0f} % of the error's power)" if present else "; noise alone explains the error)")
-    )
+    lines.append(_structured(comparison))
     lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
     return "\n".join(lines)
+
+
+def _structured(comparison: Comparison) -> str:
+    """Whether the error is structured, in a line."""
+    if not comparison.structured:
+        return "structured error: not told; the records are too short to tell an error from noise"
+    if not comparison.present:
+        return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
+    return f"structured error: yes ({chance(comparison.p_value)}, {100 * comparison.share:.0f} % of the error's power)"
 
 
 def _parts(comparison: Comparison) -> list[str]:

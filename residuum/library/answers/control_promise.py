@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from residuum.library.answers.plain import finite
 from residuum.robust_control.certificates.time_domain import Measured, StepResponse
 from residuum.robust_control.control_problem import Solution, Wishes
 
@@ -27,7 +27,7 @@ def promise_and_measurement(found: Solution, wishes: Wishes, seen: Measured) -> 
             "median": _figures(
                 StepResponse(*(float(np.median([getattr(step, name) for step in seen.drawn])) for name in _NAMES))
             ),
-            "reached_by_95_percent": {"overshoot": _finite(overshoot), "settling_time_s": _finite(settling_time)},
+            "reached_by_95_percent": {"overshoot": finite(overshoot), "settling_time_s": finite(settling_time)},
         },
     }
     if wishes.aim != "nominal":
@@ -61,9 +61,9 @@ _NAMES = ("overshoot", "settling_time", "integral_absolute_error")
 
 def _figures(step: StepResponse) -> dict[str, float | None]:
     return {
-        "overshoot": _finite(step.overshoot),
-        "settling_time_s": _finite(step.settling_time),
-        "integral_absolute_error_s": _finite(step.integral_absolute_error),
+        "overshoot": finite(step.overshoot),
+        "settling_time_s": finite(step.settling_time),
+        "integral_absolute_error_s": finite(step.integral_absolute_error),
     }
 
 
@@ -75,7 +75,3 @@ def _percent(figures: Mapping[str, Any]) -> str:
 def _seconds(figures: Mapping[str, Any]) -> str:
     value = figures["settling_time_s"]
     return "never" if value is None else f"{value:.4g} s"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

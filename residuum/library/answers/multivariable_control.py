@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from residuum.library.answers.plain import finite
 from residuum.robust_control.certificates.time_domain import StepResponse
 from residuum.robust_control.multivariable_control import (
     SHARE,
@@ -51,11 +52,11 @@ def _loop(found: MultivariableDesign, k: int, seen: MeasuredLoop) -> dict[str, A
         "critical_frequency_rad_s": found.loops[k].crossing,
         "promised": {"overshoot": point.first, "settling_time_s": point.second},
         "measured": {
-            "nominal": _figures(seen.own.nominal) | {"coupling": _finite(seen.coupling)},
+            "nominal": _figures(seen.own.nominal) | {"coupling": finite(seen.coupling)},
             "reached_by_95_percent": {
-                "overshoot": _finite(overshoot),
-                "settling_time_s": _finite(settling_time),
-                "coupling": _finite(reached(seen.drawn_coupling)),
+                "overshoot": finite(overshoot),
+                "settling_time_s": finite(settling_time),
+                "coupling": finite(reached(seen.drawn_coupling)),
             },
             "kept": kept,
             "share_kept": share,
@@ -86,7 +87,7 @@ def design_text(result: dict[str, Any]) -> str:
 
 
 def _figures(step: StepResponse) -> dict[str, float | None]:
-    return {"overshoot": _finite(step.overshoot), "settling_time_s": _finite(step.settling_time)}
+    return {"overshoot": finite(step.overshoot), "settling_time_s": finite(step.settling_time)}
 
 
 def _step(figures: dict[str, Any]) -> str:
@@ -100,7 +101,3 @@ def _step(figures: dict[str, Any]) -> str:
 
 def _size(value: float | None) -> str:
     return "without end" if value is None else f"{value:.3g}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

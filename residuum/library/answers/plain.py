@@ -9,6 +9,11 @@ from typing import Any
 import numpy as np
 
 
+def finite(value: float) -> float | None:
+    """The number, None for one that JSON cannot tell."""
+    return value if math.isfinite(value) else None
+
+
 def to_plain(value: Any) -> Any:
     """JSON values only: arrays become lists, NumPy numbers Python ones, non-finite numbers null."""
     if isinstance(value, Mapping):
@@ -19,6 +24,4 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, np.generic):
         return to_plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return finite(value) if isinstance(value, float) else value

@@ -12,6 +12,7 @@ from residuum.diagnosis.residuals.noise_model import NoiseModel
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection
 from residuum.identification.record import Record
+from residuum.library.answers.chance import chance
 
 
 def design_json(made: ResidualDesign, records: Sequence[Record], *, identified: str, file: str | None) -> dict[str, Any]:
@@ -59,7 +60,7 @@ def design_text(made: ResidualDesign, file: str) -> str:
     ]
     if made.has_structured_error:
         lines.append(
-            f"the healthy record carries structured error (p = {made.structured_p:.2g}): part of the plant is missing "
+            f"the healthy record carries structured error ({chance(made.structured_p)}): part of the plant is missing "
             "in the model; find it with `residuum explain` before trusting small residuals"
         )
     return "\n".join(lines)

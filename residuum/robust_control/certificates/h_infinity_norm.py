@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigvals
 
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import StateSpace
 
@@ -15,7 +15,7 @@ _ITERATIONS = 60
 _NEAR_CIRCLE = 1e-4
 
 
-@one_thread_if_small(LARGEST)
+@one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def h_infinity_norm(system: StateSpace, *, tolerance: float = 1e-8) -> tuple[float, float]:
     r"""(upper bound of ‖H‖∞, normalised frequency θ = ω Ts [rad] of the peak).
 

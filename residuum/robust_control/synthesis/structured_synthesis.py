@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.blas_threads import LARGEST, one_thread_if_small
+from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, Weights
@@ -63,7 +63,7 @@ class NoStabilisingStart(BadInput):
     """No first value of the structure stabilises the plants; the search cannot begin."""
 
 
-@one_thread_if_small(LARGEST)
+@one_thread_if_small(LARGEST_FOR_ONE_THREAD)
 def synthesise(
     loop: Loop,
     weights: Weights,

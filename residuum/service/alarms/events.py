@@ -12,7 +12,7 @@ from typing import Any
 
 import orjson
 
-KEPT = 4096
+EVENTS_KEPT = 4096
 """Events kept for listeners that come back."""
 
 _ASSET_OF = {"finding": "asset", "alarm": "asset", "pipeline": "machine"}
@@ -42,7 +42,7 @@ class Events:
     Event kinds: `finding`, `alarm`, `pipeline`, `job`, `model`, `reset`.
     """
 
-    def __init__(self, kept: int = KEPT) -> None:
+    def __init__(self, kept: int = EVENTS_KEPT) -> None:
         self.run = secrets.token_hex(4)
         self._log: deque[Event] = deque(maxlen=kept)
         self._last = 0

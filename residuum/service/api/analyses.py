@@ -17,8 +17,7 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, ModelName, NewModelName
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work import analyses
@@ -208,7 +207,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
     given = _asked(running, model, asked)
     _known([effect.replace(":", "@").split("@")[0] for effect in asked.add], given)
     considered = _considered(asked.effects, given) if asked.auto else None
-    by = getattr(request.state, "caller", ANYBODY).name
+    by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         found = {**outcome["result"], "model_file": None, "file": outcome["file"].decode()}
@@ -310,7 +309,7 @@ def _with_file(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _keep(request: Request, running: Services, name: str | None, kind: str) -> Keep:
     """Store the file that the work made as a version of model `name`, and say so in the result."""
-    by = getattr(request.state, "caller", ANYBODY).name
+    by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         result = {key: value for key, value in outcome["result"].items() if key not in ("file", "model_file")}

@@ -18,8 +18,7 @@ from residuum.service.machines.acceptance import propose
 from residuum.service.machines.healthy_windows import healthy_windows, parted
 from residuum.service.machines.model_texts import ModelText, stored_model
 from residuum.service.machines.stored_baselines import baseline_name, newest_baseline
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work.record_parts import parts_of
@@ -77,7 +76,7 @@ def propose_model(request: Request, running: Running, asset: AssetName, asked: P
         raise Conflict(f"asset {asset!r}: has no diagnoser whose thresholds could be derived")
     learned, checked = ([parts_of(record) for record in part] for part in parted(healthy_windows(running.store, asset)))
     models = (_stored(running, _active(asset), None), stored_model(running.store, asked.model, asked.version))
-    by, name = _caller(request), _named(asset, "proposed")
+    by, name = caller_of(request).name, _named(asset, "proposed")
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"{diagnoser} relearned for {_said(asked)}"
@@ -94,7 +93,7 @@ def accept_model(request: Request, running: Running, asset: AssetName, asked: Ac
     running.store.asset(asset)
     name, text = stored_model(running.store, asked.model, asked.version)
     content = write_model(model_of(name, None)).encode() if text is None else text
-    by, said = _caller(request), f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
+    by, said = caller_of(request).name, f"{_said(asked)}{f': {asked.note}' if asked.note else ''}"
     if asked.proposal is not None:
         baseline = running.store.model_content(_named(asset, "proposed"), asked.proposal)
         note = f"accepted with {_said(asked)}, proposal {asked.proposal}"
@@ -111,10 +110,6 @@ def _accepted(running: Services, asset: str) -> dict[str, Any]:
     except NotFound:
         return {"active": None, "history": []}
     return {"active": history[0], "history": history}
-
-
-def _caller(request: Request) -> str:
-    return str(getattr(request.state, "caller", ANYBODY).name)
 
 
 def _said(asked: Candidate) -> str:

@@ -12,8 +12,7 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
 from residuum.service.machines.deciding_method import choose_method, chosen_method
 from residuum.service.machines.judges import diagnoser_class
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 
 router = APIRouter(prefix="/assets/{asset}/method", tags=["machines"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -33,7 +32,7 @@ def get_method(running: Running, asset: AssetName) -> Response:
 @router.put("")
 def put_method(request: Request, running: Running, asset: AssetName, asked: Deciding) -> Response:
     """Let a method decide from the machine's next window on."""
-    choose_method(running.store, asset, asked.method, str(getattr(request.state, "caller", ANYBODY).name))
+    choose_method(running.store, asset, asked.method, caller_of(request).name)
     return Json(_described(running, asset))
 
 

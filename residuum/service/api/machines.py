@@ -20,6 +20,7 @@ from residuum.service.machines.baseline_training import train_baseline
 from residuum.service.machines.bus_description import bus_description
 from residuum.service.machines.channel_guess import guessed_channels, model_signals
 from residuum.service.machines.channel_names import named
+from residuum.service.machines.complete_windows import complete_windows, used_by
 from residuum.service.machines.judges import diagnoser_class
 from residuum.service.machines.kept_machines import (
     document_name,
@@ -32,10 +33,9 @@ from residuum.service.machines.kept_passwords import with_kept_passwords
 from residuum.service.machines.model_texts import ModelText, model_of_settings, stored_model
 from residuum.service.machines.second_opinion import what_is_trained
 from residuum.service.machines.stored_baselines import has_baseline
-from residuum.service.machines.training_windows import training_windows
+from residuum.service.machines.training_windows import MOST, training_windows
 from residuum.service.machines.watched_machine import WatchedMachine
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of
 from residuum.service.work.record_parts import parts_of
 
@@ -43,6 +43,7 @@ router = APIRouter(tags=["machines"], route_class=StrictRoute, responses=PROBLEM
 
 MachineName = Annotated[str, Path(alias="asset", description="Name of the machine.", pattern=NAME)]
 _WINDOWS_SHOWN = 500
+_MOST_RECORDS = 64
 
 
 class BusText(BaseModel, extra="forbid"):
@@ -74,7 +75,13 @@ class Training(BaseModel, extra="forbid"):
 class WindowsAsRecords(BaseModel, extra="forbid"):
     """Windows of a machine that become records."""
 
-    windows: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] = Field(min_length=1, max_length=64)
+    windows: list[Annotated[int, Field(ge=1, le=2**53 - 1)]] = Field(min_length=1, max_length=_WINDOWS_SHOWN)
+    complete: int | None = Field(
+        None,
+        ge=1,
+        le=_MOST_RECORDS,
+        description="Only so many of them: the newest in which no signal of the model lacks a sample.",
+    )
 
 
 @router.post("/bus-descriptions")
@@ -115,7 +122,7 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
     with_files = await run_in_threadpool(with_map_files, settings, maps, running.settings.data)
     await running.pipeline.put_machine(with_files)
-    await run_in_threadpool(keep_machine, running.store, settings, maps, _caller(request))
+    await run_in_threadpool(keep_machine, running.store, settings, maps, caller_of(request).name)
     return Json(await run_in_threadpool(_described, running, machine))
 
 
@@ -123,7 +130,7 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
 async def remove_machine(request: Request, running: Running, machine: MachineName) -> Response:
     """Watch a machine no more; its windows and findings stay."""
     await running.pipeline.remove_machine(machine)
-    await run_in_threadpool(forget_machine, running.store, machine, _caller(request))
+    await run_in_threadpool(forget_machine, running.store, machine, caller_of(request).name)
     return Response(status_code=204)
 
 
@@ -154,12 +161,17 @@ def guess_channels(
 @router.post("/assets/{asset}/records", status_code=201)
 def add_records(running: Running, machine: MachineName, asked: WindowsAsRecords) -> Response:
     """Keep windows of a machine as records beside uploaded ones, with the names of signals that the machine's model uses."""
-    channels = running.pipeline.machine(machine).channels
-    numbers = []
-    for window in asked.windows:
-        record = named(running.store.window_record(machine, window), channels)
-        numbers.append(running.store.add_record(f"{machine} window {window}", record))
-    return Json({"records": numbers}, 201)
+    settings = running.pipeline.machine(machine)
+    channels = settings.channels
+    if asked.complete:
+        used = used_by(model_of_settings(running.store, settings.model) if settings.model else None)
+        taken = complete_windows(running.store, machine, asked.windows, channels, used, asked.complete)
+    elif len(asked.windows) > _MOST_RECORDS:
+        raise BadInput(f"{len(asked.windows)} windows; at most {_MOST_RECORDS} become records at once, or say 'complete'")
+    else:
+        taken = {window: named(running.store.window_record(machine, window), channels) for window in asked.windows}
+    numbers = [running.store.add_record(f"{machine} window {window}", record) for window, record in taken.items()]
+    return Json({"records": numbers, "windows": list(taken)}, 201)
 
 
 @router.post("/assets/{asset}/training", status_code=202, response_model=JobAnswer)
@@ -171,13 +183,15 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
     settings = running.pipeline.machine(machine)
     trained = what_is_trained(running.store, settings, second=asked.second)
     judged = has_baseline(running.store, machine, settings.baseline)
-    windows = training_windows(running.store, machine, asked.leave_out, judged=judged)
     baseline = trained.name
     model = _model(running, asked, trained.model) if trained.diagnoser == "model-based" else None
+    windows, holes = training_windows(
+        running.store, machine, asked.leave_out, judged=judged, channels=settings.channels, used=used_by(model)
+    )
     given: dict[str, Any] = {"fix_undetermined": asked.fix_undetermined or None, "method": asked.method}
     given |= {"false_alarms_per_day": asked.false_alarms_per_day}
     own = {name: value for name, value in given.items() if value is not None}
-    by = _caller(request)
+    by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         note = f"trained on {outcome['windows']} windows" + (f" with {model[0]}" if model else "")
@@ -186,7 +200,7 @@ def train(request: Request, running: Running, machine: MachineName, asked: Train
             text = model[1] if model[1] is not None else write_model(model_of(*model)).encode()
             running.store.add_model_version(f"{machine}.model", "physical", text, f"{model[0]}: {note}", by)
         told = {name: value for name, value in outcome.items() if name != "baseline"}
-        return {**told, "stored": {"model": baseline, "version": version.number}}
+        return {**told, "passed_over": holes, "stored": {"model": baseline, "version": version.number}}
 
     present = running.store.model_content(baseline) if has_baseline(running.store, baseline) else None
     arguments = (trained.diagnoser, [parts_of(w) for w in windows], dict(settings.channels), model, own, present)
@@ -204,6 +218,7 @@ def _described(running: Services, machine: str) -> dict[str, Any]:
         "settings": plain,
         "status": running.pipeline.status()["machines"].get(machine),
         "recorded_windows": running.store.recorded_windows(machine, _WINDOWS_SHOWN),
+        "learned_from_at_most": MOST,
         "baseline": has_baseline(running.store, machine, settings.baseline),
     }
 
@@ -215,7 +230,3 @@ def _model(running: Services, asked: Training, of_machine: str | None) -> ModelT
     if of_machine is None:
         raise BadInput("body, model: is missing; the diagnoser model-based is trained with a model")
     return model_of_settings(running.store, of_machine)
-
-
-def _caller(request: Request) -> str:
-    return str(getattr(request.state, "caller", ANYBODY).name)

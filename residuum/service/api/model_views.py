@@ -16,8 +16,7 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName, NewModelName
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.effect_addition import add_effect
 from residuum.service.views.model_description import describe
@@ -94,7 +93,7 @@ def change_parameters(request: Request, running: Running, model: ModelName, aske
     """Store the model with some parameters' values, bounds or fixedness changed, as a new version."""
     changes = {name: change.model_dump(exclude_unset=True) for name, change in asked.parameters.items()}
     text = with_parameters(model_of(model, _text(running, model, asked.version)), changes)
-    by = getattr(request.state, "caller", ANYBODY).name
+    by = caller_of(request).name
     note = f"changed by hand: {', '.join(changes)}"[:2000]
     version = running.store.add_model_version(asked.save_as, "physical", text.encode(), note, by)
     return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{version.model}/versions/{version.number}"})
@@ -125,7 +124,7 @@ def curves(running: Running, model: ModelName, asked: Curves) -> Response:
 @router.post("/{model}/effects", status_code=202, response_model=JobAnswer)
 def add(request: Request, running: Running, model: ModelName, asked: Addition) -> Response:
     """Add one effect, estimate all free parameters, and store the larger model as a new version."""
-    by = getattr(request.state, "caller", ANYBODY).name
+    by = caller_of(request).name
     added = asked.add
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:

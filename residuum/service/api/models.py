@@ -13,8 +13,7 @@ from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, ModelName, NewModelName
 from residuum.service.api.signal_body import body_of
 from residuum.service.model_files import MODEL_KINDS, check_long_model_file, check_model_file, is_read_apart
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import ModelVersion, NotFound
 
 router = APIRouter(prefix="/models", tags=["models"], responses=PROBLEMS)
@@ -46,7 +45,7 @@ async def add_model(
         await running.reading(check_long_model_file, kind, content, diagnoser, **limits)
     else:
         await run_in_threadpool(check_model_file, kind, content, diagnoser)
-    caller = getattr(request.state, "caller", ANYBODY).name
+    caller = caller_of(request).name
     version = await run_in_threadpool(running.store.add_model_version, name, kind, content, note, caller)
     return Json(version.to_json(), 201, {"Location": f"/api/v1/models/{name}/versions/{version.number}"})
 

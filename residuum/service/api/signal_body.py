@@ -26,7 +26,7 @@ from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size
 from residuum.service.work.upload_reader import read_body, read_upload
 
-AT_ONCE = 64 * 2**10
+READ_ON_THE_LOOP = 64 * 2**10
 """Bytes up to which a body is read on the event loop: a few milliseconds."""
 _APART = 512 * 2**10
 """Bytes from which JSON and CSV are read in a process of their own: their parsers hold the interpreter for some 20 ms then."""
@@ -174,7 +174,7 @@ async def body_of(request: Request) -> bytes:
 
 
 async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: Any) -> Record:
-    return read(*arguments) if len(body) <= AT_ONCE else await run_in_threadpool(read, *arguments)
+    return read(*arguments) if len(body) <= READ_ON_THE_LOOP else await run_in_threadpool(read, *arguments)
 
 
 def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:

@@ -14,8 +14,7 @@ from residuum.service.api.parameters import AssetName
 from residuum.service.machines.limits import keep_limits, limits_of
 from residuum.service.machines.model_texts import model_of_settings, stored_model
 from residuum.service.machines.tracks import follow, missing_terms, told_parameters
-from residuum.service.security.access import ANYBODY
-from residuum.service.services import Running, Services
+from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound, SignalLetGo
 from residuum.service.work.record_parts import parts_of
 
@@ -56,7 +55,7 @@ def get_limits(running: Running, asset: AssetName) -> Response:
 def put_limits(request: Request, running: Running, asset: AssetName, asked: Limits) -> Response:
     """Set the limits of a machine's parameters, in the place of those before."""
     running.store.asset(asset)
-    keep_limits(running.store, asset, asked.limits, str(getattr(request.state, "caller", ANYBODY).name))
+    keep_limits(running.store, asset, asked.limits, caller_of(request).name)
     return Json({"limits": limits_of(running.store, asset)})
 
 

@@ -19,7 +19,7 @@ from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, Spectru
 from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
-from residuum.service.api.signal_body import AT_ONCE, SIGNAL_BODY, body_of, record_of
+from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, record_of
 from residuum.service.machines.deciding_method import deciding_method
 from residuum.service.machines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
@@ -184,7 +184,7 @@ async def _digest(query: bytes, body: bytes) -> str:
     def digest() -> str:
         return hashlib.sha256(b"\n".join((query, body))).hexdigest()
 
-    return digest() if len(body) <= AT_ONCE else await run_in_threadpool(digest)
+    return digest() if len(body) <= READ_ON_THE_LOOP else await run_in_threadpool(digest)
 
 
 def _store(running: Services, asset: str, record: Record, judge: Diagnoser, key: str | None, digest: str) -> Response:

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 
@@ -33,13 +33,6 @@ def model_settings(model: str | None, fix_undetermined: bool, false_alarms_per_d
     """The settings given for `model-based`, as the diagnoser's keyword arguments; only those that were given."""
     given = {"model": model, "fix_undetermined": fix_undetermined or None, "false_alarms_per_day": false_alarms_per_day}
     return {name: value for name, value in given.items() if value is not None}
-
-
-def diagnoser_class(name: str) -> type[Diagnoser]:
-    """The class of this name; BadInput lists the names there are."""
-    if name not in DIAGNOSERS:
-        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
-    return DIAGNOSERS[name]
 
 
 def diagnoser_settings(speed_rpm: float | None, orders: str | None, hertz: str | None, method: str | None) -> dict[str, Any]:

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
+from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.identification.errors import BadInput
-from residuum.service.commands.diagnoser_options import diagnoser_class
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet_source import StoredWindows, fleet_source

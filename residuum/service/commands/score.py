@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from residuum.diagnosis.diagnosers import diagnoser_class
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
@@ -16,7 +17,6 @@ from residuum.service.commands.diagnoser_options import (
     Method,
     Orders,
     SpeedRpm,
-    diagnoser_class,
     diagnoser_settings,
     model_settings,
     new_diagnoser,

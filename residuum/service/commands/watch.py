@@ -162,6 +162,7 @@ def train(
         raise BadInput(job["error"] or f"the training was {job['state']}")
     result = job["result"]
     lines = [f"{machine}: trained on {result['windows']} windows; {result['alarms']} of them would raise an alarm"]
+    lines += [f"  passed over, since samples are missing: {result['passed_over']}"] if result.get("passed_over") else []
     report(result, "\n".join([*lines, *result["learned"].get("says", [])]), as_json=as_json)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.library.answers.plain import finite
 from residuum.service.fieldbus.channel_registers import NUMBERS, ChannelRegisters, Order, Registers, ordered
 from residuum.service.fieldbus.modbus_client import BadReply, CheckedModbusClient, DeviceRefused
 from residuum.service.fieldbus.register_blocks import Place, PolledStream, read_blocks
@@ -153,8 +154,8 @@ def _reading(
     if plausible not in (None, told) and not remark:
         remark = f"{plausible} looks more like a measured value than {told}, which the map says"
     return ChannelReading(
-        stream, channel, where.unit, function, address, words, _finite(value),
-        {name: _finite(number) for name, number in orders.items()}, plausible, remark,
+        stream, channel, where.unit, function, address, words, finite(value),
+        {name: finite(number) for name, number in orders.items()}, plausible, remark,
     )  # fmt: skip
 
 
@@ -205,10 +206,6 @@ def _remark(where: ChannelRegisters, words: tuple[int, ...], value: float) -> st
         signed = raw - (1 << 16 * where.width) if where.type.startswith("int") and raw >> (16 * where.width - 1) else raw
         return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"
     return ""
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def as_plain(reading: ChannelReading) -> dict[str, Any]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
 from residuum.service.fieldbus.frame_layout import BadBusDescription
+
+Map = TypeVar("Map", bound=BaseModel)
 
 
 class _EachNameOnce(yaml.SafeLoader):
@@ -34,5 +37,21 @@ def read_map_text(path: str | Path) -> Any:
     except yaml.constructor.ConstructorError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise BadBusDescription(f"{where}{line}: {error.problem}") from None
+    except FileNotFoundError:
+        raise BadBusDescription(f"{where}: no such file") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, TypeError) as error:
         raise BadBusDescription(f"{where}: cannot be read as YAML: {' '.join(str(error).split())}") from None
+
+
+def read_map(path: Path, kind: type[Map], way_on: Callable[[str], str] = lambda _field: "") -> Map:
+    """The map of a kind in a YAML file; BadBusDescription names file and field, and says what `way_on` knows for it."""
+    try:
+        return kind.model_validate(yaml.load(path.read_text(encoding="utf-8"), Loader=_EachNameOnce))
+    except OSError as error:
+        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadBusDescription(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise BadBusDescription(f"{path}, {where}: {first['msg']}{way_on(where)}") from None

@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from residuum.service.fieldbus.block import StreamFormat
-from residuum.service.fieldbus.frame_layout import BadBusDescription
+from residuum.service.fieldbus.map_text import read_map
 
 NAME = r"[^/+#]+"
 
@@ -73,17 +73,7 @@ class MetricMap(_Strict):
 
 def read_metric_map(path: Path) -> MetricMap:
     """The metric map of a file; BadBusDescription names file and field."""
-    try:
-        found: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return MetricMap.model_validate(found)
-    except OSError as error:
-        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadBusDescription(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise BadBusDescription(f"{path}, {where}: {first['msg']}") from None
+    return read_map(path, MetricMap)
 
 
 def metric_map_text(node: str, every: float, devices: Mapping[str, Mapping[str, tuple[str, str]]]) -> str:

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.frame_layout import BadBusDescription
+from residuum.service.fieldbus.map_text import read_map
 
 
 class _Strict(BaseModel):
@@ -81,18 +82,8 @@ class NodeMap(_Strict):
 
 def read_node_map(path: Path) -> NodeMap:
     """The node map of a file; BadBusDescription names file and field."""
-    try:
-        found: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        made = NodeMap.model_validate(found)
-    except OSError as error:
-        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadBusDescription(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        hint = "; `residuum opcua trust URL --out FILE` writes the server's certificate" if where.endswith("trusted") else ""
-        raise BadBusDescription(f"{path}, {where}: {first['msg']}{hint}") from None
+    trust = "; `residuum opcua trust URL --out FILE` writes the server's certificate"
+    made = read_map(path, NodeMap, lambda field: trust if field.endswith("trusted") else "")
     for file in _files(made):
         if not file.is_file():
             hint = (

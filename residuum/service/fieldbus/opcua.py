@@ -26,7 +26,7 @@ from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.frame_layout import BadBusDescription
 from residuum.service.fieldbus.node_map import ChannelNode, NodeMap
-from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 from residuum.service.hidden_password import with_hidden_password
 
@@ -78,20 +78,6 @@ class OpcuaSource(Source):
     def streams(self) -> Sequence[StreamFormat]:
         """The streams of the node map."""
         return [samples.format for samples in self._samples.values()]
-
-    @property
-    def fault_ids(self) -> Sequence[str]:
-        """None: faults are not switched over OPC UA."""
-        return []
-
-    @property
-    def fault_sizes(self) -> Mapping[str, float]:
-        """None."""
-        return {}
-
-    def switch_fault(self, fault: str, size: float) -> None:
-        """Never possible here."""
-        raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
 
     def _run(self) -> None:
         asyncio.run(self._keep_reading())

@@ -41,18 +41,18 @@ class Source(ABC):
         """The streams that this source delivers."""
 
     @property
-    @abstractmethod
     def fault_ids(self) -> Sequence[str]:
         """Faults that the device on this bus can switch (simulated devices only)."""
+        return []
 
     @property
-    @abstractmethod
     def fault_sizes(self) -> Mapping[str, float]:
         """Sizes of the faults that are on, as the device reports them."""
+        return {}
 
-    @abstractmethod
     def switch_fault(self, fault: str, size: float) -> None:
         """Ask the device to switch a fault: 0 clears it, a negative size means its default. FaultsUnavailable when it cannot."""
+        raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
 
     def start(self) -> None:
         """Begin to read."""

@@ -11,7 +11,7 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from typing import Any
@@ -25,7 +25,7 @@ from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.metric_map import MetricMap
 from residuum.service.fieldbus.node_session import NodeMessage, NodeSession
 from residuum.service.fieldbus.reported_changes import ReportedChanges
-from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+from residuum.service.fieldbus.source import Sink, Source
 from residuum.service.fieldbus.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, number_of, pack, unpack
 from residuum.service.fieldbus.stamped_samples import StampedSamples
 
@@ -72,20 +72,6 @@ class SparkplugSource(Source):
     def streams(self) -> Sequence[StreamFormat]:
         """The streams of the metric map."""
         return [samples.format for samples in self._samples.values()]
-
-    @property
-    def fault_ids(self) -> Sequence[str]:
-        """None: faults are not switched over Sparkplug."""
-        return []
-
-    @property
-    def fault_sizes(self) -> Mapping[str, float]:
-        """None."""
-        return {}
-
-    def switch_fault(self, fault: str, size: float) -> None:
-        """Never possible here."""
-        raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
 
     def _run(self) -> None:
         client = self._client()

@@ -59,4 +59,7 @@ def _of_dbc(file: Path) -> tuple[list[StreamFormat], list[str]]:
 def _of_registers(file: Path) -> tuple[list[StreamFormat], list[str]]:
     streams = read_register_map(file).streams
     polled = [f"stream {name} is polled: a read that comes late leaves a hole" for name, each in streams.items() if each.poll]
-    return [each.format(name) for name, each in streams.items()], polled
+    formats = [each.format(name) for name, each in streams.items()]
+    bare = [name for each in formats for name, unit in each.units.items() if not unit]
+    says = f"no unit is said for {', '.join(bare)}: a model takes a signal with a unit only where it is said"
+    return formats, [*polled, *([says] if bare else [])]

@@ -10,7 +10,7 @@ import numpy as np
 from residuum.identification.record import Record
 from residuum.service.store import Conflict, SignalLetGo, Store
 
-FEWEST = 8
+FEWEST_HEALTHY_WINDOWS = 8
 _MOST = 120
 _CHECKED_SHARE = 0.3
 
@@ -28,8 +28,10 @@ def healthy_windows(store: Store, asset: str) -> list[Record]:
             continue
         if not found or _alike(found[0], record):
             found.append(record)
-    if len(found) < FEWEST:
-        raise Conflict(f"asset {asset!r}: {len(found)} healthy windows with their signals; at least {FEWEST} are needed")
+    if len(found) < FEWEST_HEALTHY_WINDOWS:
+        raise Conflict(
+            f"asset {asset!r}: {len(found)} healthy windows with their signals; at least {FEWEST_HEALTHY_WINDOWS} are needed"
+        )
     return found[::-1]
 
 

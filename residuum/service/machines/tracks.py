@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.diagnosis.tracks.track import FEWEST, track
+from residuum.diagnosis.tracks.track import FEWEST_WINDOWS_OF_A_TRACK, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
@@ -93,8 +93,8 @@ def _followed(
     t = np.maximum.accumulate(np.array(item["time"])) + _SHORTEST * np.arange(len(rows))
     band = (healthy["low"], healthy["high"]) if healthy else None
     try:
-        if len(rows) < FEWEST:
-            raise BadInput(f"{len(rows)} windows tell it; at least {FEWEST} are needed")
+        if len(rows) < FEWEST_WINDOWS_OF_A_TRACK:
+            raise BadInput(f"{len(rows)} windows tell it; at least {FEWEST_WINDOWS_OF_A_TRACK} are needed")
         found = track(t, values, deviations, moves_with=x if chosen else None, healthy=band, limit=limit)
     except BadInput as error:
         return {**item, "moves_with": chosen, "track": None, "reason": str(error)}

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from residuum.identification.record import Record
+from residuum.service.machines.channel_names import named
+from residuum.service.machines.complete_windows import REMEDY, holed
 from residuum.service.machines.healthy_windows import healthy_windows
 from residuum.service.store import Conflict, SignalLetGo, Store
 
-FEWEST = 5
-_MOST = 60
+FEWEST_NEW_WINDOWS = 5
+MOST = 60
+"""Recorded windows that are learned from at most: the newest."""
 
 
-def training_windows(store: Store, asset: str, leave_out: Collection[int], *, judged: bool) -> list[Record]:
-    """The windows, oldest first; Conflict when there are too few.
+def training_windows(
+    store: Store,
+    asset: str,
+    leave_out: Collection[int],
+    *,
+    judged: bool,
+    channels: Mapping[str, str],
+    used: Collection[str],
+) -> tuple[list[Record], int]:
+    """The windows, oldest first, and how many were passed over for a hole; Conflict when there are too few.
 
     Parameters
     ----------
@@ -21,16 +32,25 @@ def training_windows(store: Store, asset: str, leave_out: Collection[int], *, ju
         Recorded windows that somebody saw the machine not healthy in.
     judged : bool
         Whether to take windows that the present baseline judged healthy, instead of recorded ones.
+    channels : mapping of the model's names to the bus's
+    used : collection of str
+        Signals that must be complete, by the model's names.
     """
     if judged:
-        return healthy_windows(store, asset)
-    found = []
-    for window in store.recorded_windows(asset, _MOST):
+        return healthy_windows(store, asset), 0
+    found, holes = [], 0
+    for window in store.recorded_windows(asset, MOST):
         if window not in leave_out:
             try:
-                found.append(store.window_record(asset, window))
+                record = store.window_record(asset, window)
             except SignalLetGo:
                 continue
-    if len(found) < FEWEST:
-        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; at least {FEWEST} are needed, 20 are good")
-    return found
+            if holed(named(record, channels), used):
+                holes += 1
+            else:
+                found.append(record)
+    if len(found) < FEWEST_NEW_WINDOWS:
+        lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
+        needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"
+        raise Conflict(f"asset {asset!r}: {len(found)} windows are recorded; {needed}{lacking}")
+    return found, holes

@@ -10,7 +10,7 @@ from residuum.service.storage.assets import stored_finding
 from residuum.service.storage.tables import finding_notices, findings, receivers
 from residuum.service.store import StoredFinding
 
-KEPT = 10_000
+MOST_NOTICES_OF_FINDINGS = 10_000
 """Findings that wait for a receiver at most; the oldest go."""
 
 
@@ -18,7 +18,7 @@ def add(connection: Connection, finding: int) -> None:
     """Let a finding wait for everybody who wants findings; what is too old to wait any longer is let go and counted."""
     waiting = select(receivers.c.id, literal(finding)).where(receivers.c.findings)
     connection.execute(insert(finding_notices).from_select(["receiver_id", "finding_id"], waiting))
-    _let_go(connection, finding_notices.c.finding_id <= finding - KEPT)
+    _let_go(connection, finding_notices.c.finding_id <= finding - MOST_NOTICES_OF_FINDINGS)
 
 
 def forget(connection: Connection, which: ColumnElement[bool]) -> None:

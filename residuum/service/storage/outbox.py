@@ -23,11 +23,11 @@ from residuum.service.storage.database import Database
 from residuum.service.storage.tables import alarm_notices, receivers
 from residuum.service.store import Alarm, StoredFinding
 
-KEPT = 1000
+MOST_NOTICES = 1000
 """Notices that wait at most; the oldest go."""
 HELD = timedelta(seconds=20)
 """How long a receiver is of the process that told it last: longer than one attempt takes."""
-AT_ONCE = 100
+HANDED_OUT_AT_ONCE = 100
 """Findings that are handed out at once."""
 
 
@@ -52,7 +52,7 @@ def add(connection: Connection, alarm: Alarm) -> None:
     """Write a notice, after the entry of the audit trail in the same transaction."""
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
     connection.execute(insert(alarm_notices).values(number=number, alarm=orjson.loads(orjson.dumps(alarm.to_json()))))
-    connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - KEPT))
+    connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
 
 
 class Outbox:
@@ -114,7 +114,7 @@ class Outbox:
             if not self._take(connection, receivers.c.id == receiver):
                 return WaitingFindings([], 0)
             lost = connection.scalar(select(receivers.c.findings_lost).where(receivers.c.id == receiver)) or 0
-            return WaitingFindings(finding_notices.waiting(connection, receiver, AT_ONCE), lost)
+            return WaitingFindings(finding_notices.waiting(connection, receiver, HANDED_OUT_AT_ONCE), lost)
 
     def told_findings(self, receiver: str, told: Collection[int], lost: int = 0) -> None:
         """Note that the receiver knows these findings, and that it was noticed how many were let go before them."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_promise import promise_and_measurement
+from residuum.library.answers.plain import finite
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, WeightChoice, Wishes
@@ -163,7 +164,7 @@ def _exports(point: Point[Synthesis], limits: tuple[float, float]) -> dict[str, 
 def _figures(steps: Sequence[StepResponse]) -> dict[str, Any]:
     """Medians over the drawn plants, and how many are unstable."""
     rows = [asdict(step) for step in steps]
-    medians = {name: _finite(float(np.median([row[name] for row in rows]))) for name in rows[0]}
+    medians = {name: finite(float(np.median([row[name] for row in rows]))) for name in rows[0]}
     return {**medians, "unstable": sum(not math.isfinite(step.integral_absolute_error) for step in steps)}
 
 
@@ -239,8 +240,4 @@ def _spread(n: int, most: int) -> npt.NDArray[np.intp]:
 
 
 def _plain(values: FloatArray) -> list[float | None]:
-    return [_finite(float(f"{value:.{_DIGITS}g}")) for value in values]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return [finite(float(f"{value:.{_DIGITS}g}")) for value in values]

@@ -1,4 +1,4 @@
-"""The documentation under /docs/: the site that `make docs` builds beside this file."""
+"""The documentation under /docs/: the site that an installation builds beside this file (`setup.py`), and `make docs` anew."""
 
 from __future__ import annotations
 

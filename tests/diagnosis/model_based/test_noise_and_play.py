@@ -15,8 +15,8 @@ def first(finding):
     return f"{cause['name']}@{cause['place']}"
 
 
-def test_a_noisy_sensor_is_told_as_the_sensor():
-    axis = ModelBased(model="linear-axis").fit([_axis(seed) for seed in range(12)])
+def test_a_noisy_sensor_is_told_as_the_sensor(complete_axis):
+    axis = complete_axis
     record = _axis(41)
     noisy = record["velocity"] + 8e-3 * np.random.default_rng(5).standard_normal(record.n)
     finding = axis.score(Record({**record.channels, "velocity": noisy}, record.units, record.sample_time, source="noisy"))

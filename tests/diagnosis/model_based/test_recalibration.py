@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.diagnosers.model_based import ModelBased, _axis
+from residuum.diagnosis.diagnosers.model_based import _axis
 from residuum.diagnosis.model_based.recalibration import NothingLearned
 from residuum.identification.record import Record
 
 
-@pytest.fixture(scope="module")
-def judge():
-    return ModelBased().fit([_axis(seed) for seed in range(12)])
+@pytest.fixture
+def judge(complete_axis):
+    return complete_axis
 
 
 def with_fault(record, name, fault):

@@ -274,3 +274,10 @@ def test_friction_in_one_direction_alone_is_one_effect():
     assert list(found.accepted) == [("directional-friction", "shaft")]
     assert found.candidates[0].parameters["tau_plus"].value == pytest.approx(0.04, abs=5e-4)
     assert found.candidates[0].parameters["tau_minus"].value < 5e-4
+
+
+@pytest.mark.parametrize("samples", [2, 7, 39])
+def test_too_few_samples_name_nothing(rubbing, samples):
+    for judge in (explain, improve):
+        with pytest.raises(BadRecord, match=f"'drive.csv': {samples} samples; at least 40"):
+            judge(load_model("gate-drive"), [rubbing.window(0, samples)])

@@ -8,7 +8,7 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight, drawn_errors
-from residuum.identification.linear_models.weight_certificate import TOLERANCE, largest_excess
+from residuum.identification.linear_models.weight_certificate import ABOVE_THE_SEEN, largest_excess
 from residuum.robust_control.multi_model import average_plant, overall_uncertainty
 
 TS = 0.05
@@ -41,7 +41,7 @@ def test_the_bound_holds_and_is_tight_on_two_hundred_thousand_frequencies(form, 
     weight = fit_magnitude(COARSE, errors.envelope(COARSE), order=3, sample_time=TS)
     found, worst = largest_excess(errors, weight, COARSE), brute(errors, weight)
     assert found.proven
-    assert worst <= found.bound <= max(1.0, worst) * (1 + 3 * TOLERANCE)
+    assert worst <= found.bound <= max(1.0, worst) * (1 + 3 * ABOVE_THE_SEEN)
     if form == "multiplicative":
         assert worst > 2.0  # the sixty points did not see the notch
 

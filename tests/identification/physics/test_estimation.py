@@ -125,6 +125,10 @@ def test_missing_samples_are_left_out_and_missing_inputs_refused(truth, records)
         match(structure(), [Record({**record.channels, "voltage": voltage}, record.units, sample_time=0.005)])
     with pytest.raises(BadRecord, match="input 'voltage' is missing"):
         match(structure(), [record.select(["speed"])])
+    with pytest.raises(
+        BadRecord, match=r"input 'voltage' is mapped to 'u', which is not there; the columns are .*--map voltage=COLUMN"
+    ):
+        match(structure(), [record], {"voltage": "u"})
 
 
 def test_columns_are_mapped_and_converted(records):

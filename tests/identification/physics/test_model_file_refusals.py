@@ -48,6 +48,12 @@ def test_contract_examples_are_read_and_written(text):
         (AXIS, "lower: 1, upper: 1000", "lower: 100, upper: 10", r"line 4, column 18: parameter 'M': lower is 100"),
         (AXIS, "value: 95", "value: 0.5", r"line 4, column 26: parameter 'M': value is 0.5; must be within 1 to 1000"),
         (AXIS, "velocity: v}", "velocity: v, colour: q}", r"line 6, column \d+: balance 'axis': key 'colour' is not known"),
+        (
+            AXIS,
+            "velocity: v}",
+            "velocity: v, from the plate}",
+            r"key 'from the plate'.*a text with a comma stands in quotation marks",
+        ),
         (AXIS, "drive: force", "drive: force / (M - 95)", r"line 6, column 70: division by zero"),
         (AXIS, "drive: force", "drive: __import__(force)", r"column 64: function '__import__' is not known"),
         (AXIS, "drive: force", "drive: force.real", r"column 69: character '\.' is not allowed"),

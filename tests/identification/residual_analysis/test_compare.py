@@ -8,6 +8,7 @@ from residuum.identification.physics import load_model, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.noise_floor import noise_floor
+from residuum.library.answers.comparison import comparison_text
 from residuum.simulation.gate_drive import GateDrive
 
 MODEL = load_model("gate-drive")
@@ -175,3 +176,10 @@ def test_an_error_that_is_all_bias_and_slow_is_structured_and_no_noise():
     found = compare(read_model(body), [record])
     assert found.structured["velocity"].present
     assert found.outputs["velocity"].noise_floor == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_record_too_short_for_the_test_is_not_called_noise(with_friction):
+    short = compare(MODEL, [record(effects={"coulomb-friction": "medium"}, profile="rich").window(0, 20)])
+    assert not short.structured and not short.present and short.p_value == 1.0
+    assert "not told; the records are too short" in comparison_text(short)
+    assert "structured error: yes" in comparison_text(with_friction)

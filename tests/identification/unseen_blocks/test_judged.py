@@ -82,4 +82,5 @@ def test_a_structure_of_the_exact_search_is_judged_on_blocks_alike():
     truth = 1.0 - np.sum(complete.residuals[0] ** 2) / np.sum(lacking.residuals[0] ** 2)
     assert value == pytest.approx(truth, abs=0.01) and std > 0.0
     seen = float(np.sum(complete.residuals[0] ** 2))
-    assert seen < after.sum() < 1.05 * seen
+    values = len(complete.parameters)  # each of which fits as much of the noise as it then misses on what it has not seen
+    assert 1.0 + 0.5 * 2 * values / complete.residuals[0].size < after.sum() / seen < 1.05

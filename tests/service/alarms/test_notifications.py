@@ -132,7 +132,7 @@ def test_who_holds_a_receiver_and_dies_holds_it_no_longer(store_urls, tmp_path, 
 
 
 def test_notices_are_bounded_and_what_was_let_go_is_counted(tmp_path, monkeypatch):
-    monkeypatch.setattr("residuum.service.storage.outbox.KEPT", 5)
+    monkeypatch.setattr("residuum.service.storage.outbox.MOST_NOTICES", 5)
     store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
     hook = store.outbox.register("http://hook/")
     for number in range(12):
@@ -167,7 +167,7 @@ def test_findings_wait_in_the_database_until_each_receiver_was_told(store_urls, 
 
 
 def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(store_urls, tmp_path, monkeypatch):
-    monkeypatch.setattr("residuum.service.storage.finding_notices.KEPT", 5)
+    monkeypatch.setattr("residuum.service.storage.finding_notices.MOST_NOTICES_OF_FINDINGS", 5)
     for url in store_urls:
         store = DiskStore(tmp_path / "data", url)
         broker = store.outbox.register("mqtt://broker", findings=True)

@@ -185,6 +185,7 @@ def test_it_is_opened_by_settings(tmp_path):
         ("streams: {}", "streams"),
         ("streams: {s: {sample_time: 0.1, channels: {u: {node: Speed}}}}", r"s\.channels\.u\.node"),
         ("streams: [", "not YAML"),
+        ("streams: {s: {sample_time: 1, channels: {u: {node: i=1}, u: {node: i=2}}}}", "'u' is named twice in one place"),
         (
             "streams: {s: {sample_time: 1, channels: {u: {node: i=1}}}}\nsecurity: {certificate: a, key: b}",
             "residuum opcua trust",

@@ -250,3 +250,8 @@ def test_inspect_says_what_it_lacks(write_map, capsys, free_port):
             run(["inspect", f"modbus:127.0.0.1:{device.port}", "--map", str(write_map({"a": {"register": 0}}, unit_id=9))]) == 0
         )
         assert "no answer from behind the gateway; look at unit_id" in capsys.readouterr().out
+
+
+def test_a_map_that_is_not_there_is_said_to_be_so(tmp_path):
+    with pytest.raises(BadBusDescription, match=r"^none\.yaml: no such file$"):
+        read_register_map(tmp_path / "none.yaml")

@@ -326,6 +326,7 @@ def test_settings_of_a_source_and_of_a_node(tmp_path):
         ("{node: G/N, streams: {}}", "streams"),
         ("{node: G/N, streams: {s: {sample_time: 1, reports: often, channels: {u: {metric: a}}}}}", r"streams\.s\.reports"),
         ("{node: [", "not YAML"),
+        ("{node: G/N, streams: {s: {sample_time: 1, channels: {u: {metric: a}, u: {metric: b}}}}}", "'u' is named twice"),
     ],
 )
 def test_a_bad_map_is_refused(tmp_path, text, says):

@@ -2,10 +2,8 @@
 
 import asyncio
 import contextlib
-import importlib.util
 import os
 import signal
-import sys
 import threading
 import time
 from pathlib import Path
@@ -19,10 +17,6 @@ from residuum.service.simulated.device import Device
 from residuum.service.simulated.wiring import wiring_of
 from residuum.service.work.worker_pool import WorkerPool
 from residuum.simulation import MACHINES
-
-_spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).parents[1] / "trained.py")
-trained = sys.modules.setdefault(_spec.name, importlib.util.module_from_spec(_spec))
-_spec.loader.exec_module(trained)
 
 SPEED = 2.0  # all of it runs in this process: faster, and a busy machine loses pages that the devices do not keep
 
@@ -60,14 +54,18 @@ def wait_for(condition, seconds=120.0):
 
 def watch(asset, cut, *sources, length=15):  # seconds; the plant's diagnoser judges no shorter windows
     window = WindowSettings(cut=cut, length=length, step=5)
-    return MachineSettings(asset=asset, diagnoser=trained.DIAGNOSER_OF[asset], window=window, sources=list(sources)).model_dump()
+    return MachineSettings(
+        asset=asset, diagnoser={"process-plant": "robust-residual"}.get(asset, asset), window=window, sources=list(sources)
+    ).model_dump()
 
 
 def verdicts(service, asset):
     return [finding.finding.verdict.value for finding in service.services.store.findings(asset).items]
 
 
-def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(run_service, free_port, free_channel, capsys):
+def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(
+    run_service, free_port, free_channel, capsys, demo_baseline
+):
     plant, vibration, signals = free_port(), free_channel(), free_port()
     service = run_service(
         machines=[
@@ -81,7 +79,7 @@ def test_a_fault_switched_over_the_bus_is_found_and_gone_after_it_is_cleared(run
         ]
     )
     for asset in ("process-plant", "gripping-pliers"):
-        service.services.store.add_model_version(asset, "baseline", trained.baseline(asset))
+        service.services.store.add_model_version(asset, "baseline", demo_baseline(asset).read_bytes())
     with living("process-plant", port=plant) as machine, living("gripping-pliers", vibration, signals):
         wait_for(lambda: all(len(verdicts(service, asset)) >= 2 for asset in ("process-plant", "gripping-pliers")))
         for asset, fault in (("process-plant", "sensor-offset:20"), ("gripping-pliers", "plier-bearing")):
@@ -101,13 +99,13 @@ def _on(service, machine):
     return {fault["id"]: fault["size"] for fault in answer["faults"] if fault["on"]}
 
 
-def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_port):
+def test_a_dead_device_never_stops_the_others_and_comes_back(run_service, free_port, demo_baseline):
     dead, alive = free_port(), free_port()
     source = {"kind": "modbus", "map": "process_plant.yaml"}
     machines = [watch("process-plant", "sliding", SourceSettings(port=alive, **source), length=10)]  # whatever is found
     machines.append(machines[0] | {"asset": "second-plant", "sources": [source | {"port": dead}], "baseline": "process-plant"})
     service = run_service(machines=machines)
-    service.services.store.add_model_version("process-plant", "baseline", trained.baseline("process-plant"))
+    service.services.store.add_model_version("process-plant", "baseline", demo_baseline("process-plant").read_bytes())
     with living("process-plant", port=alive):
         wait_for(lambda: len(verdicts(service, "process-plant")) >= 2)
         states = service.services.pipeline.status()["sources"]

@@ -1,19 +1,12 @@
 """The demo's three machines: silent while healthy, and every fault found as soon as it is switched on, through the bus coding."""
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import pytest
 
+from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.service.fieldbus.settings import WindowSettings
 from residuum.service.simulated.demo_training import simulated_windows
 from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
-
-_spec = importlib.util.spec_from_file_location("trained_diagnosers", Path(__file__).parents[1] / "trained.py")
-trained = sys.modules.setdefault(_spec.name, importlib.util.module_from_spec(_spec))
-_spec.loader.exec_module(trained)
 
 WINDOWS = {
     "gate-actuator": WindowSettings(cut="movement"),
@@ -26,13 +19,20 @@ IN_TEN_MINUTES = {"gate-actuator": 33, "gripping-pliers": 295, "process-plant": 
 FAULTS = [(machine, fault) for machine in WINDOWS for fault in MACHINES[wiring_of(machine).machine].faults]
 
 
-def verdicts(device, machine, count):
-    found = simulated_windows(machine, wiring_of(device), WINDOWS[device], count)
-    return [trained.diagnoser(device).score(window).verdict.value for window in found]
+@pytest.fixture
+def verdicts(demo_baseline):
+    """Gives what the demo's diagnoser says of a machine's next windows."""
+
+    def told(device, machine, count):
+        diagnoser = DIAGNOSERS[{"process-plant": "robust-residual"}.get(device, device)].load(demo_baseline(device))
+        found = simulated_windows(machine, wiring_of(device), WINDOWS[device], count)
+        return [diagnoser.score(window).verdict.value for window in found]
+
+    return told
 
 
 @pytest.mark.parametrize("device", WINDOWS)
-def test_ten_healthy_minutes_raise_no_alarm(device):
+def test_ten_healthy_minutes_raise_no_alarm(verdicts, device):
     machine = MACHINES[wiring_of(device).machine](seed=2024)
     found = verdicts(device, machine, IN_TEN_MINUTES[device])
     assert machine.time >= 590
@@ -40,7 +40,7 @@ def test_ten_healthy_minutes_raise_no_alarm(device):
 
 
 @pytest.mark.parametrize(("device", "fault"), FAULTS)
-def test_a_fault_of_default_size_is_found_at_once_and_gone_after_repair(device, fault):
+def test_a_fault_of_default_size_is_found_at_once_and_gone_after_repair(verdicts, device, fault):
     machine = MACHINES[wiring_of(device).machine](seed=77, faults={fault: None})
     assert "faulty" in verdicts(device, machine, SOON[device])
     machine.clear_fault(fault)

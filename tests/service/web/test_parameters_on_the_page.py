@@ -58,3 +58,17 @@ def test_causes_and_parameters_of_a_machine(worn_fan, open_page, legible, size):
         page.get_by_role("button", name="CSV").click()
     assert saved.value.path().read_text().startswith("time,window,verdict,value,std\n")
     legible(page)
+
+
+def test_an_alarm_leads_to_its_window_and_on_to_the_workbench(worn_fan, open_page, legible):
+    page = open_page(f"{worn_fan.url}/#/machines/fan")
+    page.get_by_role("link", name="See window 30").click()
+    expect(page).to_have_url(f"{worn_fan.url}/#/machines/fan?window=30")
+    expect(page.get_by_text("Window 30: 100 samples")).to_be_visible()
+    expect(page.get_by_text("In window 30:")).to_be_visible()
+    expect(page.get_by_text("This window cannot tell it from load friction of the shaft.")).to_be_visible()
+    legible(page)
+    page.locator("[data-key=window-20]").click()
+    expect(page.get_by_text("Window 20 shows nothing that needs a cause.")).to_be_visible()  # the chosen one, not the last one
+    page.locator("[data-key=explain-window]").click()
+    expect(page.get_by_text("fan has no model yet: choose one under Watch a machine")).to_be_visible()

@@ -1,5 +1,6 @@
 """The guided way of the tutorial, by clicking: a stranger's fan is described, recorded, modelled, trained and watched."""
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -9,6 +10,11 @@ import httpx
 import pytest
 from playwright.sync_api import expect
 
+_device = Path(__file__).parents[1] / "fieldbus" / "small_device.py"
+_spec = importlib.util.spec_from_file_location("small_device", _device)
+_module = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(_module)
+SmallDevice = _module.SmallDevice
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"
 SPEED = 10.0
 LONG = 1_200_000  # milliseconds that estimating and training may take on a busy machine
@@ -115,3 +121,32 @@ def test_a_diagnoser_with_two_methods_is_trained_with_the_one_that_is_chosen(run
     with page.expect_request(re.compile("/assets/plant/training$")) as sent:
         key(page, "train").click()
     assert sent.value.post_data_json == {"leave_out": [], "method": "source"}
+
+
+def test_a_device_that_is_off_or_lacks_a_register_is_told_where_the_values_are(run_service, open_page, legible, free_port):
+    service, port = run_service(), free_port()
+    page = open_page(f"{service.url}/#/watch")
+    describe(page, "off", port, "name;register;type;unit\nspeed;40001;uint16;rpm\n")
+    expect(page.get_by_text(f"Nothing has come yet from 127.0.0.1:{port}: nobody answers")).to_be_visible()
+    expect(page.get_by_text("It is changed under Source.")).to_be_visible()
+    with SmallDevice(holding={0: 7}) as device:
+        key(page, "tab-source").click()
+        table = "name;register;type;unit\nspeed;40001;uint16;rpm\nload;40009;uint16;\n"
+        describe(page, "lacking", device.port, table)
+        expect(page.get_by_text("No value for load: signals: exception 2 for holding registers 8")).to_be_visible()
+        legible(page)
+        page.goto(f"{service.url}/#/watch?machine=lacking&step=model")
+        key(page, "model").select_option("gate-drive")
+        key(page, "map-voltage").select_option("load")
+        key(page, "use-model").click()
+        expect(page.get_by_text("load has no unit, and voltage is in V: write the unit into the description")).to_have_count(1)
+
+
+def describe(page, name, port, table):
+    key(page, "name").fill(name)
+    key(page, "kind").select_option("modbus")
+    key(page, "port").fill(str(port))
+    file = {"name": "registers.csv", "mimeType": "text/csv", "buffer": table.encode()}
+    key(page, "map-file").set_input_files(file)
+    expect(page.get_by_role("cell", name="speed")).to_be_visible()
+    key(page, "watch-machine").click()

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+FEWEST_TO_JUDGE = 40
+"""[samples] Of all records together, two in each block; with fewer an effect may follow every one. Chosen."""
 NEGLIGIBLE_REST, LARGE_REST = 0.03, 0.30
 """Shares of the explainable gain that a free term may take before the candidates lose probability, and lose all of it. Chosen."""
 REFUTED = 0.9

@@ -12,7 +12,7 @@ from residuum.identification.linear_models.schur import is_schur
 
 FloatArray = npt.NDArray[np.float64]
 
-LONGEST = 200
+LONGEST_POLYNOMIAL = 200
 _INSIDE = 0.9999
 
 
@@ -34,8 +34,8 @@ class Orders:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (isinstance(value, int) and 0 <= value <= LONGEST):
-                raise BadInput(f"Orders, {name}: is {value!r}; must be a whole number from 0 to {LONGEST}")
+            if not (isinstance(value, int) and 0 <= value <= LONGEST_POLYNOMIAL):
+                raise BadInput(f"Orders, {name}: is {value!r}; must be a whole number from 0 to {LONGEST_POLYNOMIAL}")
         if self.na + self.nb + self.nf + self.nc + self.nd == 0:
             raise BadInput("Orders: all are zero; at least one polynomial must have coefficients")
 

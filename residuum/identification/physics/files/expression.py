@@ -33,8 +33,8 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "min": (2, 8),
     "max": (2, 8),
 }
-LONGEST = 4000
-DEEPEST, LARGEST_EXPONENT = 60, 20
+LONGEST_EXPRESSION = 4000
+DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 
 _INSTEAD = {"|": "; write abs(x)", "^": "; write x**2", "·": "; write *", "×": "; write *", "²": "; write **2"}
 _TOKEN = re.compile(
@@ -151,8 +151,8 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
     """
     start = place or Place()
     source = str(text)
-    if len(source) > LONGEST:
-        raise start.refuse(f"expression has {len(source)} characters; at most {LONGEST} are allowed")
+    if len(source) > LONGEST_EXPRESSION:
+        raise start.refuse(f"expression has {len(source)} characters; at most {LONGEST_EXPRESSION} are allowed")
     return Expression(source.strip(), _Parser(source, start).parse())
 
 
@@ -260,8 +260,8 @@ class _Parser:
 
     def _sign(self) -> Node:
         self._depth += 1
-        if self._depth > DEEPEST:
-            raise self._peek.place.refuse(f"brackets and signs are nested more than {DEEPEST} deep")
+        if self._depth > DEEPEST_EXPRESSION:
+            raise self._peek.place.refuse(f"brackets and signs are nested more than {DEEPEST_EXPRESSION} deep")
         if token := self._accept("-", "+"):
             operand = self._sign()
             tree = Operation("neg", (operand,), token.place) if token.text == "-" else operand

@@ -14,8 +14,8 @@ import yaml
 
 from residuum.identification.physics.files.expression import Place
 
-LARGEST = 200_000
-DEEPEST = 12
+MOST_CHARACTERS = 200_000
+DEEPEST_NESTING = 12
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Table:
         """Refuse a key that is not allowed."""
         for key, place in self.keys.items():
             if key not in allowed:
-                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}")
+                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}{self._remedy(key)}")
 
     def table(self, key: str, what: str, *, required: bool = False) -> Table:
         """The mapping under `key` (empty when absent and not required)."""
@@ -87,6 +87,12 @@ class Table:
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
 
+    def _remedy(self, key: str) -> str:
+        """How to go on where the key is the rest of a text that YAML cut at its comma: nothing stands under it."""
+        value = self.entries[key]
+        cut = isinstance(value, Scalar) and not value.text
+        return "; a text with a comma stands in quotation marks" if cut else ""
+
     def _get(self, key: str, what: str, required: bool) -> Tree | None:
         if key not in self.entries and required:
             raise self.place.refuse(f"{what}: {key!r} is missing")
@@ -99,8 +105,8 @@ Tree = Scalar | Listing | Table
 def read_tree(text: str, source: str) -> Table:
     """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
     start = Place(source)
-    if len(text) > LARGEST:
-        raise start.refuse(f"{len(text)} characters; a model file has at most {LARGEST}")
+    if len(text) > MOST_CHARACTERS:
+        raise start.refuse(f"{len(text)} characters; a model file has at most {MOST_CHARACTERS}")
     try:
         _bounded(text, source)
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -127,8 +133,8 @@ def _bounded(text: str, source: str) -> None:
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        if depth > DEEPEST:
-            raise place.refuse(f"nested more than {DEEPEST} deep")
+        if depth > DEEPEST_NESTING:
+            raise place.refuse(f"nested more than {DEEPEST_NESTING} deep")
 
 
 def _tree(node: yaml.Node, source: str) -> Tree:

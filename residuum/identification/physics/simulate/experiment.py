@@ -186,7 +186,8 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
         how = f"map one of them: --map {name}=COLUMN, in Python map={{{name!r}: 'COLUMN'}}"
         there = f"the columns are {', '.join(record.names)}; {how}"
-        raise BadRecord(f"{_named(record)}: input {name!r} is missing; {there}")
+        lacking = "is missing" if column == name else f"is mapped to {column!r}, which is not there"
+        raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {there}")
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
         where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}"

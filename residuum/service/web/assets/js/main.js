@@ -16,7 +16,7 @@ import { workbenchPage } from "./pages/workbench.js";
 import { watchPage } from "./watch/page.js";
 
 const PAGES = [
-  [/^#\/machines\/(.+)$/, (place, name) => machinePage(place, decodeURIComponent(name))],
+  [/^#\/machines\/([^?]+)(?:\?(.*))?$/, (place, name, query) => machinePage(place, decodeURIComponent(name), query)],
   [/^#\/watch(?:\?(.*))?$/, (place, query) => watchPage(place, query)],
   [/^#\/workbench(?:\?(.*))?$/, (place, query) => workbenchPage(place, query)],
   [/^#\/identify(?:\?(.*))?$/, (place, query) => identifyPage(place, query)],
@@ -32,7 +32,7 @@ let leave = null;
 function open() {
   const page = PAGES.find(([pattern]) => pattern.test(location.hash)) ?? PAGES.at(-1);
   leave?.();
-  leave = page[1](main, page[0].exec(location.hash)?.[1]);
+  leave = page[1](main, ...(page[0].exec(location.hash)?.slice(1) ?? []));
   navigation();
 }
 

@@ -97,12 +97,14 @@ export function panel(title, aside, ...body) {
 }
 
 export function notify(text) {
+  const notices = document.getElementById("notices");
+  for (const same of [...notices.children].filter((each) => each.dataset.says === text)) same.remove();
   const notice = h(
     "div",
-    { class: "notice" },
+    { class: "notice", "data-says": text },
     h("p", {}, text),
     h("button", { class: "quiet", type: "button", onclick: () => notice.remove() }, "Close"),
   );
-  document.getElementById("notices").append(notice);
+  notices.append(notice);
   setTimeout(() => notice.remove(), 12000);
 }

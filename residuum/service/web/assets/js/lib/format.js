@@ -26,7 +26,11 @@ export const unitText = (unit) =>
     : unit
         .replaceAll(/\*\*(-?\d+)/g, (_, power) => raised(power))
         .replaceAll("*", "·")
-        .replaceAll(/\bohm\b/g, "Ω");
+        .replaceAll(/\bohm\b/g, "Ω")
+        .replaceAll(/\b(delta_)?deg([CF])\b/g, (_, difference, scale) => (difference && scale === "C" ? "K" : `°${scale}`));
+// Units within a sentence, as they are drawn elsewhere.
+export const unitsIn = (text) =>
+  text.replaceAll(/(?<=\d )[A-Za-z%°][\w%°/*^-]*/g, (word) => (/[*]/.test(word) ? unitText(word) : word));
 export const inBrackets = (unit) => (unitText(unit) ? ` [${unitText(unit)}]` : "");
 
 // `beside` is a number shown next to it: both then get the same prefix.

@@ -1,7 +1,7 @@
 // Small parts that several pages show: badges, indicators against thresholds, sparklines.
 
 import { h } from "./dom.js";
-import { localised, number, quantity, title } from "./format.js";
+import { localised, number, quantity, title, unitsIn } from "./format.js";
 import { meaning } from "./indicator_meaning.js";
 
 const STATES = {
@@ -153,10 +153,14 @@ export function methodsLine(finding) {
 
 export const worst = (finding) => ranked(finding)[0]?.ratio ?? null;
 
+// An effect at its place in words, where a parameter's full name does not go on after it.
+export const placed = (text) =>
+  text.replaceAll(/\b([a-z]+(?:-[a-z]+)*)@([\w-]+)\b(?!\.\w)/g, (_, effect, place) => `${title(effect)} of the ${place}`);
+
 // A line that the service wrote as a sentence: an indicator's name in words, decimals of the browser's language, a capital, a
 // full stop.
 export function said(line) {
-  const text = localised(line.replace(/^[a-z0-9]+(?:_[a-z0-9]+)+/, title));
+  const text = unitsIn(placed(localised(line.replace(/^[a-z0-9]+(?:_[a-z0-9]+)+/, title))));
   return `${text.charAt(0).toUpperCase()}${text.slice(1)}${/[.!?…]$/.test(text) ? "" : "."}`;
 }
 

@@ -52,6 +52,17 @@ function item(alarm, withAsset) {
       { class: "message" },
       h("div", { class: "clamp", title: alarm.message }, alarm.kind === "signal" ? "Signal: " : "", said(alarm.message ?? "")),
       remarks(alarm),
+      alarm.window
+        ? h(
+            "a",
+            {
+              class: "small",
+              href: `#/machines/${encodeURIComponent(alarm.asset)}?window=${alarm.window}`,
+              "data-key": `alarm-window-${alarm.id}`,
+            },
+            `See window ${alarm.window}`,
+          )
+        : null,
     ),
     h("div", { class: "actions" }, actions(alarm)),
   );

@@ -5,7 +5,8 @@ import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { percent, title } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
-import { said } from "../lib/parts.js";
+import { placed, said, sentence } from "../lib/parts.js";
+import { whyAddress } from "./why_address.js";
 
 const MOST = 6;
 
@@ -33,9 +34,10 @@ export function causesPanel(asset) {
       );
     show(
       list,
+      causes.length ? h("p", { class: "muted small" }, `In window ${finding.window}:`) : null,
       causes.length
         ? h("ul", { class: "plain" }, causes.slice(0, MOST).map(cause))
-        : h("p", { class: "empty" }, "The last window shows nothing that needs a cause."),
+        : h("p", { class: "empty" }, nothing(finding)),
       secondOpinion(finding),
       missingPhysics(asset, finding),
       finding?.evidence?.parameters
@@ -59,10 +61,16 @@ export function causesPanel(asset) {
   return { element, update, leave };
 }
 
+function nothing(finding) {
+  if (!finding) return "Nothing has been judged yet.";
+  if (finding.verdict === "not-assessable") return `Window ${finding.window} could not be judged. ${sentence(finding)}`;
+  return `Window ${finding.window} shows nothing that needs a cause.`;
+}
+
 function cause(each) {
   const place = each.place ? ` of ${each.place}` : "";
   const alike = each.indistinguishable_from.length
-    ? ` This window cannot tell it from ${each.indistinguishable_from.join(", ")}.`
+    ? ` This window cannot tell it from ${each.indistinguishable_from.map(placed).join(", ")}.`
     : "";
   const beside = each.beside?.length ? ` Beside it: ${each.beside.map(title).join(", ")}.` : "";
   return h("li", {}, h("b", {}, `${percent(each.probability)}: ${title(each.name)}${place}. `), said(each.says), alike, beside);
@@ -76,11 +84,10 @@ function missingPhysics(asset, finding) {
   const lead = once(async () => {
     try {
       const healthy = await call(`${path("assets", asset, "findings")}?verdict=healthy&limit=3`);
-      const windows = healthy.items.map((each) => each.window);
-      const { active } = await call(path("assets", asset, "model"));
-      const { records } = await call(path("assets", asset, "records"), { method: "POST", body: { windows } });
-      const asked = { records: records.join(","), model: active.model, version: active.number, step: "why" };
-      location.hash = `#/workbench?${new URLSearchParams(asked)}`;
+      location.hash = await whyAddress(
+        asset,
+        healthy.items.map((each) => each.window),
+      );
     } catch (problem) {
       notify(problem.message);
     }

@@ -16,7 +16,7 @@ import { tracksPanel } from "./tracks.js";
 import { trendPanel } from "./trend.js";
 import { windowsPanel } from "./windows.js";
 
-export function machinePage(place, name) {
+export function machinePage(place, name, query) {
   const places = {
     head: h("div"),
     method: h("div"),
@@ -29,8 +29,14 @@ export function machinePage(place, name) {
   };
   const features = featurePanels(name);
   const trend = trendPanel(name, features.update);
-  const windows = windowsPanel(name);
   const causes = causesPanel(name);
+  let looked = null; // the finding of the window that was chosen
+  const drawCauses = () => causes.update(looked ?? plant.assets.get(name)?.last_finding ?? null);
+  const asked = Number(new URLSearchParams(query ?? "").get("window"));
+  const windows = windowsPanel(name, asked > 0 ? asked : null, (finding) => {
+    looked = finding;
+    drawCauses();
+  });
   const tracks = hasView(name, "tracks") ? tracksPanel(name) : null;
   const now = h(
     "section",
@@ -71,7 +77,7 @@ export function machinePage(place, name) {
     const machine = new Map(named(plant.status.machines)).get(name);
     show(places.head, head(name, asset, machine));
     drawNow(asset?.last_finding ?? null);
-    causes.update(asset?.last_finding ?? null);
+    drawCauses();
     refresh(places.alarms, () =>
       alarmList(
         [...plant.alarms.values()].filter((alarm) => alarm.asset === name),

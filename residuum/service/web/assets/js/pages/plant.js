@@ -59,7 +59,9 @@ function cards() {
       { class: "empty" },
       "No machine is known yet. ",
       h("a", { href: "#/watch" }, "Watch a machine"),
-      ", start the demo, or send a window over HTTP.",
+      ", start the demo (",
+      h("code", {}, "residuum serve --demo"),
+      "), or send a window over HTTP.",
     );
   return [...names]
     .map((name) => [

@@ -7,10 +7,14 @@ import { h, notify, refresh, show } from "../lib/dom.js";
 import { inBrackets, moment, span, time } from "../lib/format.js";
 import { icon, methodsLine, sentence, stateName, stateOf, tone } from "../lib/parts.js";
 import { hasView, plant } from "../lib/plant_state.js";
+import { whyAddress } from "./why_address.js";
 
 const LISTED = 50;
+const EXPLAIN = "Explain this window on the workbench";
 
-export function windowsPanel(asset) {
+// `asked` is a window that the address names: it is shown, instead of the latest.
+// `looked` is told the finding of a chosen window, null while the latest is followed.
+export function windowsPanel(asset, asked = null, looked = () => {}) {
   const list = h("div", { class: "picker", role: "group", "aria-label": "Windows" });
   const signalChart = h("div", { class: "chart", role: "img", "aria-label": "Signal" });
   const pictures = h("div");
@@ -20,7 +24,7 @@ export function windowsPanel(asset) {
     "data-key": "follow",
     onchange: () => follow.checked && choose(findings[0]?.window),
   });
-  follow.checked = true;
+  follow.checked = asked === null;
   const views = Object.entries(VIEWS).filter(([, { own, address }]) => !own || hasView(asset, address));
   const view = h(
     "select",
@@ -29,6 +33,14 @@ export function windowsPanel(asset) {
   );
   const caption = h("p", { class: "muted" });
   const said = h("div");
+  const why = hasView(asset, "tracks")
+    ? h(
+        "p",
+        { class: "controls" },
+        h("button", { type: "button", class: "quiet", "data-key": "explain-window", onclick: explain }, EXPLAIN),
+        h("span", { class: "muted small" }, "It estimates values anew: one that changed is no missing effect."),
+      )
+    : null;
   const element = h(
     "section",
     { class: "panel" },
@@ -48,11 +60,11 @@ export function windowsPanel(asset) {
       "div",
       { class: "body columns" },
       h("div", { class: "span-4" }, list),
-      h("div", { class: "span-8" }, caption, said, signalChart, pictures),
+      h("div", { class: "span-8" }, caption, said, why, signalChart, pictures),
     ),
   );
   let findings = [];
-  let chosen = null;
+  let chosen = asked;
   let drawn = null; // the window whose signal is shown
   let meanwhile = null; // findings that came during the newest reading
   let stop = new AbortController();
@@ -98,6 +110,15 @@ export function windowsPanel(asset) {
     );
   }
 
+  async function explain() {
+    if (chosen === null) return;
+    try {
+      location.hash = await whyAddress(asset, [chosen]);
+    } catch (problem) {
+      notify(problem.message);
+    }
+  }
+
   async function choose(window) {
     if (window === undefined || window === null) return;
     chosen = window;
@@ -113,7 +134,8 @@ export function windowsPanel(asset) {
     const { signal: stopped } = stop;
     const address = path("assets", asset, "windows", chosen);
     try {
-      const { window } = await call(address, { signal: stopped });
+      const { window, finding } = await call(address, { signal: stopped });
+      looked(follow.checked ? null : finding);
       chooseChannel(window);
       caption.textContent =
         `Window ${window.id}: ${window.n.toLocaleString()} samples at ` +
@@ -179,6 +201,7 @@ export function windowsPanel(asset) {
     if (follow.checked || chosen === null) choose(finding.window);
   }
 
+  if (asked !== null) setTimeout(() => element.scrollIntoView(), 0); // when the page stands
   read();
   return {
     element,

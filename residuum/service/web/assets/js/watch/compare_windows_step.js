@@ -14,19 +14,22 @@ export async function compareWindowsStep(place, way) {
   const improved = h("div", { class: "stack" });
   const { model } = way.settings;
   if (!model) return show(place, panel("Compare", null, h("p", { class: "empty" }, "Choose a model first.")));
-  const windows = way.found.recorded_windows.filter((window) => !way.leftOut.has(window)).slice(-MOST);
+  const windows = way.found.recorded_windows.filter((window) => !way.leftOut.has(window));
   if (!windows.length) return show(place, panel("Compare", null, h("p", { class: "empty" }, "No window is recorded yet.")));
   const train = h(
     "button",
     { type: "button", class: "quiet", "data-key": "next", onclick: () => way.go("train") },
     "Train with this model",
   );
-  show(
-    place,
-    panel(`Is ${model} right?`, `on the last ${windows.length} windows`, result, h("p", { class: "next" }, train)),
-    improved,
-  );
-  way.records ??= (await call(way.address("records"), { method: "POST", body: { windows } })).records;
+  const said = h("span");
+  show(place, panel(`Is the model ${model} right?`, said, result, h("p", { class: "next" }, train)), improved);
+  try {
+    way.compared ??= await call(way.address("records"), { method: "POST", body: { windows, complete: MOST } });
+  } catch (problem) {
+    return show(result, h("p", { class: "empty" }, problem.message));
+  }
+  way.records = way.compared.records;
+  said.textContent = `on ${way.compared.windows.map((window) => `window ${window}`).join(" and ")}`;
   const asked = { records: way.records };
   return runIn(
     result,

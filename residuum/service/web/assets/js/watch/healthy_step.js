@@ -73,7 +73,10 @@ function choice(way, window) {
     type: "checkbox",
     "data-key": `healthy-${window}`,
     checked: !way.leftOut.has(window),
-    onchange: (event) => way.leftOut[event.target.checked ? "delete" : "add"](window),
+    onchange: (event) => {
+      way.leftOut[event.target.checked ? "delete" : "add"](window);
+      way.compared = null;
+    },
   });
   const says = h("span", { class: "muted small" });
   call(path("assets", way.machine, "windows", window))

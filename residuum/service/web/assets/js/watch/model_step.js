@@ -128,6 +128,13 @@ async function drawMapping(place, way, model) {
   const use = once(async () => {
     const lacking = signals.find((signal) => signal.required && !chosen[signal.name]);
     if (lacking) return notify(`Choose the signal for ${lacking.name}: the model needs it.`);
+    const bare = signals.find(({ name, unit }) => chosen[name] && unitText(unit) && !unitText(bus[chosen[name]]));
+    if (bare) {
+      const { name, unit } = bare;
+      return notify(
+        `${chosen[name]} has no unit, and ${name} is in ${unitText(unit)}: write the unit into the description under Source.`,
+      );
+    }
     try {
       await way.put({ model, channels: Object.fromEntries(Object.entries(chosen).filter(([, channel]) => channel)) });
       way.go("compare");

@@ -20,16 +20,35 @@ export async function signalsStep(place, way) {
     const { signals } = await call(way.address("live"));
     const rows = Object.entries(signals);
     next.disabled = !rows.length;
-    state.textContent = rows.length ? "Compare them with what the machine shows." : waiting(way.machine);
+    state.textContent = rows.length ? lacking(way.machine, rows) : waiting(way);
     show(table, rows.length ? tableOf(rows) : null);
   });
 }
 
-// Why nothing has come: what the machine's sources say.
-function waiting(machine) {
-  const sources = Object.values(plant.status.sources ?? {}).filter((source) => source.machine === machine);
-  const trouble = sources.map((source) => source.last_trouble).find(Boolean);
-  return trouble ? `Nothing has come yet: ${trouble}.` : "Nothing has come yet. Is the machine on, and is the address right?";
+// What the machine's sources say is wrong.
+const trouble = (machine) =>
+  Object.values(plant.status.sources ?? {})
+    .filter((source) => source.machine === machine)
+    .map((source) => source.last_trouble)
+    .find(Boolean);
+
+// Why nothing has come.
+function waiting({ machine, settings }) {
+  const [{ kind, channel, host, port }] = settings.sources;
+  const address = kind === "modbus" ? `${host}:${port}` : channel;
+  const why = trouble(machine);
+  return (
+    `Nothing has come yet from ${address}${why ? `: ${why}` : ""}. ` +
+    "Is the machine on, and is the address right? It is changed under Source."
+  );
+}
+
+// Which signals have no value, and why.
+function lacking(machine, rows) {
+  const names = rows.filter(([, signal]) => !Number.isFinite(signal.value)).map(([bus]) => bus);
+  if (!names.length) return "Compare them with what the machine shows.";
+  const why = trouble(machine);
+  return `No value for ${names.join(", ")}${why ? `: ${why}` : ""}. The description is changed under Source.`;
 }
 
 function tableOf(rows) {

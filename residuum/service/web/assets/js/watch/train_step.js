@@ -27,7 +27,9 @@ export function trainStep(place, way) {
     );
   };
   const ofModel = plant.diagnosers.get(way.settings.diagnoser)?.views.includes("tracks") ?? true;
-  const from = way.found.baseline ? "windows that the present baseline judged healthy" : `${count(kept)} recorded windows`;
+  const from = way.found.baseline
+    ? "windows that the present baseline judged healthy"
+    : recorded(kept, way.found.learned_from_at_most);
   const by = ofModel ? `, with the model ${way.settings.model ?? "– none is chosen yet"}` : "";
   show(
     place,
@@ -52,6 +54,9 @@ export function trainStep(place, way) {
   );
 }
 
+const recorded = (kept, most) =>
+  kept > most ? `the newest ${count(most)} of ${count(kept)} recorded windows` : `${count(kept)} recorded windows`;
+
 function drawTrained(place, way, found) {
   show(
     place,
@@ -59,6 +64,7 @@ function drawTrained(place, way, found) {
       "p",
       { role: "status" },
       `Trained on ${count(found.windows)} windows; ${count(found.alarms)} of them would raise an alarm.`,
+      found.passed_over ? ` Passed over, since samples are missing: ${count(found.passed_over)}.` : null,
     ),
     h(
       "ul",

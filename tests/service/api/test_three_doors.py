@@ -1,0 +1,141 @@
+"""A question is answered alike by the library, the command line and the HTTP interface: three thin callers of one function."""
+
+import json
+import re
+import time
+
+import numpy as np
+import pytest
+
+import residuum as rs
+from residuum.service.cli import DONE, run
+
+OWN_TO_A_DOOR = ("file", "model_file", "stored", "record", "records", "models", "seconds")
+"""Where each door puts files, what it calls records and models, and how long it took."""
+AXIS = {"input": "force", "output": "velocity"}
+IDENTIFIED = {
+    "kernel": {"order": 30, "delay": 1},
+    "kernel of stable splines": {"kernel": "ss", "order": 30, "delay": 1},
+    "kernel with a dead time to be found": {"order": 30, "delay": None},
+    "kernel of an integrating plant": {"order": 30, "delay": 1, "integrator": True},
+    "ridge": {"method": "ridge", "order": 20, "delay": 1},
+    "elastic net": {"method": "elastic-net", "order": 20, "delay": 1},
+    "fir": {"method": "fir", "order": 10, "delay": 1},
+    "arx": {"method": "arx", "order": 2, "delay": 1},
+    "armax": {"method": "armax", "order": 1, "delay": 1},
+    "output error": {"method": "oe", "order": 1, "delay": 1},
+    "Box-Jenkins": {"method": "bj", "order": 1, "delay": 1},
+}
+ASKED_OF_MODEL = {
+    "compare": ("compare", {}),
+    "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
+    "estimate": ("estimate", {}),
+    "estimate by prediction": ("estimate", {"method": "prediction"}),
+    "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
+    "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
+    "improve": ("improve", {"add": ["viscous-friction@axis"]}),
+}
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory, client):
+    """Two files of an axis with friction, the second with a column in German, and their numbers at the service."""
+    force = 60.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * 0.01 * np.arange(1200)))
+    truth = rs.model("linear-axis").with_values(M=95.0).with_effect("viscous-friction", "axis", d=40.0)
+    out = truth.simulate(rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01))
+    rng = np.random.default_rng(1)
+    position, velocity = (out[name] + 1e-3 * rng.standard_normal(1200) for name in ("position", "velocity"))
+    found = {}
+    for name in ("position", "weg"):
+        path = tmp_path_factory.mktemp("axis") / f"{name}.npz"
+        channels, units = {"force": force, name: position, "velocity": velocity}, {"force": "N", name: "m", "velocity": "m/s"}
+        rs.from_arrays(channels, units=units, sample_time=0.01).save(path)
+        found[name] = path, sent(client, path)
+    return found
+
+
+def sent(client, path):
+    answer = client.post("/api/v1/records", params={"filename": path.name}, content=path.read_bytes())
+    return answer.raise_for_status().json()["id"]
+
+
+def printed(capsys, *arguments):
+    capsys.readouterr()
+    assert run([*map(str, arguments), "--json"]) == DONE
+    return json.loads(capsys.readouterr().out)
+
+
+def answered(client, path, asked):
+    """What a job of the service found."""
+    place = client.post(f"/api/v1/{path}", json=asked).raise_for_status().headers["location"]
+    end = time.monotonic() + 300
+    while (job := client.get(place).json())["state"] in ("queued", "running"):
+        assert time.monotonic() < end, job
+        time.sleep(0.02)
+    assert job["state"] == "done", job
+    return job["result"]
+
+
+def shared(answer):
+    """The part of an answer that is every door's, as JSON; a record is called differently by each."""
+    text = re.sub(r"(record-\d+|position|weg)\.npz", "the record", json.dumps(answer, ensure_ascii=False))
+    return {name: value for name, value in json.loads(text).items() if name not in OWN_TO_A_DOOR}
+
+
+def options(asked):
+    for name, value in asked.items():
+        if value is True:
+            yield f"--{name}"
+        elif name == "map":
+            yield from (word for pair in value.items() for word in ("--map", "=".join(pair)))
+        else:
+            yield from (f"--{name}", ",".join(value) if isinstance(value, list) else "estimate" if value is None else value)
+
+
+@pytest.mark.parametrize("case", IDENTIFIED)
+def test_identify(case, axis, client, capsys):
+    (path, number), asked = axis["position"], AXIS | IDENTIFIED[case]
+    told = shared(rs.identify(path, **asked).to_dict())
+    assert shared(printed(capsys, "identify", path, *options(asked))) == told
+    assert shared(answered(client, "identify", asked | {"records": [number]})) == told
+
+
+@pytest.mark.parametrize("case", ASKED_OF_MODEL)
+def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
+    verb, asked = ASKED_OF_MODEL[case]
+    path, number = axis["weg" if "map" in asked else "position"]
+    told = shared(getattr(rs.model("linear-axis"), verb)(path, **asked).to_dict())
+    out = ["--out", tmp_path / "out.yaml"] if verb in ("estimate", "improve") else []
+    assert shared(printed(capsys, verb, "linear-axis", path, *options(asked), *out)) == told
+    assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
+
+
+def test_a_controller(axis, client, capsys, tmp_path):
+    path, number = axis["position"]
+    asked = AXIS | {"method": "oe", "order": 1, "delay": 1}
+    rs.identify(path, **asked).save(tmp_path / "axis.json")
+    answered(client, "identify", asked | {"records": [number], "save_as": "axis"})
+    told = shared(rs.control.design(tmp_path / "axis.json", structure="pi").to_dict())
+    out = tmp_path / "controller.json"
+    assert shared(printed(capsys, "control", "design", tmp_path / "axis.json", "--structure", "pi", "--out", out)) == told
+    assert shared(answered(client, "control-designs", {"models": ["axis"], "structure": "pi"})) == told
+
+
+@pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])
+def test_score(knocks, client, capsys, tmp_path):
+    def window(seed, height):
+        rng = np.random.default_rng(seed)
+        after = np.arange(4096) % 512  # samples since a knock
+        vibration = rng.normal(size=4096) + height * np.sin(1.4 * after) * np.exp(-after / 20.0)
+        return rs.from_arrays({"vibration": vibration}, units={"vibration": "m/s^2"}, sample_time=1 / 4096)
+
+    window(9, knocks).save(tmp_path / "window.npz")
+    rs.monitor("bearing").fit([window(seed, 0.0) for seed in range(6)]).save(tmp_path / "baseline.zip")
+    content = (tmp_path / "baseline.zip").read_bytes()
+    client.post("/api/v1/models?name=healthy&kind=baseline&diagnoser=bearing", content=content).raise_for_status()
+    told = shared(rs.load_monitor("bearing", tmp_path / "baseline.zip").score(tmp_path / "window.npz").to_dict())
+    assert told["verdict"] == ("faulty" if knocks else "healthy")
+    at = "--baseline", tmp_path / "baseline.zip"
+    assert shared(printed(capsys, "score", "bearing", tmp_path / "window.npz", *at)) == told
+    body = {"content": (tmp_path / "window.npz").read_bytes(), "headers": {"Content-Type": "application/zip"}}
+    assert shared(client.post("/api/v1/score/bearing?baseline=healthy", **body).raise_for_status().json()) == told
