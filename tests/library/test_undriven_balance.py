@@ -11,6 +11,6 @@ from residuum.library.answers.comparison import comparison_text
 def test_a_share_of_nothing_is_not_printed(share, says):
     balance = SimpleNamespace(unit="N", missing_rms=0.2, relative_percent=share)
     comparison = SimpleNamespace(
-        records=("a.csv",), outputs={}, balances={"ball": balance}, present=False, p_value=0.5, share=0.0, where=[]
+        records=("a.csv",), outputs={}, balances={"ball": balance}, structured={}, present=False, p_value=0.5, share=0.0, where=[]
     )
     assert f"balance ball: missing term of {says}" in comparison_text(comparison).splitlines()

@@ -23,7 +23,7 @@ ahead = ready()
 assert len(ahead) > 10
 signals = [
     MACHINES["gate-drive"](seed=2, effects={"coulomb-friction": {"tau_c": 0.03}}, rate=500.0).simulate(10.0),
-    MACHINES["oven"](seed=2).simulate(1500.0),
+    MACHINES["oven"](seed=2).simulate(3000.0),
 ]
 for name, s in zip(("gate-drive", "oven"), signals):
     record = Record(s.channels, s.units, s.sample_time)
