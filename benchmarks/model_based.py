@@ -18,6 +18,7 @@ from scipy import stats
 from benchmarks.watched_machines import TRAINED_ON, WATCHED, Fault, Watched, constant_of, windows
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
+from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 
 RATES = (0.2, 0.05, 0.02)
@@ -67,17 +68,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("\n" + "\n".join(details))
 
 
-def untrained(watched: Watched) -> ModelBased:
-    """The diagnoser of a machine, at the rate of false alarms at which faults are found."""
-    a_day = 86400.0 / watched.seconds
-    return ModelBased(model=watched.model(), fix_undetermined=True, false_alarms_per_day=DECIDED * a_day)
+def untrained(model: PhysicalModel, seconds: float) -> ModelBased:
+    """The diagnoser of a machine with windows of so many seconds, at the rate of false alarms at which faults are found."""
+    return ModelBased(model=model, fix_undetermined=True, false_alarms_per_day=DECIDED * 86400.0 / seconds)
 
 
 def measured(watched: Watched, seed: int, asked: Any, tally: Tally) -> list[str]:
     """One machine: counts into the tally, and a line a fault."""
     trained_on, healthy = windows(watched, seed, 0, TRAINED_ON), windows(watched, seed, TRAINED_ON, 150)[: asked.healthy]
     begun = time.process_time()
-    trained = untrained(watched).fit(trained_on)
+    trained = untrained(watched.model(), watched.seconds).fit(trained_on)
     tally.trained.append(time.process_time() - begun)
     scores = [trained.score(r) for r in healthy]
     chances = stats.norm.sf([f.indicators.get("deviation", 0.0) for f in scores])

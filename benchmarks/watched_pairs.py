@@ -33,7 +33,7 @@ def main(arguments: list[str]) -> None:
     asked = parser.parse_args(arguments)
     for name in asked.machines or ["gate-drive", "two-tanks", "pendulum"]:
         watched = WATCHED[name]
-        trained = untrained(watched).fit(windows(watched, asked.seed, 0, TRAINED_ON))
+        trained = untrained(watched.model(), watched.seconds).fit(windows(watched, asked.seed, 0, TRAINED_ON))
         print(f"{name}, seed {asked.seed}", flush=True)
         counts: dict[str, int] = {}
         for line, kind in [*pairs(watched, trained, asked), *onsets(watched, trained, asked)]:

@@ -15,14 +15,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from scipy import stats
 
-from benchmarks.model_based import DECIDED, RATES
-from residuum.diagnosis.diagnosers.model_based import ModelBased
-from residuum.diagnosis.finding import Finding, Verdict
+from benchmarks.model_based import RATES, label, untrained
+from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import PhysicalModel, load_model
 from residuum.identification.record import Record
@@ -53,13 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(row(case["case"], windows_of(case, asked.cases.parent, asked.windows), asked.gain), flush=True)
 
 
-def windows_of(case: dict[str, object], folder: Path, count: int) -> Windows:
+def windows_of(case: dict[str, Any], folder: Path, count: int) -> Windows:
     """All records of a case in windows of one length."""
-    train, test = ([read_record(folder / name) for name in case[what]] for what in ("train", "test"))  # type: ignore[attr-defined]
+    train, test = ([read_record(folder / name) for name in case[what]] for what in ("train", "test"))
     length = sum(r.n for r in train) // count
     while sum(r.n // length for r in train) < count:
         length -= 1
-    return Windows(load_model(folder / str(case["model"])), *(cut(records, length) for records in (train, test)))
+    return Windows(load_model(folder / case["model"]), *(cut(records, length) for records in (train, test)))
 
 
 def cut(records: Sequence[Record], length: int) -> list[Record]:
@@ -70,41 +70,32 @@ def cut(records: Sequence[Record], length: int) -> list[Record]:
 def row(name: str, windows: Windows, gain: float) -> str:
     """The table's row of one machine."""
     begun = time.process_time()
+    first = windows.learned[0]
     try:
-        trained = ModelBased(model=windows.model, fix_undetermined=True).fit(windows.learned)
+        trained = untrained(windows.model, first.n * first.sample_time).fit(windows.learned)
     except (BadRecord, NotIdentifiable) as error:
         return f"| {name} | refused: {error} |"
     seconds = time.process_time() - begun
-    a_window = windows.learned[0].n * windows.learned[0].sample_time
-    trained = trained.with_settings(false_alarms_per_day=DECIDED * 86400.0 / a_window, fix_undetermined=True)
     healthy = [trained.score(record) for record in windows.judged]
     assessed = [f for f in healthy if f.verdict is not Verdict.NOT_ASSESSABLE]
     p = stats.norm.sf([f.indicators["deviation"] for f in assessed])
     above = " | ".join(str(int(np.sum(p < rate))) for rate in RATES)
     misread = [_misread(record, windows.model, gain) for record in windows.judged]
     found = [f for f in map(trained.score, misread) if f.verdict is Verdict.FAULTY]
-    named = [_names_gain(f, windows.model) for f in found]
+    causes = [f.evidence["causes"][0] for f in found]
+    gain_of_the_input = f"gain@{next(iter(windows.model.inputs))}"
+    named = [gain_of_the_input in (label(cause), *cause["indistinguishable_from"]) for cause in causes]
     alarms = sum(f.verdict is Verdict.FAULTY for f in assessed)
-    first = ", ".join(sorted({_first(f) for f in found}))
+    told = ", ".join(sorted({label(cause) for cause in causes}))
     return (
         f"| {name} | {len(healthy)} | {len(healthy) - len(assessed)} | {above} | {alarms} | {len(found)} of {len(misread)} "
-        f"| {sum(named)} | {first} | {seconds:.0f} s |"
+        f"| {sum(named)} | {told} | {seconds:.0f} s |"
     )
 
 
 def _misread(record: Record, model: PhysicalModel, gain: float) -> Record:
     name = next(iter(model.inputs))
     return replace(record, channels={**record.channels, name: gain * record[name]})
-
-
-def _first(finding: Finding) -> str:
-    cause = finding.evidence["causes"][0]
-    return f"{cause['name']}@{cause['place']}".rstrip("@")
-
-
-def _names_gain(finding: Finding, model: PhysicalModel) -> bool:
-    cause = finding.evidence["causes"][0]
-    return f"gain@{next(iter(model.inputs))}" in (_first(finding), *cause["indistinguishable_from"])
 
 
 if __name__ == "__main__":

@@ -66,8 +66,7 @@ def demo_baseline(made_once):
     """Gives the baseline file of a machine of the demo, as the demo trains it."""
 
     def baseline(machine):
-        diagnoser = {"process-plant": "robust-residual"}.get(machine, machine)
-        return made_once(f"{machine}.zip", lambda file: train(machine, diagnoser, str(file.parent)))
+        return made_once(f"{machine}.zip", lambda file: train(machine, str(file.parent)))
 
     return baseline
 

@@ -14,6 +14,7 @@ from residuum.service.fieldbus.can_log import read_can_log
 from residuum.service.fieldbus.register_trace import read_trace
 from residuum.service.fieldbus.replay import replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.simulated.demo_training import DIAGNOSER_OF
 
 RECORDED = Path(__file__).parents[1] / "recorded"
 CUT = {"gate-actuator": "movement", "gripping-pliers": "round", "process-plant": "sliding"}
@@ -36,7 +37,7 @@ def watched(free_port, free_channel):
         window = WindowSettings(cut=CUT[machine], length=30, step=10)
         return MachineSettings(
             asset=asset,
-            diagnoser={"process-plant": "robust-residual"}.get(machine, machine),
+            diagnoser=DIAGNOSER_OF[machine],
             window=window,
             sources=[source],
             baseline=machine,

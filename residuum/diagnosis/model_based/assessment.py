@@ -86,12 +86,9 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     if _stands_still(baseline, window):
         raise NotAssessable("the machine stands still or hardly moves: nothing can be compared with the model")
     features = baseline.kind.features(window)
-    mean, _ = baseline.values.at(features)
-    known = baseline.model.all_parameters
-    mean = np.clip(mean, [known[n].lower for n in baseline.free], [known[n].upper for n in baseline.free])
     fitter = baseline.fitter(window, features)
     usual = fitter.fit(Variant(baseline.model))
-    fit = alone(baseline.model, window, mean, baseline.whitening, usual)
+    fit = alone(baseline.model, window, fitter.mean, baseline.whitening, usual)
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves

@@ -49,9 +49,9 @@ class _Mended:
 
     @property
     def told(self) -> Array:
-        """What each window tells of the values, shape (windows, values): 0 where the model diverges."""
+        """What each window tells of the values, shape (windows, values, values): 0 where the model diverges."""
         count = len(self.model.free)
-        return np.array([np.zeros(count) if f is None else np.diag(information(f, count)) for f in self.fits])
+        return np.array([np.zeros((count, count)) if f is None else information(f, count) for f in self.fits])
 
 
 def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
@@ -91,7 +91,7 @@ def evenly(windows: int, count: int) -> list[int]:
 
 def _telling(base: _Mended) -> Array:
     """How much each window tells of the values, shape (windows,): the geometric mean of the information on each of them."""
-    told = np.nan_to_num(base.told)
+    told = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
     return np.asarray(np.log(np.maximum(told, 1e-12 * told.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
 
 
@@ -131,9 +131,10 @@ def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
     """At the middle of the windows' values, each weighing as much as it tells; of new effects held are shapes, which no window
     changes, and what they leave open.
     """
-    names, fits = list(found.model.free), [fit for fit in found.fits if fit is not None]
-    values = _middle(np.array([fit.others for fit in fits]), found.told[[fit is not None for fit in found.fits]])
-    total = np.sum([information(fit, len(names)) for fit in fits], axis=0)
+    names, there = list(found.model.free), [fit is not None for fit in found.fits]
+    each = found.told[there]
+    values = _middle(np.array([fit.others for fit in found.fits if fit is not None]), np.diagonal(each, axis1=1, axis2=2))
+    total = each.sum(axis=0)
     std = np.sqrt(np.diag(np.linalg.pinv(total, hermitian=True)))
     told = (np.diag(total) > 0.0) & (std < OPEN * np.abs(values))
     shapes = {

@@ -7,8 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 from residuum.identification.record import Record
 from residuum.service.machines.channel_guess import model_signals
 from residuum.service.machines.channel_names import named
+from residuum.service.machines.kept_windows import kept_windows
 from residuum.service.machines.model_texts import ModelText
-from residuum.service.store import Conflict, SignalLetGo, Store
+from residuum.service.store import Conflict, Store
 from residuum.service.views.model_view import model_of
 
 
@@ -26,15 +27,12 @@ def complete_windows(
         Signals that the model uses, by its names.
     """
     found: dict[int, Record] = {}
-    for window in sorted(set(windows), reverse=True):
-        if len(found) == most:
-            break
-        try:
-            record = named(store.window_record(asset, window), channels)
-        except SignalLetGo:
-            continue
+    for window, kept in kept_windows(store, asset, sorted(set(windows), reverse=True)):
+        record = named(kept, channels)
         if not holed(record, used):
             found[window] = record
+        if len(found) == most:
+            break
     if not found:
         raise Conflict(f"asset {asset!r}: none of {len(windows)} windows is complete; {REMEDY}")
     return dict(sorted(found.items()))

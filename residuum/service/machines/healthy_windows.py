@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.record import Record
-from residuum.service.store import Conflict, SignalLetGo, Store
+from residuum.service.machines.kept_windows import kept_windows
+from residuum.service.store import Conflict, Store
 
 FEWEST_HEALTHY_WINDOWS = 8
 _MOST = 120
@@ -21,11 +22,8 @@ def healthy_windows(store: Store, asset: str) -> list[Record]:
     Conflict when there are fewer than 8.
     """
     found: list[Record] = []
-    for finding in store.findings(asset, limit=_MOST, verdict="healthy").items:
-        try:
-            record = store.window_record(asset, finding.window)
-        except SignalLetGo:
-            continue
+    judged = store.findings(asset, limit=_MOST, verdict="healthy").items
+    for _, record in kept_windows(store, asset, (finding.window for finding in judged)):
         if not found or _alike(found[0], record):
             found.append(record)
     if len(found) < FEWEST_HEALTHY_WINDOWS:

@@ -8,7 +8,8 @@ from residuum.identification.record import Record
 from residuum.service.machines.channel_names import named
 from residuum.service.machines.complete_windows import REMEDY, holed
 from residuum.service.machines.healthy_windows import healthy_windows
-from residuum.service.store import Conflict, SignalLetGo, Store
+from residuum.service.machines.kept_windows import kept_windows
+from residuum.service.store import Conflict, Store
 
 FEWEST_NEW_WINDOWS = 5
 MOST = 60
@@ -39,16 +40,12 @@ def training_windows(
     if judged:
         return healthy_windows(store, asset), 0
     found, holes = [], 0
-    for window in store.recorded_windows(asset, MOST):
-        if window not in leave_out:
-            try:
-                record = store.window_record(asset, window)
-            except SignalLetGo:
-                continue
-            if holed(named(record, channels), used):
-                holes += 1
-            else:
-                found.append(record)
+    chosen = (window for window in store.recorded_windows(asset, MOST) if window not in leave_out)
+    for _, record in kept_windows(store, asset, chosen):
+        if holed(named(record, channels), used):
+            holes += 1
+        else:
+            found.append(record)
     if len(found) < FEWEST_NEW_WINDOWS:
         lacking = f"; {holes} more have holes, {REMEDY}" if holes else ""
         needed = f"at least {FEWEST_NEW_WINDOWS} are needed, 20 are good"

@@ -24,7 +24,7 @@ import residuum
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.settings import MachineSettings, SecondOpinion, SourceSettings, WindowSettings
-from residuum.service.simulated.demo_training import TRAINING_RECIPES, train
+from residuum.service.simulated.demo_training import DIAGNOSER_OF, TRAINING_RECIPES, train
 from residuum.service.simulated.wiring import wiring_of
 from residuum.service.work.worker_pool import WorkerPool
 from residuum.simulation import MACHINES
@@ -129,8 +129,7 @@ class Demo:
 
     def train(self, machine: str) -> bytes:
         """Train a machine's diagnoser in a worker process and return its baseline file."""
-        diagnoser = next(settings.diagnoser for settings in self.machines if settings.asset == machine)
-        return self._pool.call(train, machine, diagnoser, str(self._folder))
+        return self._pool.call(train, machine, str(self._folder))
 
     def progress(self, machine: str) -> tuple[float, str]:
         """How far a training is: share done and what is being done."""
@@ -153,9 +152,9 @@ def _demo_machines() -> list[MachineSettings]:
     plant = SourceSettings(kind="modbus", port=_free_port(), map="process_plant.yaml")
     sliding = WindowSettings(cut="sliding", length=30, step=5)
     return [
-        _machine("process-plant", "robust-residual", sliding, [plant]),
-        _machine("gripping-pliers", "gripping-pliers", WindowSettings(cut="round"), [vibration, signals]),
-        _machine("gate-actuator", "gate-actuator", WindowSettings(cut="movement"), [gate]),
+        _machine("process-plant", sliding, [plant]),
+        _machine("gripping-pliers", WindowSettings(cut="round"), [vibration, signals]),
+        _machine("gate-actuator", WindowSettings(cut="movement"), [gate]),
     ]
 
 
@@ -163,10 +162,10 @@ _MODEL_OF = {"gate-actuator": "gate-drive", "process-plant": "process"}
 """Machines of which a second opinion can be trained, by the model that is built in for them."""
 
 
-def _machine(asset: str, diagnoser: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
+def _machine(asset: str, window: WindowSettings, sources: list[SourceSettings]) -> MachineSettings:
     model = _MODEL_OF.get(asset)
     second = None if model is None else SecondOpinion(model=model)
-    return MachineSettings(asset=asset, diagnoser=diagnoser, window=window, sources=sources, second=second)
+    return MachineSettings(asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=sources, second=second)
 
 
 def _free_group() -> str:

@@ -111,8 +111,12 @@ TRAINING_RECIPES: dict[str, Callable[[Tell], Training]] = {
 """Demo machine → what its diagnoser is trained on."""
 
 
-def train(machine: str, diagnoser: str, folder: str) -> bytes:
-    """Train a diagnoser for a demo machine and return its baseline file; runs in a worker process.
+DIAGNOSER_OF = {"gate-actuator": "gate-actuator", "gripping-pliers": "gripping-pliers", "process-plant": "robust-residual"}
+"""Demo machine → what watches it."""
+
+
+def train(machine: str, folder: str) -> bytes:
+    """Train the diagnoser of a demo machine and return its baseline file; runs in a worker process.
 
     Progress goes to a small file in `folder`, where the service reads it.
     """
@@ -123,6 +127,7 @@ def train(machine: str, diagnoser: str, folder: str) -> bytes:
         part.write_bytes(orjson.dumps([done, doing]))
         part.replace(progress)
 
+    diagnoser = DIAGNOSER_OF[machine]
     records, labels = TRAINING_RECIPES[machine](lambda done, doing: tell(0.6 * done, doing))
     tell(0.6, f"fitting {diagnoser} to {len(records)} records")
     with threadpool_limits(1):  # small matrices: more threads than cores that are free cost a hundred times over

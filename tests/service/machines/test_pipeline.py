@@ -13,6 +13,7 @@ import pytest
 
 from residuum.service.cli import run as run_command
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
+from residuum.service.simulated.demo_training import DIAGNOSER_OF
 from residuum.service.simulated.device import Device
 from residuum.service.simulated.wiring import wiring_of
 from residuum.service.work.worker_pool import WorkerPool
@@ -54,9 +55,7 @@ def wait_for(condition, seconds=120.0):
 
 def watch(asset, cut, *sources, length=15):  # seconds; the plant's diagnoser judges no shorter windows
     window = WindowSettings(cut=cut, length=length, step=5)
-    return MachineSettings(
-        asset=asset, diagnoser={"process-plant": "robust-residual"}.get(asset, asset), window=window, sources=list(sources)
-    ).model_dump()
+    return MachineSettings(asset=asset, diagnoser=DIAGNOSER_OF[asset], window=window, sources=list(sources)).model_dump()
 
 
 def verdicts(service, asset):

@@ -4,7 +4,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.service.fieldbus.settings import WindowSettings
-from residuum.service.simulated.demo_training import simulated_windows
+from residuum.service.simulated.demo_training import DIAGNOSER_OF, simulated_windows
 from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
 
@@ -24,7 +24,7 @@ def verdicts(demo_baseline):
     """Gives what the demo's diagnoser says of a machine's next windows."""
 
     def told(device, machine, count):
-        diagnoser = DIAGNOSERS[{"process-plant": "robust-residual"}.get(device, device)].load(demo_baseline(device))
+        diagnoser = DIAGNOSERS[DIAGNOSER_OF[device]].load(demo_baseline(device))
         found = simulated_windows(machine, wiring_of(device), WINDOWS[device], count)
         return [diagnoser.score(window).verdict.value for window in found]
 
