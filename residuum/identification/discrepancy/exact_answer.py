@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from residuum.identification.discrepancy.completeness import is_incomplete
+from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.final_estimate import doubts_of
 from residuum.identification.discrepancy.free_term import FreeTerm, free_term
 from residuum.identification.discrepancy.held_values import held_values
 from residuum.identification.discrepancy.judgement import Judgement, judge
@@ -50,6 +52,7 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
         timing=tuple(found.timing),
         drifting=found.drifting,
         left=_left(found),
+        values=estimated_values(model, found.best.model, doubts_of(found.best)),
         held=held_values(model, exact.doubted, found.best),
         remaining=remaining,
         blocks=errors,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.physics import Key
@@ -44,6 +45,8 @@ class Explanation:
     left : mapping of output
         What the model with the accepted effects leaves of each measured output: RMS error, its unit, and how often that is what
         its own past cannot predict (`SLOW` and more: something slow is missing, or drifts).
+    values : tuple of EstimatedValue
+        The model's own free parameters, estimated with the accepted effects, beside the file's.
     held : tuple of HeldValue
         Parameters that the model holds fixed and that were freed, for another value does more than any effect.
     remaining : Remaining or None
@@ -70,6 +73,7 @@ class Explanation:
     timing: tuple[Key, ...]
     drifting: bool
     left: Mapping[str, tuple[float, str, float]]
+    values: tuple[EstimatedValue, ...]
     held: tuple[HeldValue, ...]
     remaining: Remaining | None
     blocks: BlockErrors | None

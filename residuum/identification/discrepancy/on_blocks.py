@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import PhysicalModel, with_coloured_noise
@@ -78,6 +79,7 @@ def answer_on_blocks(
         timing=tuple(s.key for s in steps if is_timing(s.key, found)),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
         left=_left(found),
+        values=estimated_values(found.court.data.model, best.model, stds),
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),
         blocks=_block_errors(found, verdict.candidates),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
+from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.free_term import FreeTerm
 from residuum.identification.discrepancy.suggestion import suggestion
@@ -21,6 +23,8 @@ from residuum.library.answers.tied_effects import tied_json, tied_text
 
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
+_TOLD = 6
+"""Of what was not tried, so many are named."""
 
 
 _OF_THE_REST = {
@@ -50,6 +54,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         },
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
+        "estimated_values": [asdict(value) for value in explanation.values],
         "held_values": [asdict(held) for held in explanation.held],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
         "drifting": explanation.drifting,
@@ -98,7 +103,8 @@ def work_text(work: Work) -> list[str]:
     if not work.not_tried:
         return []
     why = "the seconds given were over" if work.timed_out else "the work that a search may take was done"
-    return [f"  not tried, for {why}: {', '.join(work.not_tried)}"]
+    told, more = work.not_tried[:_TOLD], len(work.not_tried) - _TOLD
+    return [f"  not tried, for {why}: {', '.join(told)}" + (f" and {more} more (--json names them)" if more > 0 else "")]
 
 
 def free_term_json(free: FreeTerm | BlockTerm) -> dict[str, Any]:
@@ -175,6 +181,12 @@ def held_text(held: HeldValue) -> str:
     )
 
 
+def _values_text(values: Sequence[EstimatedValue]) -> list[str]:
+    """One line for the values that the records contradict."""
+    told = [f"{v.name} = {value_text(v.value, v.std, v.unit)} (file: {v.file:.4g})" for v in values if v.differs]
+    return [f"  estimated from the records: {', '.join(told)}"] if told else []
+
+
 def _free_term_text(explanation: Explanation) -> list[str]:
     """What a term outside the catalogue explains, and what it looks like."""
     free = explanation.free
@@ -213,7 +225,7 @@ def explanation_text(explanation: Explanation) -> str:
     lines += map(_candidate_text, likely[:6])
     if ruled_out:
         lines.append(f"  tried and ruled out: {', '.join(f'{c.effect} in {c.balance}' for c in ruled_out)}")
-    lines += _free_term_text(explanation) + _rest_text(explanation)
+    lines += _values_text(explanation.values) + _free_term_text(explanation) + _rest_text(explanation)
     lines += [
         f"  next: {p.do} (tells {' from '.join(p.separates)} in {100 * p.power:.0f} % of the cases)"
         for p in explanation.next_experiment[:2]

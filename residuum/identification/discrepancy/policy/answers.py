@@ -24,6 +24,8 @@ OWN_SIGNALS_LEVEL = 1e-4
 """Level of the test from which on a model errs by its own signals. Chosen."""
 OWN_SIGNALS_SHARE = 0.2
 """And share of the error's power. Chosen."""
+OTHER_VALUE = 2.0
+"""[standard deviations] From which on a value is another than the file's. Chosen."""
 
 
 FREE_TERM_KNOTS: Mapping[str, tuple[int, ...]] = {

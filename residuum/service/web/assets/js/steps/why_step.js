@@ -13,6 +13,7 @@ const LISTED = 8;
 const LIKELY = 0.5;
 const WORTH_SAYING = 0.1;
 const DRAWN = 4;
+const PLAIN = 2; // standard deviations
 const VERDICTS = {
   "missing-effect": ["faulty", "An effect is missing"],
   adequate: ["healthy", "The model is adequate"],
@@ -40,6 +41,21 @@ export function measured({ value, std, unit }) {
   return `${Number.isFinite(digits) ? rounded(value, digits) : number(value)} ± ${rounded(std, 2)}${shown}`;
 }
 
+// Values that the record plainly contradicts, each beside the model file's.
+function otherValues(explanation) {
+  return (explanation.estimated_values ?? [])
+    .filter((each) => Math.abs(each.value - each.file) > PLAIN * each.std)
+    .map((each) => `${each.name} = ${measured(each)} (the model file says ${number(each.file)})`);
+}
+
+// What an adequate model is told: with other values than the file's it may only explain the record.
+function adequate(explanation) {
+  const values = otherValues(explanation);
+  return values.length
+    ? `No effect is missing: with other values the model explains the record. ${values.join(", ")}.`
+    : "No effect of the catalogue is needed to explain the record.";
+}
+
 function drawExplanation(body, bench, explanation, effects) {
   const candidates = explanation.candidates.slice(0, LISTED);
   const [tone, word] = VERDICTS[explanation.verdict] ?? ["idle", explanation.verdict];
@@ -61,7 +77,7 @@ function drawExplanation(body, bench, explanation, effects) {
         named
           ? headline(named, leading, effects)
           : explanation.verdict === "adequate"
-            ? "No effect of the catalogue is needed to explain the record."
+            ? adequate(explanation)
             : "The structured error has a shape that no effect of the catalogue makes.",
       ),
       explanation.verdict === "missing-effect"
@@ -129,6 +145,14 @@ function notes(explanation, effects) {
             `${percent(explanation.unexplained_share)} of what can be explained.${looksLike(term)}`,
         ]
       : []),
+    ...explanation.held_values.map(
+      (each) =>
+        `${each.name} is fixed at ${number(each.held)} ${unitText(each.unit)}; the record asks for ${measured(each)}, which ` +
+        "explains more than an effect would.",
+    ),
+    ...(explanation.verdict === "adequate"
+      ? []
+      : otherValues(explanation).map((text) => `Estimated from the record with these effects: ${text}.`)),
     ...(explanation.drifting ? ["An unknown load or offset drifts with time; it explains more than any effect would."] : []),
     ...explanation.timing.map((each) => `${titled(each.effect)} at ${each.at} by less than a sample: how the record was taken.`),
   ];
