@@ -4,6 +4,7 @@ import { h, panel, refresh, show } from "../lib/dom.js";
 import { ago, assetTitle, count, moment, number, quantity, title } from "../lib/format.js";
 import { badge, meter, methodsSay, ranked, saidOf, sentence } from "../lib/parts.js";
 import { hasView, named, plant, subscribe } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 import { activeModel } from "../steps/acceptance.js";
 import { methodChoice } from "../steps/deciding_method.js";
 import { alarmList } from "./alarms.js";
@@ -159,18 +160,7 @@ function indicatorTable(finding) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          h("th", { scope: "col" }, "Indicator"),
-          h("th", { scope: "col", class: "number" }, "Value"),
-          h("th", { scope: "col", class: "number" }, "Threshold"),
-          h("th", { scope: "col" }, "Value ÷ threshold"),
-        ),
-      ),
+      tableHead(["Indicator", "Value", "Threshold", "Value ÷ threshold"], [1, 2]),
       h(
         "tbody",
         {},

@@ -8,6 +8,7 @@ import { percent, quantity } from "../lib/format.js";
 import { run, runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
 import { acceptancePanel } from "./acceptance.js";
 import { structured } from "./compare_step.js";
 import { describe, modelTitle } from "./models.js";
@@ -346,15 +347,7 @@ function effectTable(effects) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map((text) => h("th", { scope: "col" }, text)),
-        ),
-      ),
+      tableHead(heads),
       h(
         "tbody",
         {},

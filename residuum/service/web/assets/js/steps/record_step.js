@@ -5,6 +5,7 @@ import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
 import { count, span, unitText } from "../lib/format.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
 import { describe, modelTitle } from "./models.js";
 import { parameterForm } from "./parameter_form.js";
 
@@ -393,15 +394,7 @@ async function drawMap(parts, bench, known, redraw, current) {
       h(
         "table",
         { class: "reflow" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["Signal of the model", "Role", "Column of the record"].map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
+        tableHead(["Signal of the model", "Role", "Column of the record"]),
         h("tbody", {}, signals.map(row)),
       ),
       h(

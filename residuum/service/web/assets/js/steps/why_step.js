@@ -7,6 +7,7 @@ import { h, notify, panel, show } from "../lib/dom.js";
 import { localised, number, percent, quantity, unitText } from "../lib/format.js";
 import { run, runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
+import { tableHead } from "../lib/table_head.js";
 import { naturalAxis } from "./where_step.js";
 
 const LISTED = 8;
@@ -239,21 +240,7 @@ function ranking(candidates, effects, bench) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map((text, index) =>
-            h(
-              "th",
-              { scope: "col", class: index === 1 ? "number" : null },
-              text || h("span", { class: "visually-hidden" }, "Action"),
-            ),
-          ),
-        ),
-      ),
+      tableHead([...heads.slice(0, 4), h("span", { class: "visually-hidden" }, "Action")], [1]),
       h("tbody", {}, candidates.map(row)),
     ),
   );
