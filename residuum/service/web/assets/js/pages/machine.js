@@ -1,6 +1,7 @@
 // One machine: the finding in words, indicators against thresholds over time, windows with signal and spectrum, alarms.
 
 import { h, panel, refresh, show } from "../lib/dom.js";
+import { effectTitle } from "../lib/effect_titles.js";
 import { ago, assetTitle, count, moment, number, quantity, title } from "../lib/format.js";
 import { badge, meter, methodsSay, ranked, saidOf, sentence } from "../lib/parts.js";
 import { hasView, named, plant, subscribe } from "../lib/plant_state.js";
@@ -124,7 +125,7 @@ function head(name, asset, machine) {
       "div",
       { class: "title" },
       h("h1", {}, assetTitle(asset ?? { id: name })),
-      badge(state, finding?.class && state === "faulty" ? `Faulty: ${title(finding.class)}` : undefined),
+      badge(state, finding?.class && state === "faulty" ? `Faulty: ${effectTitle(finding.class)}` : undefined),
     ),
     busy ? progress(machine) : null,
     h("p", { class: "says-large" }, saidOf(finding, machine)),

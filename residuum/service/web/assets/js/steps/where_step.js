@@ -3,7 +3,7 @@
 import { draw, series } from "../charts/charts.js";
 import { cloudChart, drawCloud } from "../charts/cloud.js";
 import { h, show } from "../lib/dom.js";
-import { inBrackets, localised, percent, quantity } from "../lib/format.js";
+import { capital, inBrackets, localised, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { tableHead } from "../lib/table_head.js";
 
@@ -249,8 +249,6 @@ function phaseMap(view, bench, of) {
     ),
   );
 }
-
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 // Record and time of the region's largest error.
 function strongest(view, region) {

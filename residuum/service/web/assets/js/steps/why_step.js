@@ -4,9 +4,10 @@ import { blockErrorsChart, drawBlockErrors } from "../charts/block_errors.js";
 import { cloudChart, drawCloud } from "../charts/cloud.js";
 import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
-import { localised, number, percent, quantity, unitText } from "../lib/format.js";
+import { effectTitle } from "../lib/effect_titles.js";
+import { capital, localised, number, percent, quantity, unitText } from "../lib/format.js";
 import { run, runIn } from "../lib/jobs.js";
-import { badge } from "../lib/parts.js";
+import { badge, placed } from "../lib/parts.js";
 import { tableHead } from "../lib/table_head.js";
 import { naturalAxis } from "./where_step.js";
 
@@ -161,7 +162,11 @@ function ranking(candidates, effects, bench) {
           h("b", {}, effects.get(candidate.effect)?.title ?? candidate.effect),
           h("div", { class: "muted small" }, `in ${candidate.balance}: ${effects.get(candidate.effect)?.equation ?? ""}`),
           candidate.indistinguishable_from.length
-            ? h("div", { class: "small" }, `This record cannot tell it from ${candidate.indistinguishable_from.join(", ")}.`)
+            ? h(
+                "div",
+                { class: "small" },
+                `This record cannot tell it from ${candidate.indistinguishable_from.map(placed).join(", ")}.`,
+              )
             : null,
           candidate.within_bounds ? null : h("div", { class: "small" }, "At a physical bound."),
         ),
@@ -215,7 +220,7 @@ function ranking(candidates, effects, bench) {
             type: "button",
             class: index ? "quiet" : null,
             "data-key": `add-${index}`,
-            "aria-label": `Add ${candidate.effect} to ${candidate.balance}`,
+            "aria-label": `Add ${effectTitle(candidate.effect)} to ${candidate.balance}`,
             onclick: () =>
               bench.go("add", {
                 shown: {
@@ -371,5 +376,3 @@ function visible({ smallest_visible: least, unit }) {
       : [quantity(least, unit)];
   return `below ${sizes.join(", ")} it would not show.`;
 }
-
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);

@@ -2,7 +2,8 @@
 
 import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
-import { number, percent, quantity, title } from "../lib/format.js";
+import { effectTitle } from "../lib/effect_titles.js";
+import { number, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
 import { tableHead } from "../lib/table_head.js";
@@ -88,7 +89,7 @@ function drawImproved(place, way, found) {
     h(
       "li",
       {},
-      each.added ? `${title(each.added)} added: ` : "at first: ",
+      each.added ? `${effectTitle(each.added)} added: ` : "at first: ",
       `error ${each.error === null ? "–" : quantity(each.error, found.error_unit)}`,
     );
   const use = once(async () => {
