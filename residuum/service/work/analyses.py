@@ -158,14 +158,17 @@ def residuals(
 
 
 def design_controller(
-    progress: Progress, models: Sequence[bytes], joined: bytes | None, weight: WeightChoice, options: Mapping[str, Any]
+    progress: Progress, models: Sequence[tuple[str, bytes]], joined: bytes | None, weight: WeightChoice, options: Mapping[str, Any]
 ) -> Mapping[str, Any]:
-    """`result`: the `control design` object, infeasible or with the controller; `options` are those of `rs.control.design`."""
+    """`result`: the `control design` object, infeasible or with the controller; `models` are names and contents.
+
+    `options` are those of `rs.control.design`.
+    """
     progress(0.0, "control")
-    plants = [Plant(model, model.method.split("-")[0]) for model in map(read_identified, models)]
+    plants = [Plant(model, model.method.split("-")[0]) for model in (read_identified(text) for _, text in models)]
     middle = None if joined is None else read_identified(joined)
     nominal = None if middle is None else Plant(middle, middle.method.split("-")[0])
-    named = {"models": [f"model-{number}.json" for number in range(len(models))]}
+    named = {"models": [name for name, _ in models]}
     try:
         controller = control.design(plants, joined=nominal, weight=weight, **options)
     except Infeasible as no:

@@ -5,6 +5,8 @@ import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
 import { count, span, unitText } from "../lib/format.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
+import { DRIVE, offer, simulateIn } from "./example.js";
 import { describe, modelTitle } from "./models.js";
 import { parameterForm } from "./parameter_form.js";
 
@@ -46,9 +48,10 @@ export async function uploadedRecords() {
 }
 
 export async function recordStep(place, bench) {
-  const parts = { record: h("div"), model: h("div"), map: h("div"), equations: h("div") };
+  const parts = { example: h("div"), record: h("div"), model: h("div"), map: h("div"), equations: h("div") };
   show(
     place,
+    parts.example,
     h(
       "div",
       { class: "columns" },
@@ -70,6 +73,7 @@ export async function recordStep(place, bench) {
     const mine = ++drawing; // a model described more slowly than the one chosen after it must not be drawn
     bench.save();
     bench.refresh();
+    drawExample(parts.example, bench, known, redraw);
     drawRecord(parts.record, bench, known, redraw);
     drawModel(parts.model, bench, known, redraw);
     await drawMap(parts, bench, known, redraw, () => mine === drawing && parts.map.isConnected).catch((problem) =>
@@ -77,6 +81,25 @@ export async function recordStep(place, bench) {
     );
   };
   await redraw();
+}
+
+// Until there is a record and a model: one click gives both.
+function drawExample(place, bench, known, redraw) {
+  const begin = () =>
+    simulateIn(
+      place,
+      DRIVE,
+      (record) => {
+        known.records.unshift(record);
+        Object.assign(bench, { records: [record.id], model: DRIVE.machine, version: null, base: null, map: {} });
+        return redraw();
+      },
+      bench.leaving,
+    );
+  const says =
+    "Drop a record of your machine and choose its model, or try a simulated drive with friction that its model lacks. " +
+    "Then press Compare; each step leads to the next.";
+  show(place, bench.ready ? null : offer(says, "Try the example", begin));
 }
 
 function drawRecord(place, bench, known, redraw) {
@@ -393,15 +416,7 @@ async function drawMap(parts, bench, known, redraw, current) {
       h(
         "table",
         { class: "reflow" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["Signal of the model", "Role", "Column of the record"].map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
+        tableHead(["Signal of the model", "Role", "Column of the record"]),
         h("tbody", {}, signals.map(row)),
       ),
       h(

@@ -4,6 +4,7 @@ import { call } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { quantity, unitText } from "../lib/format.js";
 import { diagnoserWith } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 
 const KINDS = {
   can: { title: "CAN bus", maps: { dbc: "DBC file" } },
@@ -141,13 +142,14 @@ function signalTable(description) {
       ),
     ),
   );
-  const heads = ["Signal", "Unit", "Every"].map((text) =>
-    h("th", { scope: "col", class: text === "Every" ? "number" : null }, text),
-  );
   return panel(
     `${description.name} describes`,
     null,
-    h("div", { class: "scroll" }, h("table", { class: "reflow" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
+    h(
+      "div",
+      { class: "scroll" },
+      h("table", { class: "reflow" }, tableHead(["Signal", "Unit", "Every"], [2]), h("tbody", {}, rows)),
+    ),
     description.remarks.map((remark) => h("p", { class: "muted small" }, `${remark}.`)),
   );
 }
