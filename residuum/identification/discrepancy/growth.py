@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
 from residuum.identification.discrepancy.evidence import preferred, relative_evidence, tempered_gain
 from residuum.identification.discrepancy.holding_up import held_out_errors, holds_up
 from residuum.identification.discrepancy.looks import Task
@@ -26,8 +23,6 @@ from residuum.identification.discrepancy.structure_fits import in_likelier_order
 from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.trials import followed, polished
 from residuum.identification.physics import Experiment, Key, find_effect
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def grow(found: Search, task: Task, late: Asked = never) -> None:

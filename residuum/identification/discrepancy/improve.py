@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
@@ -35,8 +34,6 @@ from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.work import Tell, at_most, untold
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

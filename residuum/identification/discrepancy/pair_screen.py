@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.likelihood import RIDGE
 from residuum.identification.discrepancy.policy.trials import PAIR_GAIN, PROMISING_PAIRS
@@ -15,8 +14,6 @@ from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def promising_pairs(

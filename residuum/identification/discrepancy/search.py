@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import count
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.discrepancy.drifting_load import likeliest_drifting_load
 from residuum.identification.discrepancy.evidence import preferred, tempered_gain
@@ -29,8 +28,6 @@ from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.residual_analysis.policy.noise import MUCH_LEFT, SLOW
 from residuum.identification.side_by_side import beside, side_by_side
 from residuum.identification.work import Tell, untold
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def search(

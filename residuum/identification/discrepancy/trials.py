@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.acceptance import ALIKE
 from residuum.identification.discrepancy.policy.likelihood import CLOSE, FAR_BEHIND, POLISH_GAIN, POLISHES
@@ -21,8 +20,6 @@ from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.model import find_effect
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE, SLOW
 from residuum.identification.side_by_side import side_by_side
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def trials(screen: Screen, pairs: Sequence[Key], refits: int) -> tuple[dict[Key, Structure], list[Screened]]:
