@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
 from residuum.identification.discrepancy.explain import check_length
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.final_estimate import (
+from residuum.identification.discrepancy.fitting.structures import Structure
+from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
+from residuum.identification.discrepancy.improving.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
+from residuum.identification.discrepancy.improving.final_estimate import (
     doubts_of,
     least_simulation_error,
     on_everything,
     vanished,
     without_needless,
 )
-from residuum.identification.discrepancy.held_out import Split, split
-from residuum.identification.discrepancy.held_out_error import HeldOutError
-from residuum.identification.discrepancy.improve_on_blocks import ASIDE, joined_on_blocks
-from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
-from residuum.identification.discrepancy.join_effects import all_joined
+from residuum.identification.discrepancy.improving.held_out import Split, split
+from residuum.identification.discrepancy.improving.held_out_error import HeldOutError
+from residuum.identification.discrepancy.improving.improve_on_blocks import ASIDE, joined_on_blocks
+from residuum.identification.discrepancy.improving.join_effects import all_joined
 from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIME, STRANGE
-from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.record import Record
