@@ -6,9 +6,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from residuum.service.fieldbus.block import Samples
+from residuum.service.fieldbus.strict_model import StrictModel
 
 Registers = npt.NDArray[np.uint16]
 Order = Literal["big", "little"]
@@ -29,12 +30,6 @@ NUMBERS: dict[str, tuple[str, int]] = {
 _ADDRESSES = 1 << 16
 _NO_POWER = 0x8000
 _LARGEST_POWER = 10
-
-
-class StrictModel(BaseModel):
-    """Settings of a register map: what is not known is refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def _several(value: Any) -> Any:

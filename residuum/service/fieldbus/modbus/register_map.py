@@ -50,7 +50,8 @@ from pydantic import Field, ValidationError, model_validator
 from residuum.service.fieldbus.block import Samples, StreamFormat
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map_text
-from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters, Function, Registers, StrictModel
+from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters, Function, Registers
+from residuum.service.fieldbus.strict_model import StrictModel
 
 PAGE_HEAD = 3
 """Registers before the first sample of a page: number (2) and checksum."""

@@ -19,18 +19,15 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map
+from residuum.service.fieldbus.strict_model import StrictModel
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ChannelNode(_Strict):
+class ChannelNode(StrictModel):
     """The node of a channel, and how its value becomes one in this unit: value · scale + offset."""
 
     node: str = Field(pattern=r"^(ns=\d+;)?[isgb]=.+$")
@@ -39,7 +36,7 @@ class ChannelNode(_Strict):
     offset: float = 0.0
 
 
-class StreamNodes(_Strict):
+class StreamNodes(StrictModel):
     """One stream: its clock and its channels."""
 
     sample_time: float = Field(gt=0, le=3600)
@@ -50,7 +47,7 @@ class StreamNodes(_Strict):
         return StreamFormat(name, self.sample_time, {channel: each.unit for channel, each in self.channels.items()})
 
 
-class Security(_Strict):
+class Security(StrictModel):
     """How a session is secured: our certificate and key, and the server's certificate, which we trust and no other."""
 
     policy: Literal["Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"] = "Basic256Sha256"
@@ -60,7 +57,7 @@ class Security(_Strict):
     trusted: Path
 
 
-class User(_Strict):
+class User(StrictModel):
     """Whose rights the session has."""
 
     name: str
@@ -72,7 +69,7 @@ class User(_Strict):
         return self.password_file.read_text(encoding="utf-8").splitlines()[0]
 
 
-class NodeMap(_Strict):
+class NodeMap(StrictModel):
     """Streams by name, and how the server is entered."""
 
     streams: dict[str, StreamNodes] = Field(min_length=1)

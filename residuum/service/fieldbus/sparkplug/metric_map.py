@@ -20,19 +20,16 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.map_text import read_map
+from residuum.service.fieldbus.strict_model import StrictModel
 
 NAME = r"[^/+#]+"
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ChannelMetric(_Strict):
+class ChannelMetric(StrictModel):
     """The metric of a channel, and how its value becomes one in this unit: value · scale + offset."""
 
     metric: str = Field(min_length=1)
@@ -41,7 +38,7 @@ class ChannelMetric(_Strict):
     offset: float = 0.0
 
 
-class StreamMetrics(_Strict):
+class StreamMetrics(StrictModel):
     """One stream: its device, its clock, its channels, and whether a message has every value or those that changed."""
 
     device: str = Field("", pattern=rf"^({NAME})?$")
@@ -54,7 +51,7 @@ class StreamMetrics(_Strict):
         return StreamFormat(name, self.sample_time, {channel: each.unit for channel, each in self.channels.items()})
 
 
-class MetricMap(_Strict):
+class MetricMap(StrictModel):
     """An edge node and the streams of its metrics."""
 
     node: str = Field(pattern=rf"^{NAME}/{NAME}$")
