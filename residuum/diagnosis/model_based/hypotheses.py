@@ -62,18 +62,13 @@ class Hypothesis:
 def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
     """Everything that may have happened to a machine with this model, of which these values may change."""
     found = [_value(model, name) for name in values]
-    found += [_new_effect(model, key) for key in candidates(model) if _recorded(model, key)]
+    found += [_new_effect(model, key) for key in candidates(model) if model.records(key)]
     for o, (name, output) in enumerate(model.outputs.items()):
         found += _sensor(model, o, name, output.unit)
     for i, (name, signal) in enumerate(model.inputs.items()):
         if not signal.absent and Key("input-offset", name) in candidates(model, ["input-offset"]):
             found += _actuator(model, i, name, signal.unit)
     return found + [_load(model, name) for name in model.balances]
-
-
-def _recorded(model: PhysicalModel, key: Key) -> bool:
-    effect = find_effect(key.effect)
-    return effect.recorded(model.site(key.target, effect))
 
 
 def _load(model: PhysicalModel, balance: str) -> Hypothesis:

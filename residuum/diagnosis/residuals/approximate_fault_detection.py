@@ -106,21 +106,6 @@ def approximate_fault_detection(
     return _verified(reduced, noise, exact, left_out, small, fault, gamma)
 
 
-def exact_fault_detection(factors: LeftCoprimeFactors, *, fault: FaultKind = "sensor") -> PostFilter:
-    """The exact problem (EFDP), for a model without error and noise: Q = 1, u is decoupled by [M, −N] itself, γ = 0.
-
-    Raises
-    ------
-    BadModel
-        The fault does not reach the output (N = 0 for an actuator fault), so nothing can detect it.
-    """
-    beta, at = h_infinity_norm(factors.M if fault == "sensor" else factors.N)
-    if beta == 0.0:
-        raise BadModel(f"exact_fault_detection: no {fault} fault reaches the output; the model's gain is zero")
-    Q = StateSpace.gain([[1.0]], factors.M.sample_time)
-    return PostFilter(Q, 0.0, 0.0, beta, at, 0, 0.0)
-
-
 def noise_path(
     factors: LeftCoprimeFactors, W_T: TransferFunction | None, input_level: float = 1.0, noise_level: float = 1.0
 ) -> StateSpace:

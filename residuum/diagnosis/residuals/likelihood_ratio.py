@@ -28,7 +28,6 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import FloatArray
 
 LONGEST_WINDOW = 1024
-KINDS = ("none", "offset", "gain", "power", "ramp")
 _SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together
 
 

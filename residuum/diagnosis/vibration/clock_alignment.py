@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.vibration.rounds import pulses
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 
@@ -50,15 +49,6 @@ class ClockAlignment:
     def to_other(self, time: npt.ArrayLike) -> Array:
         """Readings of the reference clock [s] as readings of the other clock [s]."""
         return self.middle + (np.asarray(time, dtype=float) - self.middle - self.offset) / (1 + self.drift)
-
-
-def pulse_times(record: Record, channel: str = "sync") -> Array:
-    """Rising edges of a pulse signal on the record's clock [s], each half a sample before the first high sample.
-
-    An edge before the first sample is not known and left out. Raises BadInput when the channel has gaps or never changes.
-    """
-    rising, _ = pulses(np.asarray(record[channel], dtype=float))
-    return np.asarray(record.t0 + (rising[rising > 0] - 0.5) * record.sample_time)
 
 
 def align_clocks(reference: npt.ArrayLike, other: npt.ArrayLike, expected_offset: float = 0.0) -> ClockAlignment:

@@ -12,7 +12,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
-from scipy.stats import norm
 
 from residuum.diagnosis.residuals.filter_bank import (
     TAPS_OF_THIRDS,
@@ -97,15 +96,6 @@ class Kurtogram:
         gaussian = np.where(self.level == 0, 3.0, 2.0)
         return np.where(ratio > 0, ratio - gaussian, 0.0)
 
-    def significance_level(self, false_alarm: float = 0.01) -> Array:
-        """What K a band of stationary Gaussian noise exceeds with this probability, shape (bands,).
-
-        For n independent samples of a complex Gaussian envelope K scatters with 2/√n around 0 (24/n for a real
-        signal), so u₁₋α · 2/√n (Antoni & Randall 2006, spectral kurtosis). Small n: the tail is heavier than normal.
-        """
-        scatter = np.sqrt(np.where(self.level == 0, 24.0, 4.0) / self.count)
-        return np.asarray(norm.isf(false_alarm) * scatter)
-
     def band(self, index: int) -> Band:
         """The band of that row."""
         return Band(float(self.centre[index]), float(self.width[index]), float(self.level[index]), float(self.kurtosis[index]))
@@ -149,7 +139,7 @@ def kurtogram(
     that excites a resonance gives its largest value where the band just holds the resonance.
 
     When it fails: a few random impacts fool it (K grows with rarity), and at low signal-to-noise ratio a narrow band
-    wins by chance (compare with `significance_level`); see `band_selection` for remedies.
+    wins by chance; see `band_selection` for remedies.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline
 
 from residuum.identification.errors import BadInput
 
@@ -23,29 +23,6 @@ def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> Array:
         raise BadInput("order tracking: the speed has gaps or is not positive throughout")
     steps = (speed[1:] + speed[:-1]) / (2 * 60 * sampling_rate)
     return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def angle_from_pulses(rising: npt.ArrayLike, n: int, pulses_per_revolution: int = 1) -> Array:
-    """Turned revolutions at samples 0 … n−1 from the samples at which an indicator rises, shape (n,).
-
-    Monotone cubic interpolation between pulses; before the first and after the last the speed there is carried on.
-    Raises BadInput for fewer than three pulses or pulses that do not rise in time.
-    """
-    at = np.asarray(rising, dtype=float)
-    if at.shape[0] < 3 or not (np.diff(at) > 0).all():
-        raise BadInput(f"order tracking: {at.shape[0]} pulses; at least 3 in rising order are needed")
-    turns = np.arange(at.shape[0]) / pulses_per_revolution
-    first, last = 1 / (at[1] - at[0]), 1 / (at[-1] - at[-2])
-    before, after = min(0.0, at[0] - 1), max(float(n), at[-1] + 1)
-    at = np.concatenate([[before], at, [after]])
-    turns = np.concatenate(
-        [
-            [turns[0] - (at[1] - before) * first / pulses_per_revolution],
-            turns,
-            [turns[-1] + (after - at[-2]) * last / pulses_per_revolution],
-        ]
-    )
-    return np.asarray(PchipInterpolator(at, turns)(np.arange(n)))
 
 
 def at_even_angle(x: npt.ArrayLike, angle: Array, samples_per_revolution: float) -> Array:

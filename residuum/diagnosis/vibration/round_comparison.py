@@ -41,12 +41,6 @@ class RoundComparison:
         """Share of the rounds that pass the limit at each place, shape (places,)."""
         return np.asarray((self.rounds > self.upper).mean(axis=0))
 
-    @property
-    def quadrant_excess(self) -> Array:
-        """Largest ratio of the median round to the limit in each quadrant (1 = at the limit), shape (quadrants,)."""
-        ratio = np.median(self.rounds, axis=0) / self.upper
-        return np.array([part.max() for part in np.array_split(ratio, self.quadrant_rms.shape[1])])
-
 
 def round_profile(segments: Sequence[Array]) -> Array:
     """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES_OF_A_ROUND,)."""

@@ -181,13 +181,6 @@ def drawn_errors(
     return DrawnErrors.of(model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form)
 
 
-def error_envelope(
-    model: IdentifiedModel, omega: npt.ArrayLike, n_samples: int, *, form: Form = "multiplicative", seed: int = 0
-) -> FloatArray:
-    """Ω(ω), the largest error among `n_samples` random models (2.21), shape of `omega`."""
-    return drawn_errors(model, n_samples, form=form, seed=seed).envelope(omega)
-
-
 def _promise(rule: str, accuracy: float, confidence: float, n_samples: int) -> str:
     confident = f"with confidence {confidence:g}"
     if rule == "worst-case":

@@ -206,6 +206,11 @@ class PhysicalModel:
     def _defined(self) -> dict[str, str]:
         return {name: balance.kind for balance in self.balances.values() if (name := balance.defines)}
 
+    def records(self, key: Key) -> bool:
+        """Whether the record says when this effect acts at its target."""
+        effect = find_effect(key.effect)
+        return effect.recorded(self.site(key.target, effect))
+
     def with_input(self, name: str, unit: str) -> PhysicalModel:
         """The model with one more recorded input, for an effect that is tied to it."""
         if name in self.inputs:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
@@ -33,8 +30,6 @@ from residuum.identification.residual_analysis.structure_tests import (
 )
 from residuum.identification.residual_analysis.structured_error import StructuredError
 from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

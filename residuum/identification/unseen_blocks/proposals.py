@@ -43,18 +43,13 @@ def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | 
     """
     keys = candidates(model, wanted)
     if wanted is None:
-        keys = [key for key in keys if _recorded(model, key)]
+        keys = [key for key in keys if model.records(key)]
     keys = [key for key in keys if not find_effect(key.effect).curve]
     if learned and along is not None:
         keys += _curves(model, along)
     if held:
         keys += [Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0]
     return keys
-
-
-def _recorded(model: PhysicalModel, key: Key) -> bool:
-    effect = find_effect(key.effect)
-    return effect.recorded(model.site(key.target, effect))
 
 
 def beginnings(key: Key, along: Track) -> list[PhysicalModel]:

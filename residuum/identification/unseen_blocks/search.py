@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Key
@@ -30,8 +29,6 @@ from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

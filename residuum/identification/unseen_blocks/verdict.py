@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
@@ -22,7 +21,6 @@ from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
 from residuum.identification.unseen_blocks.search import Search, chain
 
-Array = npt.NDArray[np.float64]
 NONE, UNKNOWN = "none", "unknown"
 
 

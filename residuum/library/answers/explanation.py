@@ -9,8 +9,8 @@ from typing import Any
 
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.discrepancy.judging.free_term import FreeTerm
+from residuum.identification.discrepancy.judging.suggestion import suggestion
 from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.block_errors import Array, BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate

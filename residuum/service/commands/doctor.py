@@ -23,14 +23,14 @@ from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.settings_file import SettingsFile
-from residuum.service.fieldbus.can import streamed
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.device_reading import read_device
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.metric_map import read_metric_map
-from residuum.service.fieldbus.node_map import read_node_map
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.can_source import streamed
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.device_reading import read_device
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
+from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 from residuum.service.machines.stored_baselines import has_baseline
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings

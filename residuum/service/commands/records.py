@@ -93,7 +93,7 @@ def _can_record(file: Path, options: ReadOptions, dbc: Path | None) -> Record:
         raise BadRecord(f"{file}: is a CAN log; name the DBC file of its bus with --dbc FILE")
     if not file.is_file():
         raise BadRecord(f"{file}: no such file")
-    made: Record = import_module("residuum.service.fieldbus.can_record").read_can_record(file, dbc, options)
+    made: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(file, dbc, options)
     return made
 
 

@@ -21,8 +21,8 @@ from residuum.service.commands.running_service import HERE, ServiceUrl, answered
 from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.commands.settings_template import settings_template
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.machines.channel_guess import guessed_channels
 from residuum.service.machines.live_values import LiveValues

@@ -13,4 +13,4 @@ Rule = Annotated[
 WeightOrder = Annotated[int, typer.Option(help="Order of the fitted weight W_T.", min=0, max=20)]
 Points = Annotated[int | None, typer.Option(help="Number of frequencies in the first grid, logarithmic up to π/Ts.", min=2)]
 Lowest = Annotated[float | None, typer.Option(help="Lowest of these frequencies \\[rad/s].")]
-EPSILON, ZETA, RULE = 0.05, 0.05, "chernoff"
+EPSILON, ZETA = 0.05, 0.05

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from residuum.service.fieldbus.frame_layout import BadBusDescription
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
 Map = TypeVar("Map", bound=BaseModel)
 

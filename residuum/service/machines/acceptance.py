@@ -5,9 +5,7 @@ The work of a job; nothing is stored here.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +18,7 @@ from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import estimate, match
 from residuum.identification.record import Record
+from residuum.service.machines.kept_diagnosers import content_of, diagnoser_of_content
 from residuum.service.machines.model_texts import ModelText
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
@@ -68,11 +67,8 @@ def propose(
     progress(0.05, f"learning the limits of {diagnoser} from {len(learned)} healthy records")
     kind = DIAGNOSERS[diagnoser]
     records, windows = ([Record(*parts) for parts in each] for each in (learned, checked))
-    with tempfile.TemporaryDirectory() as folder:
-        old = None if baseline is None else _load(kind, baseline, Path(folder) / "old")
-        new = _relearned(old or kind(), records, models[1])
-        new.save(Path(folder) / "new")
-        content = (Path(folder) / "new").read_bytes()
+    old = None if baseline is None else diagnoser_of_content(kind, baseline)
+    new = _relearned(old or kind(), records, models[1])
     progress(0.6, f"judging {len(windows)} healthy windows with both")
     before = [] if old is None else [old.score(window) for window in windows]
     after = [new.score(window) for window in windows]
@@ -83,7 +79,7 @@ def propose(
         "thresholds": _thresholds(before, after),
         "alarms": {"windows": len(windows), "old": _faulty(before) if old else None, "new": _faulty(after)},
         "model_error": _model_errors(models, (records + windows)[-_MODELLED:], mapping),
-        "baseline": content,
+        "baseline": content_of(new),
     }
 
 
@@ -92,11 +88,6 @@ def _relearned(old: Diagnoser, records: Sequence[Record], accepted: ModelText) -
     if isinstance(old, ModelBased):
         return old.relearned(records, model_of(*accepted))
     return old.relearned(records)
-
-
-def _load(kind: type[Diagnoser], content: bytes, file: Path) -> Diagnoser:
-    file.write_bytes(content)
-    return kind.load(file)
 
 
 def _faulty(findings: Sequence[Finding]) -> int:

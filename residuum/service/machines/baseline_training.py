@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.library.answers.plain import to_plain
 from residuum.service.machines.channel_names import named
+from residuum.service.machines.kept_diagnosers import content_of, diagnoser_of_content
 from residuum.service.machines.model_texts import ModelText
 from residuum.service.views.model_view import model_of
 from residuum.service.work.jobs import Progress
@@ -47,7 +45,7 @@ def train_baseline(
     records = [named(Record(*parts), channels) for parts in windows]
     if present is not None:
         progress(0.1, "asking the present baseline whether these windows are healthy")
-        _loaded(diagnoser, present).refuse_learning(records)
+        diagnoser_of_content(DIAGNOSERS[diagnoser], present).refuse_learning(records)
     deciding = {name: value for name, value in settings.items() if name == "method"}
     own = {name: value for name, value in settings.items() if name != "method"}
     own |= {} if model is None else {"model": model_of(*model)}
@@ -58,20 +56,10 @@ def train_baseline(
     trained = untrained.with_settings(**deciding).fit(records)
     progress(0.7, "judging the windows of the training")
     verdicts = [trained.score(record).verdict.value for record in records]
-    with tempfile.TemporaryDirectory() as folder:
-        trained.save(Path(folder) / "new")
-        content = (Path(folder) / "new").read_bytes()
     return {
         "diagnoser": diagnoser,
         "windows": len(records),
         "alarms": verdicts.count("faulty"),
         "learned": to_plain(trained.learned()),
-        "baseline": content,
+        "baseline": content_of(trained),
     }
-
-
-def _loaded(diagnoser: str, content: bytes) -> Diagnoser:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "present"
-        file.write_bytes(content)
-        return DIAGNOSERS[diagnoser].load(file)

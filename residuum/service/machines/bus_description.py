@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from residuum.service.fieldbus.block import StreamFormat
-from residuum.service.fieldbus.can import streamed
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.can.can_source import streamed
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 
 ENDINGS = {"dbc": ".dbc", "registers": ".yaml"}
 """Kind of a bus description → ending of its file."""

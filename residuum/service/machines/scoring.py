@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
+from residuum.service.machines.kept_diagnosers import diagnoser_of_file
 
 
 class PlainRecord(NamedTuple):
@@ -44,7 +41,7 @@ def score_window(diagnoser: str, baseline: str, window: PlainRecord, method: str
 
     Runs in a worker process. A window that the diagnoser refuses (a channel missing, a wrong unit) is not assessable.
     """
-    judge = _loaded(diagnoser, baseline, Path(baseline).stat().st_mtime_ns if baseline else 0)
+    judge = diagnoser_of_file(diagnoser, baseline)
     try:
         record = window.record()
         finding = (judge if method is None else judge.with_settings(method=method)).score(record)
@@ -59,8 +56,3 @@ def conditions(record: Record) -> dict[str, Any]:
     """Mean and unit of every signal of a window: what a value may be found to move with over many windows."""
     means = {name: float(np.nanmean(values)) for name, values in record.channels.items() if not np.isnan(values).all()}
     return {name: {"mean": mean, "unit": record.units[name]} for name, mean in means.items()}
-
-
-@lru_cache(maxsize=64)
-def _loaded(diagnoser: str, baseline: str, _changed: int) -> Diagnoser:
-    return DIAGNOSERS[diagnoser].load(baseline) if baseline else DIAGNOSERS[diagnoser]()

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
@@ -37,8 +36,6 @@ from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import BALANCE_KINDS
 from residuum.identification.units import compatible, convert
-
-FloatArray = npt.NDArray[np.float64]
 
 OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
 DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")

@@ -87,11 +87,5 @@ class EndStop(Effect):
         q = conditions.variables["position"]
         return bool(np.any((q <= values["q_max"]) & (q >= values["q_min"])))
 
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Pushes inwards beyond the ends, does nothing between them."""
-        q = variables["position"]
-        inwards = np.all(term[q > values["q_max"]] <= 0.0) and np.all(term[q < values["q_min"]] >= 0.0)
-        return bool(inwards and np.all(term[(q < values["q_max"]) & (q > values["q_min"])] == 0.0))
-
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
