@@ -58,6 +58,8 @@ LEAST_EXCITED = 0.03
 """[of a healthy window's] Information on some value that a window needs. Chosen."""
 SHORTEST = 0.25
 """[of a healthy window] Length under which a window is too short. Chosen."""
+COMPLETE = 0.5
+"""[of a healthy window] Length beyond which the longest stretch without a hole stands for a window with holes. Chosen."""
 TOLD = 12
 """Causes that an answer lists at most. Chosen."""
 POWER = 0.9

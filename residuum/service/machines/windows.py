@@ -21,8 +21,8 @@ _LONGEST_MOVEMENT = 60.0
 class Cutter(ABC):
     """Takes blocks as they come and gives each window once it is complete.
 
-    A window never reaches across a break of its stream; a hole inside it stays as missing samples, which no diagnoser calls
-    healthy.
+    A window never reaches across a break of its stream; a hole inside it stays as missing samples, over which no diagnoser
+    judges.
     """
 
     @abstractmethod
