@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
+from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
 
 if TYPE_CHECKING:
     import pandas

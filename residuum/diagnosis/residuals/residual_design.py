@@ -12,18 +12,18 @@ import numpy as np
 from scipy import signal, stats
 
 from residuum.diagnosis.learning.stored import load_stored, save_stored
-from residuum.diagnosis.residuals.approximate_fault_detection import (
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import (
     FaultKind,
     PostFilter,
     approximate_fault_detection,
     noise_path,
 )
-from residuum.diagnosis.residuals.classical_filters import Given, classical_filter
+from residuum.diagnosis.residuals.generators.classical_filters import Given, classical_filter
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
-from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
 from residuum.diagnosis.residuals.residual_evaluation import EVALUATIONS, evaluate
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.systems.coprime import left_coprime
 from residuum.diagnosis.systems.system_norms import peak_gain
 from residuum.diagnosis.thresholds.hazard_tail import HazardTail

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
-from residuum.diagnosis.residuals.residual_generator import ResidualSignals
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.thresholds.cusum import cusum
 from residuum.identification.linear_models.state_space import FloatArray
 

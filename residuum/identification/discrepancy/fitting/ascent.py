@@ -20,7 +20,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
 )
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.coarse_reading import reading_variances
-from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.noise.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.residual_analysis.policy.noise import SCORING
 from residuum.identification.work import count_fit, go_on
 

@@ -32,7 +32,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.physics.model import find_effect
-from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.noise.innovations import Noises
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy.likelihood import RIDGE
 from residuum.identification.physics.estimation.least_squares import damped, solve_scaled
-from residuum.identification.residual_analysis.innovation_sums import add_normal_equations, after_step
-from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.noise.innovation_sums import add_normal_equations, after_step
+from residuum.identification.residual_analysis.noise.innovations import Noises
 from residuum.identification.residual_analysis.policy.noise import SCORING
 
 FloatArray = npt.NDArray[np.float64]

@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.fitting.whitened_least_squares import N
 from residuum.identification.discrepancy.policy.likelihood import HOPELESS_NOISE, RIDGE
 from residuum.identification.discrepancy.policy.trials import FALLEN, PROMISING_GAIN, WORTH_A_PASS
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.noise.innovations import Noises, fit_noises, pointwise_log_likelihood
 
 FloatArray = npt.NDArray[np.float64]
 
