@@ -32,7 +32,7 @@ _SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shir
 
 
 class BankOutput(NamedTuple):
-    """Per sample: the largest standardised statistic, what alarmed (index into `KINDS`, 0 = nothing) and its window [samples]."""
+    """Per sample: the largest standardised statistic, what alarmed (`window_scan`, 0 = nothing) and its window [samples]."""
 
     statistic: FloatArray
     kind: npt.NDArray[np.int64]

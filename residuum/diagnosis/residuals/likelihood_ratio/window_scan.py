@@ -17,7 +17,7 @@ from residuum.kept_loops import njit
 FloatArray = npt.NDArray[np.float64]
 
 OFFSET, GAIN, POWER, RAMPED = 1, 2, 3, 4
-"""What alarmed: indices into `likelihood_ratio.KINDS`."""
+"""What alarmed; 0 is nothing."""
 SHORTEST_GAIN = 4  # over one sample the gain statistic is the offset statistic
 SHORTEST_POWER = 8  # below it the cube-root normal of a χ² is too coarse in the far tail, and a ramp is as good as an offset
 HEAD_START = 2.2  # A, nats: the Shiryaev–Roberts statistic then gives nine tenths of the false alarms

@@ -17,13 +17,13 @@ from scipy.special import chdtrc
 from residuum.identification.residual_analysis.noise.coloured_noise import fit_coloured_noise, stretches
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.policy.noise import (
+    BINS_OF_AN_AXIS,
     COUNTED_IN_A_PLACE,
     FEWEST_FOR_A_PLACE,
     LOCAL_LEVEL,
     LOCAL_OUTLIER,
     LOCAL_TIMES_NOISE,
     NOISE_ORDER,
-    PLACES,
 )
 
 FloatArray = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ def local_structure(residuals: Sequence[FloatArray], axes: Sequence[Sequence[Axi
     names = [axis.name for axis in axes[0]]
     for k, name in enumerate(names):
         values = np.concatenate([each[k].values[there] for each, there in zip(axes, known, strict=True)])
-        found = _loudest_place(power, error, values, PLACES * len(names))
+        found = _loudest_place(power, error, values, BINS_OF_AN_AXIS * len(names))
         if found is not None:
             low, high, p_value, mean = found
             place = LocalStructure(name, low, high, float(np.sqrt(mean)) / quiet, p_value)
@@ -96,7 +96,7 @@ def _loudest_place(
     """(from, to, p-value of the innovations' `power`, mean square `error`) of the bin that stands out most; None where the signal
     does not move.
     """
-    edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0.0, 1.0, PLACES + 1)))
+    edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0.0, 1.0, BINS_OF_AN_AXIS + 1)))
     if len(edges) < 3:
         return None
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
