@@ -16,6 +16,7 @@ from scipy import signal
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.residuals.multivariable.unknown_input_decoupling import unknown_input_decoupling
 from residuum.diagnosis.residuals.multivariable.vector_whitener import VectorWhitener, fit_whitener
+from residuum.diagnosis.residuals.residual_design import ROBUST, refuse_other_rate
 from residuum.diagnosis.systems.settling import settled_length
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.multivariable import MultivariableModel
@@ -26,9 +27,8 @@ from residuum.identification.record import Record
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 KIND, VERSION = "multivariable-residual-design", 1
-ROBUST, UNKNOWN_INPUT = "robust", "unknown-input-observer"
+UNKNOWN_INPUT = "unknown-input-observer"
 METHODS = (ROBUST, UNKNOWN_INPUT)
-_RATE_TOLERANCE = 1e-3
 
 
 class VectorResidual(NamedTuple):
@@ -113,10 +113,7 @@ class MultivariableResidual:
 
     def signals_of(self, record: Record) -> tuple[FloatArray, FloatArray]:
         """Known inputs and outputs in the model's units, shapes (n, q), (n, p)."""
-        if abs(record.sample_time / self.sample_time - 1.0) > _RATE_TOLERANCE:
-            raise BadRecord(
-                f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs {self.sample_time:g} s"
-            )
+        refuse_other_rate(record, self.sample_time)
         first = self.model.models[0]
         u = [record.in_unit(first[j].input_name, first[j].input_unit) for j in self.known]
         y = [record.in_unit(row[0].output_name, row[0].output_unit) for row in self.model.models]
