@@ -164,7 +164,7 @@ def from_pandas(
     if time is not None and time not in frame.columns:
         raise BadRecord(f"{where}: has no column {time!r} for the time; there are {', '.join(map(str, frame.columns))}")
     found = heads(frame, where, without=time)
-    told = units_of(found, frame.attrs.get("units", {}), units or {}, where)
+    told = units_of(found, frame.attrs.get("units", {}), units or {})
     signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in found.items()}
     if sample_time is not None and time is None and not _has_instants(frame.index):
         return from_arrays(signals, units=told, sample_time=sample_time, source=where)

@@ -13,9 +13,9 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
 from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS
-from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import BankOutput
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
 from residuum.diagnosis.thresholds.threshold import bounds, source_threshold

@@ -15,7 +15,7 @@ from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
 from residuum.diagnosis.model_based.complete_stretch import complete_stretch
 from residuum.diagnosis.model_based.detection import Detected, detected
-from residuum.diagnosis.model_based.policy import COMPLETE, FEWEST_SAMPLES, LEAST_EXCITED, SHORTEST, STILL
+from residuum.diagnosis.model_based.policy import COMPLETE, FEWEST_IN_A_WINDOW, LEAST_EXCITED, SHORTEST, STILL
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.diagnosis.model_based.wording import said
@@ -122,7 +122,7 @@ def _experiment(baseline: Baseline, record: Record) -> Experiment:
             raise BadRecord(f"record {record.source!r}: channel {name!r} is missing; the columns are {', '.join(record.names)}")
     if abs(record.sample_time / Ts - 1.0) > 1e-3:
         raise NotAssessable(f"sampled every {record.sample_time:g} s; the baseline was trained at {Ts:g} s")
-    shortest = max(FEWEST_SAMPLES, int(SHORTEST * baseline.seconds / Ts))
+    shortest = max(FEWEST_IN_A_WINDOW, int(SHORTEST * baseline.seconds / Ts))
     if record.n < shortest:
         raise NotAssessable(f"{record.n} samples; at least {shortest} are needed")
     for name in required:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.model_based.policy import FAR, FIRST_SIZE, GRID, KNOTS, STARTS
+from residuum.diagnosis.model_based.policy import FIRST_SIZE, GRID, KNOTS, LOST_READING, SHAPES_LOOKED_AT
 from residuum.diagnosis.model_based.variant import Variant, amplified, delayed, edited, held
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter
 from residuum.identification.errors import BadInput
@@ -94,7 +94,7 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list
     """An effect at each of its first shapes, small: the fit finds its sizes."""
     effect, found = find_effect(key.effect), []
     try:
-        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:STARTS]:
+        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:SHAPES_LOOKED_AT]:
             small = {name: value * FIRST_SIZE if name in effect.sizes else value for name, value in start.items()}
             larger = model.with_effect(*key, small)
             use = larger.effects[-1]
@@ -179,7 +179,7 @@ def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     r, Y = healthy.error[:, o], fitter.window.Y.copy()
     if not fitter.count[o]:
         return None
-    far = np.abs(np.nan_to_num(r)) > FAR * 1.4826 * np.nanmedian(np.abs(r))
+    far = np.abs(np.nan_to_num(r)) > LOST_READING * 1.4826 * np.nanmedian(np.abs(r))
     values, counts = np.unique(Y[far, o], return_counts=True)
     if not counts.size or counts.max() < max(3.0, 0.5 * float(far.sum())):
         return None

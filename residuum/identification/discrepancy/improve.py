@@ -116,7 +116,7 @@ def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     if said is not None and said.on_blocks is not None:
         return _Attempt(_improved_on_blocks(model, records, said, said.on_blocks, how, tell), False)
     if said is not None and said.exact is not None:
-        begun, finer = begun_exactly(model, parts, how, said, said.exact), said.exact.finer
+        begun, finer = begun_exactly(model, parts, how, said.exact), said.exact.finer
     else:
         begun, finer = asked_for(model, records, parts, how, how.add or ()), 1
     experiments = begun.experiments

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.drawn_errors import FORMS, DrawnErrors, Form
-from residuum.identification.linear_models.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS, DrawnErrors, Form
+from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
+from residuum.identification.linear_models.error_bounds.weight_certificate import largest_excess
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.weight_certificate import largest_excess
 
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["chernoff", "worst-case"]

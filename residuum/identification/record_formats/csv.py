@@ -10,9 +10,15 @@ import numpy.typing as npt
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
-from residuum.identification.record_formats.logger_file import understand
-from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, LoggerMapping, parse_logger, say_missing
+from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_head import unit_of_head
+from residuum.identification.record_formats.loggers.logger_mapping import (
+    ENDING,
+    SAY_DUPLICATES,
+    LoggerMapping,
+    parse_logger,
+    say_missing,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 

@@ -9,7 +9,6 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.axes import signal_axes
 from residuum.identification.residual_analysis.error_sizes import (
     BalanceError,
     OutputError,
@@ -18,9 +17,10 @@ from residuum.identification.residual_analysis.error_sizes import (
     prediction_errors,
 )
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
-from residuum.identification.residual_analysis.locate import Axis, Region
+from residuum.identification.residual_analysis.places.axes import signal_axes
+from residuum.identification.residual_analysis.places.locate import Axis, Region
+from residuum.identification.residual_analysis.places.regions import regions
 from residuum.identification.residual_analysis.policy.noise import STRUCTURE_LEVEL
-from residuum.identification.residual_analysis.regions import regions
 from residuum.identification.residual_analysis.structure_tests import (
     beyond_noise,
     refitted_difference,

@@ -185,13 +185,13 @@ def judged(structure: Structure, found: Estimate, rung: Rung, data: Data, scale:
     parameters += sum(not p.fixed for p in structure.model.parameters.values())
     seen = summed(np.where(at.known, np.clip(at.errors, -clip, clip), 0.0) ** 2, rung, data.blocks)
     squares, count = np.zeros((2, data.blocks, len(measured)))
-    squares[:, measured] = summed(np.where(at.known, _in_units(plainly, at, found, rung, scale), 0.0) ** 2, rung, data.blocks)
+    squares[:, measured] = summed(np.where(at.known, _in_units(plainly, at, found, scale), 0.0) ** 2, rung, data.blocks)
     count[:, measured] = summed(at.known.astype(float), rung, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, np.concatenate(found.residuals))
 
 
-def _in_units(unseen: Array, at: Equations, found: Estimate, rung: Rung, scale: Scale) -> Array:
+def _in_units(unseen: Array, at: Equations, found: Estimate, scale: Scale) -> Array:
     """The unseen errors in the outputs' units: where the scale whitens, those that were seen, as much larger as in the scale."""
     measured = scale.weights > 0.0
     if scale.filters is None:

@@ -23,7 +23,7 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
@@ -69,8 +69,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
     found = begun(climb_at_likelier_timing(data) if turn else climb(data))
     beam, kept = [found.best], None
     try:
-        for depth in range(DEPTH):
-            tell(0.1 + 0.6 * depth / DEPTH, _beside(found.best.keys))
+        for depth in range(DEEPEST):
+            tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
             ranked: list[Judged] = []
             if not is_nothing(found.best, found.base, found.court.scale):
                 glances = _glances(found, beam, wanted, kept)
@@ -154,7 +154,7 @@ def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judge
     top: dict[tuple[Key, ...], Glance] = {}
     for kind in (SHORT, LONG):
         there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
-        top |= {one.keys: one for one in there[:FITTED]}
+        top |= {one.keys: one for one in there[:FULLY_FITTED]}
     each = each_beside(lambda seen: _looked(seen, found.court), list(top.values()))
     here = {one.keys: one for one in each if one is not None}
     here |= _related(found, here, glances)
@@ -243,7 +243,7 @@ def _lengthened(found: Search) -> bool:
     rung, flat = longer[0], plain(data)
     best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or mean_error(best, flat) > FOLLOWED:
+    if best is None or base is None or mean_error(best, flat) > RUNG_ERROR:
         return False
     scale = clipped(flat, base.residuals, rung)
     first = judged(found.base.structure.at(rung, base), base, rung, data, scale)

@@ -31,14 +31,15 @@ from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
 from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
-from residuum.service.machines.stored_baselines import has_baseline
+from residuum.service.machines.baselines.stored_baselines import has_baseline
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
-from residuum.service.storage import DiskStore, audit, block_rows
+from residuum.service.storage import DiskStore, audit
 from residuum.service.storage.audit import BrokenAudit
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, newest_revision, sqlite_file
-from residuum.service.storage.row_checks import check_rows
+from residuum.service.storage.rows import block_rows
+from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

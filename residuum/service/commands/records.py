@@ -12,8 +12,8 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS, ReadOptions
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
-from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
-from residuum.identification.record_formats.no_value import NO_VALUE
+from residuum.identification.record_formats.loggers.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.no_value import NO_VALUE
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
 from residuum.service.commands.report import progress

@@ -11,8 +11,8 @@ from residuum.identification.errors import BadInput
 from residuum.service.commands.backup import described, in_words
 from residuum.service.commands.report import AsJson, report
 from residuum.service.settings import load_settings
+from residuum.service.storage.backup.restore import restore_backup
 from residuum.service.storage.database import Database
-from residuum.service.storage.restore import restore_backup
 from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -6,9 +6,13 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, UncertaintyWeight, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import (
+    WEIGHT_ORDER,
+    UncertaintyWeight,
+    design_uncertainty_weight,
+)
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,

@@ -24,7 +24,7 @@ from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.channel_guess import guessed_channels
+from residuum.service.machines.adding.channel_guess import guessed_channels
 from residuum.service.machines.live_values import LiveValues
 from residuum.service.settings import load_settings
 

@@ -16,7 +16,7 @@ from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.can.frame_sender import FrameSender
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import MAPS, WindowSettings
-from residuum.service.machines.windows import make_cutter
+from residuum.service.machines.windows.cut_windows import make_cutter
 from residuum.service.simulated.wiring import Wiring, wiring_of
 from residuum.simulation import MACHINES, Machine
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import identified_text
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight

@@ -14,7 +14,7 @@ from typing import Any
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import Request, identified_by
-from residuum.service.machines.kept_diagnosers import diagnoser_of_file
+from residuum.service.machines.judging.kept_diagnosers import diagnoser_of_file
 from residuum.service.work.fleet_source import FleetSource, Folder
 
 

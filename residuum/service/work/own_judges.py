@@ -12,10 +12,11 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
-from residuum.service.machines.deciding_method import deciding_method
-from residuum.service.machines.kept_diagnosers import IN_THIS_PROCESS, diagnoser_of_content
-from residuum.service.machines.stored_baselines import KIND, newest_baseline
-from residuum.service.storage import DiskStore, models
+from residuum.service.machines.baselines.deciding_method import deciding_method
+from residuum.service.machines.baselines.stored_baselines import KIND, newest_baseline
+from residuum.service.machines.judging.kept_diagnosers import IN_THIS_PROCESS, diagnoser_of_content
+from residuum.service.storage import DiskStore
+from residuum.service.storage.rows import models
 from residuum.service.store import ModelVersion, NotFound, Store
 from residuum.service.work.fleet_source import StoredWindows, stored_in
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.diagnosis.residuals.approximate_fault_detection import (
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import (
     approximate_fault_detection,
     noise_path,
 )

@@ -5,8 +5,8 @@ import pytest
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import ReadOptions, read_record
-from residuum.identification.record_formats.logger_file import understand
-from residuum.identification.record_formats.logger_mapping import read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_mapping import read_logger_file, read_mapping
 
 SPEED = np.array([1.5, 2.25, 3.0, 4.75])
 DAY = 1704063600.0

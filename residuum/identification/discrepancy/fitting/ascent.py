@@ -20,7 +20,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
 )
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.coarse_reading import reading_variances
-from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.noise.innovations import Noises, fit_noises, pointwise_log_likelihood
 from residuum.identification.residual_analysis.policy.noise import SCORING
 from residuum.identification.work import count_fit, go_on
 
@@ -53,11 +53,10 @@ class Ascent:
         self,
         model: PhysicalModel,
         experiments: Sequence[Experiment],
-        names: tuple[str, ...],
-        colour: Noises | None,
         drifting: bool,
     ):
-        self.simulator, self.experiments, self.names = Simulator(model), list(experiments), names
+        self.simulator, self.experiments, self.names = Simulator(model), list(experiments), tuple(model.free)
+        names = self.names
         known = model.all_parameters
         self.lower = np.array([known[name].lower for name in names])
         self.upper = np.array([known[name].upper for name in names])
@@ -65,7 +64,7 @@ class Ascent:
         states = self.simulator.free_states
         self.states = [self.simulator.states.index(name) for name in states]
         self.slopes = [*names, *(f"initial:{name}" for name in states)]
-        self.colour, self.drifting, self.reading = colour, drifting, reading_variances(experiments)
+        self.drifting, self.reading = drifting, reading_variances(experiments)
         self.substeps: tuple[int, ...] = ()
         self.count = np.sum([np.isfinite(e.Y).sum(axis=0) for e in self.experiments], axis=0)
 
@@ -91,8 +90,6 @@ class Ascent:
         return float(pointwise_log_likelihood(residuals, self._noises(residuals)).sum())
 
     def _noises(self, residuals: list[FloatArray]) -> Noises:
-        if self.colour is not None:
-            return self.colour
         return fit_noises(residuals, drifting=self.drifting, reading=self.reading)
 
     def choose_steps(self, initial: list[FloatArray], most: float, enough: Sequence[int] = ()) -> bool:

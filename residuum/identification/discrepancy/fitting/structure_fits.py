@@ -32,7 +32,6 @@ from residuum.identification.discrepancy.policy.likelihood import (
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.physics.model import find_effect
-from residuum.identification.residual_analysis.innovations import Noises
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,9 +42,7 @@ def fit_structure(
     experiments: Sequence[Experiment],
     initial: Sequence[FloatArray],
     *,
-    free: Sequence[str] | None = None,
     iterations: int = CLIMB_STEPS,
-    noises: Noises | None = None,
     rival: Rival = NO_RIVAL,
     second_start: bool = True,
     drifting: bool = False,
@@ -53,23 +50,21 @@ def fit_structure(
 ) -> Structure | None:
     """Re-estimate a model and the colour of its noise together; None when the model diverges.
 
-    `free` are the parameters to estimate (default: all that the model does not fix), `noises` holds the noise where it is known,
-    a structure that will clearly not come near its `rival` is left where that is seen. None too where the model begins with more
-    than `most_substeps` integration steps a sample.
+    Estimated is what the model does not fix. A structure that will clearly not come near its `rival` is left where that is seen.
+    None too where the model begins with more than `most_substeps` integration steps a sample.
 
     The likelihood has two basins: noise nearly integrated, which swallows a slow error together with what would mend it, and
     noise as it is with the error mended. The climb therefore begins twice, at the given point and at the least simulation error
     from there, and the likelier end is kept; but once where there is to be no `second_start`, or where the first end leaves noise
     alone that nothing swallowed.
     """
-    names = tuple(model.free if free is None else free)
-    ascent = Ascent(model, experiments, names, noises, drifting)
+    ascent = Ascent(model, experiments, drifting)
     start = _states(initial, ascent.simulator)
     if not ascent.choose_steps(start, most_substeps):
         return None
     first = ascent.point(ascent.simulator.p(), start)
     found = None if first is None else ascent.climb(first, iterations, rival.log_likelihood)
-    if second_start and noises is None and (found is None or not times_its_innovations(found) < NOISE_ALONE):
+    if second_start and (found is None or not times_its_innovations(found) < NOISE_ALONE):
         found = _climbed_again(ascent, start, found, iterations, rival)
     return None if found is None else _structure_at(found, ascent)
 
@@ -167,7 +162,7 @@ def glimpse(
     A cheap second opinion on candidates that a first-order test misjudges, because they switch (friction at a reversal) on a
     trajectory that the base model gets wrong. Left early where its error is not promised to come near its `rival`'s.
     """
-    ascent = Ascent(model, experiments, tuple(model.free), None, before.drifting)
+    ascent = Ascent(model, experiments, before.drifting)
     start = _states(before.initial, ascent.simulator)
     if not ascent.choose_steps(start, most_substeps, before.substeps):
         return -np.inf

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.fitting.ascent import Point
 from residuum.identification.discrepancy.policy.likelihood import MUCH_WORSE
 from residuum.identification.physics import Key, PhysicalModel
-from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.noise.innovations import Noises
 
 FloatArray = npt.NDArray[np.float64]
 

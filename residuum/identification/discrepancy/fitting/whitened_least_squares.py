@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.policy.likelihood import RIDGE
+from residuum.identification.discrepancy.policy.likelihood import FLAT_DIRECTION
 from residuum.identification.physics.estimation.least_squares import damped, solve_scaled
-from residuum.identification.residual_analysis.innovation_sums import add_normal_equations, after_step
-from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.noise.innovation_sums import add_normal_equations, after_step
+from residuum.identification.residual_analysis.noise.innovations import Noises
 from residuum.identification.residual_analysis.policy.noise import SCORING
 
 FloatArray = npt.NDArray[np.float64]
@@ -83,7 +83,7 @@ class NormalEquations:
         return Stacked.of(residuals, by_parameters, by_states).normal_equations(noises)
 
     def step(
-        self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None, ridge: float = RIDGE
+        self, damping: float = 0.0, held: npt.NDArray[np.bool_] | None = None, ridge: float = FLAT_DIRECTION
     ) -> tuple[FloatArray, list[FloatArray]]:
         """Damped solution (θ, z of each experiment); `held` parameters stay where they are, as do directions below `ridge`."""
         eliminated, H, g = self._eliminated(damping)
@@ -122,6 +122,6 @@ class NormalEquations:
     def _eliminated(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """own⁻¹ [crossᵀ own_gradient] of each experiment, and what is left of H and g without their unknowns."""
         wanted = np.concatenate([self.cross.swapaxes(1, 2), self.own_gradient[:, :, None]], axis=2)
-        K = solve_scaled(damped(self.own, damping), wanted, RIDGE)
+        K = solve_scaled(damped(self.own, damping), wanted, FLAT_DIRECTION)
         absorbed = np.einsum("kqm,kmc->qc", self.cross, K)
         return K, damped(self.H, damping) - absorbed[:, :-1], self.g - absorbed[:, -1]

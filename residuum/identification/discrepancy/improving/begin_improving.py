@@ -70,7 +70,7 @@ def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Re
     )
 
 
-def begun_exactly(model: PhysicalModel, parts: Split, how: Request, said: Explanation, exact: Exact) -> Beginning:
+def begun_exactly(model: PhysicalModel, parts: Split, how: Request, exact: Exact) -> Beginning:
     """The base on the experiments that the search for an exact structure settled on, and the effects that it accepts."""
     search, experiments = exact.found, exact.experiments
     initial, chosen = search.base.initial, [*search.accepted, *search.timing]

@@ -16,7 +16,7 @@ from residuum.identification.discrepancy.policy.likelihood import AGAIN_STEPS, S
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.policy.records import FEWEST_TO_SPLIT, STANDSTILL, TRAINING_SHARE
+from residuum.identification.residual_analysis.policy.records import FEWEST_TO_SPLIT, STANDS_STILL, TRAINING_SHARE
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def _moves(record: Record, begin: int, stop: int) -> bool:
     with np.errstate(invalid="ignore"):
         for values in record.channels.values():
             whole, part = np.nanstd(values), np.nanstd(values[begin:stop]) if np.isfinite(values[begin:stop]).any() else 0.0
-            if whole > 0.0 and part < STANDSTILL * whole:
+            if whole > 0.0 and part < STANDS_STILL * whole:
                 return False
     return True
 

@@ -19,8 +19,8 @@ from residuum.identification.discrepancy.policy.likelihood import LEAST_ERROR
 from residuum.identification.discrepancy.searching.search_state import Search
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Simulator, estimate
-from residuum.identification.residual_analysis.axes import signal_axes
-from residuum.identification.residual_analysis.noise_floor import fast_floor, times_the_noise, times_the_quiet_noise
+from residuum.identification.residual_analysis.noise.noise_floor import fast_floor, times_the_noise, times_the_quiet_noise
+from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.policy.noise import AN_EVENT, BEYOND_NOISE, SLOW
 from residuum.identification.residual_analysis.structure_tests import structured_errors
 

@@ -20,7 +20,7 @@ from residuum.identification.discrepancy.policy.likelihood import FREE_TERM_RIDG
 from residuum.identification.discrepancy.screening.first_order import first_order_fit
 from residuum.identification.discrepancy.searching.evidence import tempered
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
-from residuum.identification.residual_analysis.innovations import Noises
+from residuum.identification.residual_analysis.noise.innovations import Noises
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.free_term import hats
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response

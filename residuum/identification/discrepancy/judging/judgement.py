@@ -19,7 +19,7 @@ from residuum.identification.discrepancy.policy.answers import (
     NAMELESS_ABOVE_NOISE,
     NEGLIGIBLE_REST,
     REFUTED,
-    UNKNOWN,
+    UNKNOWN_FROM,
 )
 from residuum.identification.discrepancy.policy.likelihood import SAME
 from residuum.identification.discrepancy.searching.evidence import relative_evidence
@@ -61,7 +61,7 @@ def judge(found: Search, free: FreeTerm | None, *, incomplete: bool = False) -> 
     verdict = "missing-effect" if found.accepted else "adequate"
     total = claims + none * (1.0 - unknown) + unknown
     return Judgement(
-        "unknown-effect" if unknown >= UNKNOWN else verdict,
+        "unknown-effect" if unknown >= UNKNOWN_FROM else verdict,
         tuple(sorted(listed, key=lambda c: _place(found, c))),
         none * (1.0 - unknown) / total,
         unknown / total,

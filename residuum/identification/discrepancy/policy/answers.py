@@ -10,7 +10,7 @@ REFUTED = 0.9
 """How probable something else is where what the likelihood wanted failed, or nothing follows the error. Chosen."""
 DOUBTED = 0.3
 """How probable it is where more is left than the right effects leave. Chosen."""
-UNKNOWN = 0.5
+UNKNOWN_FROM = 0.5
 """Probability of something else from which on the verdict is that."""
 MUCH_ABOVE_NOISE = 3.0
 """Times the noise floor that no error keeps with the right effect added (at most 2)."""

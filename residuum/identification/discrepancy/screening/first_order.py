@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.fitting.structures import Structure
 from residuum.identification.discrepancy.fitting.whitened_least_squares import NormalEquations, Stacked
-from residuum.identification.discrepancy.policy.likelihood import HOPELESS_NOISE, RIDGE
+from residuum.identification.discrepancy.policy.likelihood import FLAT_DIRECTION, HOPELESS_NOISE
 from residuum.identification.discrepancy.policy.trials import FALLEN, PROMISING_GAIN, WORTH_A_PASS
 from residuum.identification.physics.estimation.least_squares import solve_scaled
-from residuum.identification.residual_analysis.innovations import Noises, fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.noise.innovations import Noises, fit_noises, pointwise_log_likelihood
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def first_order_fit(
     equations: NormalEquations | None = None,
     *,
     may_fall: bool = True,
-    ridge: float = RIDGE,
+    ridge: float = FLAT_DIRECTION,
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Linear least squares with re-estimated noise: (step of the parameters, pointwise log-likelihood after it, residuals).
 
@@ -85,5 +85,5 @@ def information_on(equations: NormalEquations, leading: int) -> float:
     H = equations.information()
     if leading == len(H):
         return 0.0
-    absorbed = solve_scaled(H[:leading, :leading], H[:leading, leading : leading + 1], RIDGE)
+    absorbed = solve_scaled(H[:leading, :leading], H[:leading, leading : leading + 1], FLAT_DIRECTION)
     return float(H[leading, leading] - H[leading, :leading] @ absorbed[:, 0])

@@ -9,7 +9,7 @@ import numpy as np
 
 from residuum.identification.discrepancy.fitting.structures import Structure
 from residuum.identification.discrepancy.fitting.whitened_least_squares import NormalEquations
-from residuum.identification.discrepancy.policy.likelihood import RIDGE
+from residuum.identification.discrepancy.policy.likelihood import FLAT_DIRECTION
 from residuum.identification.discrepancy.policy.trials import PAIR_GAIN, PROMISING_PAIRS
 from residuum.identification.discrepancy.screening.score_test import Screened
 from residuum.identification.physics import Key, PhysicalModel
@@ -37,7 +37,7 @@ def promising_pairs(
 
     def promise(*keys: Key) -> float:
         S = np.concatenate([free, *(own[k] for k in keys)])
-        return 0.5 * float(g[S] @ solve_scaled(H[np.ix_(S, S)], g[S, None], RIDGE)[:, 0])
+        return 0.5 * float(g[S] @ solve_scaled(H[np.ix_(S, S)], g[S, None], FLAT_DIRECTION)[:, 0])
 
     mark = promise(*keys) + (PAIR_GAIN if len(keys) == 1 else 0.0)
     pairs = [(promise(*pair), pair) for pair in _other_pairs(tested, keys)]

@@ -13,7 +13,14 @@ from residuum.identification.discrepancy.fitting.structure_comparison import mea
 from residuum.identification.discrepancy.fitting.structure_fits import base_structure, fit_structure, refit
 from residuum.identification.discrepancy.fitting.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.policy.acceptance import ACCEPT, ACCEPT_MORE, DRIFT_SHARE
-from residuum.identification.discrepancy.policy.trials import FAR, FEWEST_REFITS, HALF_THE_ERROR, MOST_EFFECTS, NEAR, NEARLY_ALL
+from residuum.identification.discrepancy.policy.trials import (
+    FEWEST_REFITS,
+    HALF_THE_ERROR,
+    MOST_EFFECTS,
+    NEAR,
+    NEARLY_ALL,
+    STRAYED,
+)
 from residuum.identification.discrepancy.screening.score_test import Screen
 from residuum.identification.discrepancy.screening.shooting import effects_by_shooting, pairs_by_shooting
 from residuum.identification.discrepancy.searching.evidence import preferred, tempered_gain
@@ -98,7 +105,7 @@ def _outdoes(load: Structure, found: Search) -> bool:
 
 def _near(nominal: PhysicalModel, base: Structure, experiments: Sequence[Experiment]) -> Structure | None:
     """The base fitted within `NEAR` of the nominal values; None where it lies within a few times that anyway, or diverges."""
-    if not strayed(nominal, base, FAR):
+    if not strayed(nominal, base, STRAYED):
         return None
     values = {n: p.value for n, p in nominal.parameters.items() if n in base.parameters and p.value != 0.0}
     narrowed = dict(nominal.parameters)
