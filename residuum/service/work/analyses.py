@@ -158,7 +158,11 @@ def residuals(
 
 
 def design_controller(
-    progress: Progress, models: Sequence[tuple[str, bytes]], joined: bytes | None, weight: WeightChoice, options: Mapping[str, Any]
+    progress: Progress,
+    models: Sequence[tuple[str, bytes]],
+    joined: bytes | None,
+    weight: WeightChoice,
+    options: Mapping[str, Any],
 ) -> Mapping[str, Any]:
     """`result`: the `control design` object, infeasible or with the controller; `models` are names and contents.
 
