@@ -51,3 +51,12 @@ def test_control_leads_from_an_example_to_a_controller(begin_example):
     expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
     expect(page.get_by_role("checkbox", name="example, version 1")).to_be_checked()
     expect(page.get_by_role("button", name="Download controller.st")).to_be_visible()
+
+
+def test_a_plant_without_machines_leads_to_watching_one_or_to_the_example(run_service, no_machines, open_page):
+    page = open_page(f"{run_service(no_machines).url}/")
+    page.locator("main").get_by_role("link", name="Watch a machine").click()
+    expect(page.get_by_text("The next step shows what its signals read now.")).to_be_visible()
+    page.go_back()
+    page.get_by_role("link", name="try the workbench's example").click()
+    expect(page.get_by_role("button", name="Try the example")).to_be_visible()

@@ -7,6 +7,7 @@ import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
 import { capital, number, percent, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
+import { modelName } from "../lib/model_name.js";
 import { offer, PROCESS, simulateIn } from "../steps/example.js";
 import { WEIGHT, weightDetails, weightFields, weightParameters } from "../steps/weight_form.js";
 import { exportPanel } from "./control_export.js";
@@ -238,12 +239,7 @@ export function controlPage(place, query) {
   async function take(files) {
     try {
       for (const file of files) {
-        const name =
-          file.name
-            .replace(/\.[^.]*$/, "")
-            .replace(/[^A-Za-z0-9._-]+/g, "-")
-            .replace(/^[^A-Za-z0-9]+/, "")
-            .slice(0, 64) || "identified";
+        const name = modelName(file.name);
         const version = await call(
           `/models?${new URLSearchParams({ name, kind: "identified", note: `from ${file.name}`.slice(0, 2000) })}`,
           { method: "POST", file },

@@ -4,6 +4,7 @@ import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
 import { count, span, unitText } from "../lib/format.js";
+import { modelName } from "../lib/model_name.js";
 import { download } from "../lib/report_file.js";
 import { tableHead } from "../lib/table_head.js";
 import { DRIVE, offer, simulateIn } from "./example.js";
@@ -131,6 +132,7 @@ function drawRecord(place, bench, known, redraw) {
   });
 
   async function take(files) {
+    const refusals = [];
     for (const file of files) {
       drop.setAttribute("aria-busy", "true");
       try {
@@ -140,9 +142,10 @@ function drawRecord(place, bench, known, redraw) {
         bench.records = file === files[0] ? [record.id] : [...bench.records, record.id];
         bench.map = {};
       } catch (problem) {
-        notify(problem.message);
+        refusals.push(problem.message);
       }
     }
+    for (const text of refusals) notify(text); // last: a file that is taken clears the messages before it
     redraw();
   }
 
@@ -305,6 +308,7 @@ function editor(bench, known, redraw) {
     "aria-label": "Upload a model file",
     onchange: async () => {
       text.value = await file.files[0].text();
+      name.value = modelName(file.files[0].name);
     },
   });
   const store = once(async () => {

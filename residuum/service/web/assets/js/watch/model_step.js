@@ -3,6 +3,7 @@
 import { call } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { unitText } from "../lib/format.js";
+import { modelName } from "../lib/model_name.js";
 import { tableHead } from "../lib/table_head.js";
 
 const TEMPLATE = `name: my-machine
@@ -64,7 +65,7 @@ function editor(way, made) {
     "data-key": "model-file",
     onchange: async () => {
       text.value = await file.files[0].text();
-      name.value = file.files[0].name.replace(/\.[^.]*$/, "").replaceAll(/[^A-Za-z0-9._-]/g, "-");
+      name.value = modelName(file.files[0].name);
     },
   });
   const name = h("input", {

@@ -12,6 +12,9 @@ const KINDS = {
 };
 const EXAMPLE = "name;register;type;unit;scale\nspeed;40001;uint16;rpm;0.1\n";
 
+const HINT =
+  "Say how the machine is reached, and choose the file that describes its bus. The next step shows what its signals read now.";
+
 export function sourceStep(place, way) {
   const before = way.settings?.sources[0];
   const field = (label, input) => h("label", {}, label, input);
@@ -113,6 +116,7 @@ export function sourceStep(place, way) {
     panel(
       "Where do the signals come from?",
       null,
+      before ? null : h("p", { class: "muted" }, HINT),
       h(
         "form",
         { class: "editor-form", onsubmit: watch },
