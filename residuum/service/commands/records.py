@@ -75,8 +75,8 @@ def load_records(
     if dbc is not None and not any(is_can_log(file) for file in files):
         raise BadRecord(f"--dbc {dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
     columns = pairs("--map", channel_map or model_map)
-    time = columns.pop("time", None)
     told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
+    time = columns.pop("time", None)
     options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
     renames = {column: name for name, column in columns.items()} if channel_map else {}
     return [_read(file, options, mapping, dbc).rename(renames) for file in files]
