@@ -141,8 +141,8 @@ class Record:
         """
         where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
-            how = f"--unit {shlex.quote(f'{name}={unit}')} if it is in that, in Python units={{{name!r}: {unit!r}}}"
-            raise BadUnit(f"{where}channel {name!r}: unit none cannot be converted to {unit!r}; say it, {how}")
+            how = f"--unit {shlex.quote(f'{name}={unit}')}, in Python units={{{name!r}: {unit!r}}}"
+            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed; say it: {how}")
         return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}")
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import (
     Simulator,
     estimate,
@@ -312,7 +312,7 @@ class Model(DescribedModel):
         else:
             Y = Simulator(matched).run(experiment, initial).Y
         if not np.isfinite(Y).all():
-            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}")
+            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}; {MAY_DIVERGE}")
         channels = {name: Y[:, k] for k, name in enumerate(self.outputs)}
         return Record(channels, self.outputs, record.sample_time, record.t0, source=f"{self.name} on {record.source or 'record'}")
 

@@ -23,7 +23,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
 )
 from residuum.identification.discrepancy.structures import NO_RIVAL, Rival, Structure, root_mean_squares, times_its_innovations
 from residuum.identification.discrepancy.whitened_least_squares import NormalEquations
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.physics.model import find_effect
 from residuum.identification.residual_analysis.innovations import Noises
@@ -230,5 +230,5 @@ def base_structure(model: PhysicalModel, experiments: Sequence[Experiment], plai
     first = plain_estimate(model, experiments) if plain is None else plain
     structure = fit_structure(first.model, experiments, first.initial, second_start=False)
     if structure is None:
-        raise NotIdentifiable(f"model {model.name!r}: diverges on its records")
+        raise NotIdentifiable(f"model {model.name!r}: diverges on its records; {MAY_DIVERGE}")
     return structure

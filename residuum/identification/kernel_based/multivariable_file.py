@@ -48,7 +48,7 @@ def load_multivariable(path: str | Path) -> MultivariableModel:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise BadModel(f"{path}: is not JSON ({error})") from None
+        raise BadModel(f"{path}: is not an identified model, as `residuum identify` writes one: {error}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
         raise BadModel(f"{path}: is not the file of a multivariable model ('format' must be {FORMAT!r}, 'version' {VERSION})")
     try:

@@ -70,8 +70,8 @@ def understand(
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
 
-    `told_units` are said by column name, of the column of times too. `missing` are cells that mean no value, over those that loggers write. `sample_time` [s] is from row to row of a file in which
-    no column is a time.
+    `told_units` are said by column name, of the column of times too. `missing` are cells that mean no value, over those that
+    loggers write. `sample_time` [s] is from row to row of a file in which no column is a time.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -249,7 +249,8 @@ def _time(
         found = (said, "said with --time")
     if found is None:
         raise BadRecord(
-            f"{source}: time column {where} has no unit; say --unit {names[chosen[0]]}=s (or ms, min), or write it into the head; "
+            f"{source}: time column {where} has no unit; say --unit {names[chosen[0]]}=s (or ms, min), "
+            "or write it into the head; "
             "dates of a spreadsheet: --time excel"
         )
     if found[0] not in FORMS:

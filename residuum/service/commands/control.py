@@ -138,7 +138,7 @@ def design(
 
 def _check_export(export: tuple[str, Path] | None, limits: tuple[float, float]) -> None:
     if not limits[0] < limits[1]:
-        raise BadInput(f"--limits {limits[0]:g} {limits[1]:g}: the lower must be below the upper")
+        raise BadInput(f"--limits {limits[0]:g} {limits[1]:g}: write the lower one first")
     if export is None:
         return
     if export[0] not in LANGUAGES:
