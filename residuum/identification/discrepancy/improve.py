@@ -41,8 +41,8 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not: it refused an
-    effect, or its error stands far above the rest's.
+    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not. It does
+    where it refused an effect, or where its error stands far above the rest's.
     """
 
     improvement: Improvement

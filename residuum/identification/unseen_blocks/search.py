@@ -177,7 +177,7 @@ def _related(
     found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
 ) -> dict[tuple[Key, ...], Judged]:
     """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does: from nothing they may not be reached, or end on the way.
+    does. From nothing they may not be reached, or end on the way.
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
