@@ -29,7 +29,9 @@ def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:
         raise BadInput("average plant: no identified model was given")
     steps = {model.sample_time for model in models}
     if len(steps) > 1:
-        raise BadInput(f"average plant: models have sample times {sorted(steps)}; all must be equal")
+        raise BadInput(
+            f"average plant: models have sample times {sorted(steps)}; all must be equal; identify them from records of one rate"
+        )
     if len(models) == 1:
         return models[0].transfer_function()
     length = max(model.delay + model.order for model in models)

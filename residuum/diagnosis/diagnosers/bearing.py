@@ -391,7 +391,7 @@ def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Re
     healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
     rates = {round(record.sampling_rate, 3) for record in healthy}
     if len(rates) != 1:
-        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate")
+        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate; train one baseline a rate")
     return [block for record in healthy for block in blocks_of(record)]
 
 

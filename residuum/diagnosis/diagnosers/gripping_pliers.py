@@ -103,7 +103,7 @@ class GrippingPliers(Diagnoser):
         if count < self.minimum_rounds:
             raise NotIdentifiable(f"gripping-pliers: {count} healthy rounds; at least {self.minimum_rounds} are needed")
         if len(rates) != 1:
-            raise BadInput(f"gripping-pliers: records of {sorted(rates)} Hz; all must have one rate")
+            raise BadInput(f"gripping-pliers: records of {sorted(rates)} Hz; all must have one rate; train one baseline a rate")
         self._baseline = _Baseline.of(healthy, faulty, self.levels)
         return self
 

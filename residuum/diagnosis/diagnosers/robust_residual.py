@@ -219,7 +219,7 @@ class RobustResidual(Diagnoser):
         said = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
         if not evidence["model_explains_healthy_data"] and self.method == "default":
             said += (
-                f"; the healthy records already carry structured error (p = {self.design.structured_p:.1g}), "
+                "; the healthy records already carry structured error, "
                 "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve`, "
                 "and train `model-based` with the improved model to see smaller faults"
             )

@@ -117,8 +117,8 @@ class Baseline:
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
     def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[Array, Array]:
-        """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
-        the window has on it, each of shape (outputs,); begun where the healthy model's fit ended.
+        """The offset of each output that explains a window best beside values in their healthy scatter, and its information.
+        Each has shape (outputs,). Begun where the healthy model's fit ended.
         """
         found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):

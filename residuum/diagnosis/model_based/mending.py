@@ -55,8 +55,8 @@ class _Mended:
 
 
 def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
-    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it; both as they are
-    where nothing is lacking in all of them.
+    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it. Both stay as they
+    are where nothing is lacking in all of them.
 
     Values of new effects that the windows leave open are held.
     """

@@ -197,7 +197,9 @@ def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: 
     for e in experiments:
         fit = alone(model, e, start, whitening)
         if fit is None:
-            raise BadRecord(f"record {e.source!r}: the model diverges along it; no healthy window may be like that")
+            raise BadRecord(
+                f"record {e.source!r}: the model diverges along it; look at it with `residuum compare`, or leave it out"
+            )
         found.append(fit)
     return found
 

@@ -32,7 +32,9 @@ def tried(
     """
     healthy = fitter.fit(Variant(fitter.model))
     if healthy is None:
-        raise BadRecord(f"record {fitter.window.source!r}: the model diverges along it")
+        raise BadRecord(
+            f"record {fitter.window.source!r}: the model diverges along it; `residuum compare` shows how far off it is"
+        )
     X, looks = fitter.states(healthy), []
     for h in listed:
         if h.seen is not None:

@@ -224,7 +224,7 @@ class ResidualDesign:
             )
             return design, dict(stored.meta["settings"])
         except (KeyError, TypeError) as error:
-            raise BadInput(f"{path}: is not a residual design: {error}") from None
+            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
 
 
 _NUMBERS = ("method", "gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")

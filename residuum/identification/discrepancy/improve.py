@@ -37,8 +37,8 @@ from residuum.identification.work import Tell, at_most, untold
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not: it refused an
-    effect, or its error stands far above the rest's.
+    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not. It does
+    where it refused an effect, or where its error stands far above the rest's.
     """
 
     improvement: Improvement

@@ -69,15 +69,15 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise BadModel(f"{path}: is not JSON ({error})") from None
+        raise BadModel(f"{path}: is not an identified model, as `residuum identify` writes one: {error}") from None
 
 
 def _parse(path: Path) -> dict[str, Any]:
     content = read_json(path)
     if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
-        raise BadModel(f"{path}: is not the file of an identified model ('format' must be {FORMAT!r})")
+        raise BadModel(f"{path}: is not an identified model, as `residuum identify` writes one ('format' must be {FORMAT!r})")
     if (version := content.pop("version", None)) != VERSION:
-        raise BadModel(f"{path}: has version {version!r}; this program reads version {VERSION}")
+        raise BadModel(f"{path}: has version {version!r}; this program reads version {VERSION}; identify it again")
     return content
 
 

@@ -182,7 +182,7 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
     try:
         import h5py  # noqa: PLC0415  optional: the extra `formats`
     except ImportError:
-        raise BadRecord(f"{path}: MAT version 7.3 needs the extra 'formats'") from None
+        raise BadRecord(f"{path}: MAT version 7.3 needs an extra: pip install 'residuum[formats]'") from None
     found: dict[str, Any] = {}
 
     def keep(name: str, node: Any) -> None:

@@ -133,8 +133,8 @@ class Equations:
 
 
 def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
-    """How far the values move where a fold of rows is left out: by fold (q,), from weighted slopes T (rows, outputs, q) and
-    errors e (rows, outputs) of the fit to everything.
+    """How far the values move where a fold of rows is left out, (q,) a fold. It follows from weighted slopes
+    T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
     """
     each = {int(k): row_fold == k for k in np.unique(row_fold)}
     H = {k: np.einsum("roi,roj->ij", T[at], T[at]) for k, at in each.items()}

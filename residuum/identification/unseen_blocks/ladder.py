@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Estimate, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of
@@ -51,7 +51,7 @@ def climb(data: Data) -> Climbed:
             continue
         structure, last, found = structure.at(rung, here), rung, here
     if last is None or found is None:
-        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows of them")
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows; {MAY_DIVERGE}")
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
     return Climbed(data, structure, found, last, ordered[min(1, len(ordered) - 1)], clipped(scale, found.residuals, last))
 

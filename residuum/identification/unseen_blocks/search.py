@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
@@ -95,7 +95,7 @@ def begun(climbed: Climbed) -> Search:
     data, last = climbed.data, climbed.last
     first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
     if first is None:
-        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records")
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
     scale = of_power(climbed.scale, data, first.power)
     first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
     court = Court(data, last, climbed.middle, scale)
@@ -174,7 +174,7 @@ def _related(
     found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
 ) -> dict[tuple[Key, ...], Judged]:
     """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does: from nothing they may not be reached, or end on the way.
+    does. From nothing they may not be reached, or end on the way.
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:

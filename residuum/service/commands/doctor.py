@@ -9,7 +9,6 @@ import urllib.parse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import can
@@ -22,7 +21,7 @@ from residuum.service.broker_address import BrokerAddress, broker_address
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_source import streamed
 from residuum.service.fieldbus.can.frame_layout import read_dbc
@@ -74,8 +73,8 @@ class Check:
 
 @app.command()
 def doctor(
-    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    data: DataFolder = None,
+    database: DatabaseUrl = None,
     blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,

@@ -61,6 +61,7 @@ def inspect_command(
             "decimal": decimal,
             "time_form": time,
             "time_column": time_column,
+            "told_units": pairs("--unit", units),
             "missing": missing or [],
             "sample_time": sample_time,
         }

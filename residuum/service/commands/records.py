@@ -20,18 +20,33 @@ from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
 Resample = Annotated[
-    bool, typer.Option("--resample", help="Accept uneven time stamps; samples are interpolated, longer holes stay missing.")
+    bool,
+    typer.Option(
+        "--resample", help="Accept uneven time stamps: interpolate onto even ones. Holes of more than three steps stay missing."
+    ),
 ]
-SampleTime = Annotated[float | None, typer.Option(help="Seconds between samples, for files that do not say it.")]
+SampleTime = Annotated[float | None, typer.Option(help="Seconds from sample to sample, for a file that does not say them.")]
 Units = Annotated[
-    list[str] | None, typer.Option("--unit", metavar="CHANNEL=UNIT", help="Unit of a channel, for files without units.")
+    list[str] | None,
+    typer.Option(
+        "--unit",
+        metavar="CHANNEL=UNIT",
+        help="Unit of a channel for which the file says none, as speed=rpm; of the times too, as t=ms.",
+    ),
 ]
 ChannelMap = Annotated[
-    list[str] | None, typer.Option("--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column.")
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column. time=COLUMN names the column of times."
+    ),
 ]
 
 MappingFile = Annotated[
-    Path | None, typer.Option("--mapping", help="Read loggers' files by this mapping (`residuum inspect` writes it).")
+    Path | None,
+    typer.Option(
+        "--mapping",
+        help="Mapping by which a logger's file is read (`residuum inspect` writes it). Default: FILE.mapping.yaml beside it.",
+    ),
 ]
 DbcFile = Annotated[
     Path | None, typer.Option("--dbc", metavar="FILE", help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.")
@@ -75,8 +90,8 @@ def load_records(
     if dbc is not None and not any(is_can_log(file) for file in files):
         raise BadRecord(f"--dbc {dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
     columns = pairs("--map", channel_map or model_map)
-    time = columns.pop("time", None)
     told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
+    time = columns.pop("time", None)
     options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
     renames = {column: name for name, column in columns.items()} if channel_map else {}
     return [_read(file, options, mapping, dbc).rename(renames) for file in files]

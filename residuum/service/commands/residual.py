@@ -115,7 +115,9 @@ def run(
     design: Annotated[Path, typer.Argument(help="Design file, as `residuum residual design` writes it.")],
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record file.")],
     threshold: Annotated[ThresholdKind, typer.Option(help="Kind of threshold.")] = "posterior",
-    false_alarms_per_day: Annotated[float, typer.Option(help="For the posterior and the calibrated threshold.")] = 1.0,
+    false_alarms_per_day: Annotated[
+        float, typer.Option(help="Number of false alarms a day that is accepted, for the posterior and the calibrated threshold.")
+    ] = 1.0,
     evaluation: Annotated[
         EvaluationName | None,
         typer.Option(

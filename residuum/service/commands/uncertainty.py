@@ -40,7 +40,7 @@ def uncertainty(
     weight_order: WeightOrder = WEIGHT_ORDER,
     points: Points = None,
     lowest: Lowest = None,
-    seed: Annotated[int, typer.Option(help="Of the random models.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random models.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Bound the error of a model at every frequency (Algorithm 1)."""

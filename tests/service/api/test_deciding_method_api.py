@@ -145,7 +145,7 @@ def test_a_machines_document_is_not_told_as_a_model(service):
     with httpx.Client(base_url=f"{service.url}/api/v1/models/plant.method", timeout=60) as client:
         for path in ("/versions", "/versions/1"):
             assert client.get(path).status_code == 404
-            assert client.get(path).json()["detail"] == "model 'plant.method': there is none of this name"
+            assert client.get(path).json()["detail"] == "model 'plant.method': there is none of this name; GET /models lists them"
 
 
 def test_a_baseline_is_trained_with_the_method_that_is_asked_for(case, tmp_path):

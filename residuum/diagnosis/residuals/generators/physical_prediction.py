@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, BadInput, NotIdentifiable
 from residuum.identification.physics import PhysicalModel, estimate, match
 from residuum.identification.record import Record
 
@@ -45,7 +45,7 @@ def with_prediction(model: PhysicalModel, record: Record, output: str, mapping: 
     matched, (experiment,) = match(model, [record], mapping)
     simulated = estimate(matched, [experiment], free=()).predicted[0]
     if not np.isfinite(simulated).all():
-        raise NotIdentifiable(f"prediction: model {model.name!r} diverges on record {record.source!r}")
+        raise NotIdentifiable(f"prediction: model {model.name!r} diverges on record {record.source!r}; {MAY_DIVERGE}")
     predicted = np.asarray(simulated[:, list(model.outputs).index(output)])
     channels = MappingProxyType({**record.channels, PREDICTION: predicted})
     units = MappingProxyType({**record.units, PREDICTION: model.outputs[output].unit})

@@ -206,7 +206,7 @@ class ResidualStream:
         """Continue from a saved `state`; BadInput when it is of another generator."""
         mine = self.state
         if mine.keys() != state.keys() or any(np.shape(mine[name]) != np.shape(state[name]) for name in mine):
-            raise BadInput("residual stream: the saved state is of another generator")
+            raise BadInput("residual stream: the saved state is of another design; start anew without it")
         for name, filter in self._whiteners.items():
             filter.history = np.array(state[f"whitener-{name}"], dtype=float)
         if self._model is not None:

@@ -163,7 +163,7 @@ class LikelihoodRatioBank:
     def resume(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`; BadInput when it is of another bank."""
         if state.keys() != self.state.keys() or any(np.shape(state[name]) != np.shape(mine) for name, mine in self.state.items()):
-            raise BadInput("likelihood-ratio bank: the saved state is of another bank")
+            raise BadInput("likelihood-ratio bank: the saved state is of another design; start anew without it")
         self._sums = np.array(state["sums"], dtype=float)
         self._past = np.array(state["past"], dtype=float)
         self._steps = np.array(state["steps"], dtype=float)

@@ -144,7 +144,7 @@ class MultivariableResidual:
                 output_mean=stored.arrays["output-mean"],
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise BadInput(f"{path}: is not a multivariable residual design: {error}") from None
+            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
 
 
 def design_multivariable_residual(

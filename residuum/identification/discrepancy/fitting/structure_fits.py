@@ -29,7 +29,7 @@ from residuum.identification.discrepancy.policy.likelihood import (
     TOKEN_BOUND,
     VISIBLE_SUBSTEPS,
 )
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.physics.model import find_effect
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE
@@ -231,5 +231,5 @@ def base_structure(model: PhysicalModel, experiments: Sequence[Experiment], plai
     first = plain_estimate(model, experiments) if plain is None else plain
     structure = fit_structure(first.model, experiments, first.initial, second_start=False)
     if structure is None:
-        raise NotIdentifiable(f"model {model.name!r}: diverges on its records")
+        raise NotIdentifiable(f"model {model.name!r}: diverges on its records; {MAY_DIVERGE}")
     return structure

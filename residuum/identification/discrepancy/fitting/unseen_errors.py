@@ -31,8 +31,8 @@ Integers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of experiments: that of each row (rows,), the fold of each, how many measured samples (blocks, outputs) they have,
-    the record of each, and their begins and ends [s] in its time.
+    """Blocks of experiments: the block of each row (rows,), and of each block its fold and measured samples (blocks, outputs).
+    The record of each block, with its begin and end [s] in that record's time, too.
     """
 
     row: Integers

@@ -20,8 +20,8 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """Residuals r (n, outputs) of several experiments one after the other, their slopes by parameters J and by first states Z
-    (n, outputs, columns), and where each experiment starts and the last one ends.
+    """Residuals r (n, outputs) of several experiments one after the other, with their slopes. J are those by parameters and Z
+    those by first states (n, outputs, columns). Also where each experiment starts and the last one ends.
     """
 
     r: FloatArray

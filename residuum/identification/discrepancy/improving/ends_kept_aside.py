@@ -27,7 +27,7 @@ def steps_that_hold(
     models: Sequence[PhysicalModel], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> int:
     """How many of the `models` after the first, each with one effect more, can be kept so that no output is simulated worse at
-    the end than by the first; all of them where the records are too short to ask.
+    the end than by the first. It is all of them where the records are too short to ask.
     """
     parts = split(records)
     if min(r.n for r in parts.training) < FEWEST_TO_CUT or not parts.testing:

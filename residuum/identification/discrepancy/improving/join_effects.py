@@ -76,7 +76,9 @@ def _joined(
         if exact is None:
             better = added(kept, experiments, key)
             if better is None:
-                raise NotIdentifiable(f"effect {key[0]!r} at {key[1]!r}: the model diverges with it")
+                raise NotIdentifiable(
+                    f"effect {key[0]!r} at {key[1]!r}: the model diverges with it; start from other values, or leave it out"
+                )
             kept = better
             history.append(judge.step(key[0], better))
             continue

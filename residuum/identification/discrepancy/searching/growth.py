@@ -96,8 +96,8 @@ def _climbed_without(structure: Structure, key: Key, found: Search, experiments:
 
 
 def _leave_to_the_noise(refitted: dict[Key, Structure], best: Structure) -> None:
-    """Take out the quantisation that is likeliest of all and yet lowers no error plainly: noise that is larger than its steps
-    carries the reading over them, and it is a part of that noise.
+    """Take out the quantisation that is likeliest of all and yet lowers no error plainly. Noise larger than its steps carries
+    the reading over them, so it is a part of that noise.
     """
     while (key := preferred(refitted, best)) is not None and find_effect(key[0]).of_the_reading:
         if simulates_no_worse(refitted[key], best, READING_FALL):
@@ -134,8 +134,8 @@ def _is_timing(winner: Key, refitted: Mapping[Key, Structure], before: Structure
 
 
 def _rare_but_plain(found: Search, refitted: dict[Key, Structure], experiments: Sequence[Experiment]) -> Key | None:
-    """The likeliest effect where few moments speak for it (a stop, a limit), but most of the error goes with it on data not used,
-    once it is climbed to its top.
+    """The likeliest effect where few moments speak for it (a stop, a limit). Estimated in full, it takes most of the error
+    away on data not used.
 
     Tempering makes each moment worth two units, whatever it shows; an error that vanishes elsewhere too is no lucky moment.
     """

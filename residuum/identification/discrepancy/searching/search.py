@@ -166,8 +166,8 @@ def _does_more(other: Search, found: Search) -> bool:
 
 
 def _other_beginnings(found: Search, first: dict[Key, Structure]) -> list[Key]:
-    """Of its first candidates those that a search may also begin with: the likeliest that it does not have and did not refuse,
-    and the one that leaves least of the error.
+    """Of its first candidates those that a search may also begin with. One is the likeliest that it does not have and did not
+    refuse, the other leaves least of the error.
 
     Where a base is far off, the first best may lead astray, and where two effects are missing neither may be enough alone, nor
     hold up without the other. What is slow the noise swallows, so that the likelihood hardly sees it go.

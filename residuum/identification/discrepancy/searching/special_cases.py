@@ -24,8 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def that_say_more(refitted: dict[Key, Structure]) -> dict[Key, Structure]:
-    """All but effects whose estimate is that of a special one that lies near: where a machine sticks and slides the likelihood
-    has steps, and a top is higher by chance alone.
+    """All but effects whose estimate is that of a special one that lies near. Where a machine sticks and slides the likelihood
+    has steps, and a maximum is higher by chance alone.
     """
     found = dict(refitted)
     for key, general in refitted.items():

@@ -47,6 +47,7 @@ def simulated_beside(model: IdentifiedModel, record: Record, first: int = 0) -> 
     if not spread > 0:
         where = record.source or "record"
         raise BadRecord(
-            f"{where}: no fit: too few output samples have {reach} samples of input before them, or the output is constant"
+            f"{where}: cannot be validated on: too few output samples have {reach} samples of input before them, "
+            "or the output is constant"
         )
     return shown, residual

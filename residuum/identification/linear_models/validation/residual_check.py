@@ -106,7 +106,9 @@ def prediction_errors(model: IdentifiedModel, record: Record) -> FloatArray:
     """
     _, residual = simulated_beside(model, record)
     if not np.isfinite(residual[~np.isnan(residual)]).all():
-        raise NotIdentifiable(f"model {model.method}: its simulation diverges; nothing can be told from its residuals")
+        raise NotIdentifiable(
+            f"model {model.method}: its simulation diverges, so its residuals tell nothing; take another order or method"
+        )
     residual = residual - np.nanmean(residual)
     if model.noise_numerator is None or model.noise_denominator is None:
         return np.asarray(residual)

@@ -254,6 +254,6 @@ def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
     dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
         raise output.value.place.refuse(
-            f"unit clash: output {output.name!r} is in {dimension}, declared in {declared}; declare the unit of the value, "
-            "records in other units are converted"
+            f"unit clash: the value of output {output.name!r} is in {dimension}, declared is {output.unit!r}, {declared}; "
+            "declare the unit of the value: a record in another unit is converted when it is read"
         )

@@ -33,7 +33,7 @@ from residuum.identification.physics.compile.expression_meaning import symbolic
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
-from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import BALANCE_KINDS
 from residuum.identification.units import compatible, convert
 
@@ -144,7 +144,8 @@ def read_effects(path: str | Path) -> list[WrittenEffect]:
     if not file.is_file():
         raise BadModel(f"catalogue {str(path)!r}: no such file")
     try:
-        text = file.read_text(encoding="utf-8")
+        with file.open(encoding="utf-8") as opened:
+            text = opened.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
     tree = read_tree(text, file.name)

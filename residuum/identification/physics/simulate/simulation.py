@@ -356,8 +356,8 @@ def _extremes(X: Array, starts: Integers) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class _Joined:
-    """Experiments laid end to end, as the integrator takes them: inputs U, first rows (and the last one's end), and of each
-    its sample time, its hold, and whether it follows the one before in time.
+    """Experiments laid end to end, as the integrator takes them: inputs U, first rows and the last one's end. Of each also its
+    sample time, its hold, and whether it follows the one before in time.
     """
 
     U: Array

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -71,13 +71,14 @@ def understand(
     decimal: str | None = None,
     time_form: str | None = None,
     time_column: str | None = None,
+    told_units: Mapping[str, str] | None = None,
     missing: Sequence[str] = (),
     sample_time: float | None = None,
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
 
-    `missing` are cells that mean no value, over those that loggers write. `sample_time` [s] is from row to row of a file in which
-    no column is a time.
+    `told_units` are said by column name, of the column of times too. `missing` are cells that mean no value, over those that
+    loggers write. `sample_time` [s] is from row to row of a file in which no column is a time.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -94,7 +95,8 @@ def understand(
     body = rows[first - 1 :]
     sign, why = (decimal, "said with --decimal") if decimal else find_decimal(rows[first - 1 :], source, first)
     guesses["decimal"] = (sign, why)
-    names, units = _heads(rows, first, width, guesses, source)
+    names, heads = _heads(rows, first, width, guesses, source)
+    units = [(told_units or {}).get(name, unit) for name, unit in zip(names, heads, strict=True)]
     _refuse_long_form(body, names, source)
     time: tuple[int, ...] = ()
     form = "seconds"
@@ -253,7 +255,11 @@ def _time(
     if said:
         found = (said, "said with --time")
     if found is None:
-        raise BadRecord(f"{source}: nothing says in which unit time column {where} is; say --time seconds, milliseconds or excel")
+        raise BadRecord(
+            f"{source}: time column {where} has no unit; say --unit {names[chosen[0]]}=s (or ms, min), "
+            "or write it into the head; "
+            "dates of a spreadsheet: --time excel"
+        )
     if found[0] not in FORMS:
         ways = " or ".join(f"--time {way!r}" for way in _EITHER.get(found[0], ("day first", "month first")))
         raise BadRecord(f"{source}, time column {where}: {found[1]}; say {ways}")

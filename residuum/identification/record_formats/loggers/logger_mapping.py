@@ -18,6 +18,7 @@ from residuum.identification.record_formats.loggers.logger_text import MISSING, 
 from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.yaml_text import short_text, what_is_wrong
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
@@ -117,11 +118,11 @@ def _is_positive(value: object) -> bool:
 def read_mapping(path: Path) -> LoggerMapping:
     """The mapping of a YAML file; BadRecord names the file and the field."""
     try:
-        found: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        found: Any = yaml.safe_load(short_text(path))
     except OSError as error:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, ValueError) as error:
-        raise BadRecord(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
+        raise BadRecord(f"{path}: is not YAML: {what_is_wrong(error)}") from None
     known = [part.name for part in fields(LoggerMapping)]
     if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
         what = repr(unknown[0]) if isinstance(found, dict) else "no table"

@@ -62,9 +62,9 @@ def innovate(x, a, first, e):
 
 @njit(error_model="numpy", fastmath=_FAST)
 def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, own, own_gradient):
-    """Add those of output o of several experiments, laid out as in `scale_of`: Σ w·φφᵀ and Σ w·φ·e, e and φ the innovations of
-    r (n, outputs), of the columns of J (n, outputs, q), common to all, and of Z (n, outputs, m), each experiment's own; w the
-    likelihood's weights.
+    """Add Σ w·φφᵀ and Σ w·φ·e of output o of several experiments, laid out as in `scale_of`. e are the innovations of r (n,
+    outputs); w are the likelihood's weights. φ are those of the columns of J (n, outputs, q), common to all, and of Z (n,
+    outputs, m), each experiment's own.
 
     w = (ν + 1)/(ν + e²/s²)/s², and 0 where a sample is missing. The first sample is no innovation but a sum of many, and normal:
     without its stationary density an initial state that decays as the noise does would cost nothing, whatever its size.
@@ -121,8 +121,8 @@ def after_step(r, J, Z, starts, step, own):
 
 @njit(error_model="numpy", fastmath=_FAST)
 def add_lag_products(v, a, variance, G, g):
-    """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, φ = v(t−1) … v(t−p), w the t weight of the innovation (1 for
-    variance 0, 0 where a sample is missing).
+    """Add Σ w·φφᵀ (its lower half) to G and Σ w·φ·v(t) to g, where φ = v(t−1) … v(t−p). w is the weight of Student's t of the
+    innovation (1 for variance 0, 0 where a sample is missing).
 
     Returns how many complete rows there were.
     """

@@ -240,4 +240,4 @@ def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: 
         place = f"at {axis.name} between {start:.3g} and {stop:.3g}{unit}"
     only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(direction or "", "")
     times = float(f"{times_noise:.2g}")
-    return f"the model fails {place}{only}: {times:g} times the noise"
+    return f"the model fails {place}{only}: the error is {times:g} times the noise"

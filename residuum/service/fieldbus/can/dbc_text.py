@@ -16,7 +16,7 @@ _INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
 
 def usable_text(text: str) -> tuple[str, dict[str, str]]:
     """The text without messages of impossible identifiers, or with pages that no signal names, and without value tables of
-    signals that no message has; and why each message was left out, by its name.
+    signals that no message has. Also why each message was left out, by its name.
 
     >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
     >>> text, why["late"][:45]

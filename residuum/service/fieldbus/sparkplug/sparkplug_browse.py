@@ -58,7 +58,7 @@ def _heard(heard: queue.Queue[Any], refused: list[str], timeout: float) -> dict[
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         if refused:
-            raise ConnectionError(f"the broker refuses us: {refused[0]}")
+            raise ConnectionError(f"the broker refuses the connection: {refused[0]}")
         try:
             message = heard.get(timeout=0.1)
         except queue.Empty:

@@ -103,7 +103,7 @@ class SparkplugSource(Source):
 
     def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            self.health.count("bus_errors", 1, f"the broker refuses us: {reason}")
+            self.health.count("bus_errors", 1, f"the broker refuses the connection: {reason}")
             return
         client.subscribe(f"{NAMESPACE}/{self._map.group}/+/{self._map.edge_node}/#", 1)
 

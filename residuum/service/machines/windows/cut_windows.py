@@ -122,5 +122,5 @@ def make_cutter(window: WindowSettings, streams: Sequence[StreamFormat], source:
 
 def _only(streams: Mapping[str, StreamFormat]) -> StreamFormat:
     if len(streams) != 1:
-        raise BadInput(f"windows: need exactly one stream; there are {', '.join(streams) or 'none'}")
+        raise BadInput(f"sliding windows: need a source of one stream, not of several; there are {', '.join(streams) or 'none'}")
     return next(iter(streams.values()))

@@ -40,14 +40,14 @@ def add_finding(connection: Connection, asset: str, window: int, finding: Findin
 def require(connection: Connection, asset: str) -> None:
     """NotFound when there is no such asset."""
     if connection.execute(select(assets.c.id).where(assets.c.id == asset)).first() is None:
-        raise NotFound(f"asset {asset!r}: there is none of this name")
+        raise NotFound(f"asset {asset!r}: there is none of this name; GET /assets lists them")
 
 
 def get(connection: Connection, asset: str) -> Asset:
     """One asset with its latest finding."""
     row = connection.execute(_with_finding().where(assets.c.id == asset)).first()
     if row is None:
-        raise NotFound(f"asset {asset!r}: there is none of this name")
+        raise NotFound(f"asset {asset!r}: there is none of this name; GET /assets lists them")
     return _asset(row)
 
 

@@ -59,7 +59,7 @@ def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
     query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions).where(models.c.id == model)
     rows = connection.execute(query.order_by(model_versions.c.number.desc())).all()
     if not rows:
-        raise NotFound(f"model {model!r}: there is none of this name")
+        raise NotFound(f"model {model!r}: there is none of this name; GET /models lists them")
     return [_version(row) for row in rows]
 
 

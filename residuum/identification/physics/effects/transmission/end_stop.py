@@ -27,7 +27,8 @@ def _bend(position: Array, force: Array) -> float:
 
 
 class EndStop(Effect):
-    """Pushes back beyond either end, as a spring with a damper that never pulls: −max(k·(q − q_max) + d·v, 0) above q_max,
+    """Pushes back beyond either end, as a spring with a damper that never pulls. It adds −max(k·(q − q_max) + d·v, 0) above
+    q_max,
     max(k·(q_min − q) − d·v, 0) below q_min.
 
     `k` [balance unit / position unit] ≥ 0, `d` [balance unit / velocity unit] ≥ 0; `q_max`, `q_min` [position unit].
