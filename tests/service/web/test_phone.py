@@ -24,7 +24,7 @@ def service(run_service, no_machines):
 
     service = run_service(OneBus)
     indicators = {"largest_amplitude_of_the_residuals_envelope_in_its_band": 3.0}
-    limits = {name: 2.0 for name in indicators}
+    limits = dict.fromkeys(indicators, 2.0)
     finding = Finding("bearing", "faulty", "outer-race", indicators=indicators, thresholds=limits, reason="a long reason " * 20)
     record = Record({"y": np.zeros(50)}, {"y": "V"}, 0.1)
     service.services.store.add_window("press", record, finding)
