@@ -244,7 +244,9 @@ def read_dbc(path: str | Path) -> BusMessages:
         if left_out and not text.strip():
             return messages
         database = load_string(text, database_format="dbc", strict=False)
-    except (OSError, DatabaseError) as error:
+    except OSError as error:
+        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
+    except DatabaseError as error:
         raise BadBusDescription(
             f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the line that it names"
         ) from None

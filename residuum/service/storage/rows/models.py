@@ -70,7 +70,10 @@ def content(connection: Connection, model: str, number: int | None) -> bytes:
         query = query.where(model_versions.c.number == number)
     row = connection.execute(query.order_by(model_versions.c.number.desc()).limit(1)).first()
     if row is None:
-        raise NotFound(f"model {model!r}: " + ("there is none of this name" if number is None else f"has no version {number}"))
+        raise NotFound(
+            f"model {model!r}: "
+            + ("there is none of this name; GET /models lists them" if number is None else f"has no version {number}")
+        )
     return bytes(row.content)
 
 
