@@ -36,9 +36,9 @@ from benchmarks.free_port import free_port
 from residuum.service.app import create_app
 from residuum.service.settings import load_settings
 from residuum.service.storage import DiskStore
-from residuum.service.storage.block_rows import references
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database
+from residuum.service.storage.rows.block_rows import references
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.work import worker_pool
 

@@ -31,8 +31,8 @@ import yaml
 from benchmarks.free_port import free_port
 
 CASES = Path(__file__).with_name("golden_cases.yaml")
-UNTIMELY = ("seconds", "version", "elapsed", "started", "finished", "submitted", "created", "updated", "uptime")
-"""Names of members whose values are times of the clock, durations of the work, or versions; so are those with these endings."""
+UNTIMELY = ("seconds", "version", "elapsed", "started", "finished", "submitted", "created", "updated", "uptime", "request_id")
+"""Names of members whose values are times of the clock, durations, versions or drawn at random; names with these endings, too."""
 ROUNDING = 1e-6
 """Relative difference up to which a number differs by rounding."""
 _TIME = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?|(?<=, )\d+(\.\d+)? s$|(?<=\()\d+(\.\d+)? s(?=\))"

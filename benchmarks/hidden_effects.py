@@ -27,7 +27,7 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
-from residuum.identification.discrepancy.join_effects import added
+from residuum.identification.discrepancy.improving.join_effects import added
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES

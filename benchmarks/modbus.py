@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from residuum.service.fieldbus.block import Block
-from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
+from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
 

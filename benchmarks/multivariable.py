@@ -15,8 +15,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.identification import random_system
-from residuum.diagnosis.residuals.multivariable_detection import MultivariableDetection, detect_multivariable
-from residuum.diagnosis.residuals.multivariable_residual import design_multivariable_residual
+from residuum.diagnosis.residuals.multivariable.multivariable_detection import MultivariableDetection, detect_multivariable
+from residuum.diagnosis.residuals.multivariable.multivariable_residual import design_multivariable_residual
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable
 from residuum.identification.record import Record

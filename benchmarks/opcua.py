@@ -20,8 +20,8 @@ from asyncua import ua
 
 from benchmarks.free_port import free_port
 from benchmarks.opcua_server import STEP
-from residuum.service.fieldbus.node_map import NodeMap
-from residuum.service.fieldbus.opcua import OpcuaSource
+from residuum.service.fieldbus.opcua.node_map import NodeMap
+from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource
 from residuum.service.fieldbus.sequence import BREAK
 
 KINDS = ("kill", "kill", "drop", "bad", "uncertain", "jump", "faster", "kill-and-set")

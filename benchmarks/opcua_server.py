@@ -11,7 +11,7 @@ import time
 
 from asyncua import ua
 
-from residuum.service.fieldbus.node_server import NodeServer
+from residuum.service.fieldbus.opcua.node_server import NodeServer
 
 STEP = 0.05
 

@@ -16,12 +16,12 @@ from scipy import signal, stats
 from benchmarks.peers.adaptive_threshold import adaptive_threshold
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
-from residuum.diagnosis.residuals.kalman_residual import kalman_residual
-from residuum.diagnosis.residuals.parity_space import parity_space
-from residuum.diagnosis.residuals.physical_prediction import with_prediction
+from residuum.diagnosis.residuals.generators.kalman_residual import kalman_residual
+from residuum.diagnosis.residuals.generators.parity_space import parity_space
+from residuum.diagnosis.residuals.generators.physical_prediction import with_prediction
+from residuum.diagnosis.residuals.generators.unknown_input_observer import unknown_input_observer
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.diagnosis.residuals.unknown_input_observer import unknown_input_observer
 from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
 from residuum.diagnosis.systems.system_norms import h_infinity_norm
 from residuum.diagnosis.thresholds.cusum import cusum

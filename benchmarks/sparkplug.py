@@ -19,9 +19,9 @@ from paho.mqtt.enums import CallbackAPIVersion
 
 from benchmarks.opcua import Judge
 from residuum.service.broker_address import broker_address
-from residuum.service.fieldbus.metric_map import MetricMap
-from residuum.service.fieldbus.sparkplug import REBIRTH, SparkplugSource
-from residuum.service.fieldbus.sparkplug_payload import BOOLEAN, DOUBLE, INT64, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, DOUBLE, INT64, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource
 
 STEP = 0.02
 HARMLESS = ("repeat", "old repeat", "disorder", "late death", "rebirth")

@@ -15,10 +15,10 @@ from benchmarks.peers import run_peer
 from benchmarks.peers.band_selection import MERITS, choose_band, separation
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
-from residuum.diagnosis.vibration.bearing_frequencies import orders_from_geometry
-from residuum.diagnosis.vibration.bearing_model import faulty_bearing, impact_train
-from residuum.diagnosis.vibration.envelope import band_envelope
-from residuum.diagnosis.vibration.kurtogram import kurtogram
+from residuum.diagnosis.vibration.bearings.bearing_frequencies import orders_from_geometry
+from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing, impact_train
+from residuum.diagnosis.vibration.spectra.envelope import band_envelope
+from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record
 from residuum.simulation.gripping_pliers import GrippingPliers as Machine

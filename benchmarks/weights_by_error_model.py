@@ -22,13 +22,13 @@ from benchmarks import multivariable_bound
 from reproduction.benchmark import OMEGA, TRUE, UNSEEN, benchmark_record
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.kernel_based.multivariable import identify_multivariable
-from residuum.identification.linear_models.error_models import with_model_error
+from residuum.identification.linear_models.error_bounds.error_models import with_model_error
+from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.magnitude_fit import fit_magnitude
-from residuum.identification.linear_models.model_error import model_error_model
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import Rule, design_uncertainty_weight
+from residuum.identification.linear_models.validation.model_error import model_error_model
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice
 from residuum.robust_control.multivariable_control import MultivariableProblem

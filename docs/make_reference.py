@@ -272,7 +272,14 @@ class Shown:
         self.make_metavar_text = metavar
         options = " / ".join([*parameter.opts, *parameter.secondary_opts])
         self.name = metavar if self.argument else options
-        self.help = (parameter.help or "").replace("\\[", "[").replace("|", "∣").replace("\n", " ")
+        self.help = (parameter.help or "").replace("\\[", "[").replace("|", "∣").replace("\n", " ") + said_default(parameter)
+
+
+def said_default(parameter):
+    """The default as a sentence, where there is one that the help does not tell itself."""
+    default = parameter.default
+    told = isinstance(default, (str, int, float)) and not isinstance(default, bool) and default != ""
+    return f" Default: {default}." if told and "efault" not in (parameter.help or "") else ""
 
 
 def main(arguments):

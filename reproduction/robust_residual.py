@@ -9,7 +9,7 @@ from scipy.stats import spearmanr
 
 from reproduction.check import at_least, at_most, near, same, within
 from reproduction.item import Item
-from residuum.diagnosis.residuals.approximate_fault_detection import noise_path
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import noise_path
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
 from residuum.diagnosis.systems.coprime import left_coprime

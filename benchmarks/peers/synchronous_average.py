@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from residuum.diagnosis.vibration.order_tracking import at_even_angle
+from residuum.diagnosis.vibration.rotation.order_tracking import at_even_angle
 from residuum.identification.errors import BadInput
 
 Array = npt.NDArray[Any]
@@ -42,7 +42,7 @@ def synchronous_average(x: npt.ArrayLike, angle: Array, samples_per_revolution: 
     Parameters
     ----------
     x, angle : arrays, shape (n,)
-        Signal and turned revolutions (`order_tracking.angle_from_speed`, `angle_from_pulses`).
+        Signal and turned revolutions (`order_tracking.angle_from_speed`).
     samples_per_revolution : int
     """
     even = at_even_angle(x, angle, samples_per_revolution)

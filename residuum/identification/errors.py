@@ -6,6 +6,9 @@ command line and the HTTP interface print it unchanged.
 
 _LONGEST = 200
 
+MAY_DIVERGE = "check the signs of its terms, their units and the start values"
+"""How to go on with a model whose simulation diverges."""
+
 
 def in_one_line(error: Exception) -> str:
     """Another library's exception as part of our line: its class and what it says, cut after 200 characters."""

@@ -138,24 +138,99 @@ class Record:
         """Channel `name` converted to `unit`, shape (n,).
 
         BadUnit where the channel has none and one is wanted: not to say a unit is not to say that there is none.
+
+        Parameters
+        ----------
+        name, unit : str
+
+        Returns
+        -------
+        array, shape (n,)
+
+        Raises
+        ------
+        BadRecord
+            No such channel.
+        BadUnit
+            A unit of another quantity, or none at the channel.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.in_unit("u", "mV").tolist()
+        [0.0, 1000.0, 1000.0]
         """
         where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
-            how = f"--unit {shlex.quote(f'{name}={unit}')} if it is in that, in Python units={{{name!r}: {unit!r}}}"
-            raise BadUnit(f"{where}channel {name!r}: unit none cannot be converted to {unit!r}; say it, {how}")
+            how = f"--unit {shlex.quote(f'{name}={unit}')}, in Python units={{{name!r}: {unit!r}}}"
+            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed; say it: {how}")
         return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}")
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:
-        """Mask of the missing samples of channel `name`, shape (n,)."""
+        """Mask of the missing samples of channel `name`, shape (n,).
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        array of bool, shape (n,)
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, float("nan")]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.missing("u").tolist()
+        [False, True]
+        """
         return np.isnan(self[name])
 
     def select(self, names: Iterable[str]) -> Record:
-        """The record with these channels only, in this order."""
+        """The record with these channels only, in this order.
+
+        Parameters
+        ----------
+        names : iterable of str
+
+        Returns
+        -------
+        Record
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("gate-drive", duration=1.0)
+        >>> record.select(["speed", "voltage"]).names
+        ('speed', 'voltage')
+        """
         chosen = list(names)
         return replace(self, channels={name: self[name] for name in chosen}, units={name: self.units[name] for name in chosen})
 
     def rename(self, names: Mapping[str, str]) -> Record:
-        """The record with channels renamed old → new; BadRecord when two would share a name."""
+        """The record with channels renamed old → new; BadRecord when two would share a name.
+
+        Parameters
+        ----------
+        names : mapping of old name to new name
+
+        Returns
+        -------
+        Record
+
+        Raises
+        ------
+        BadRecord
+            No such channel, or two of one name.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.rename({"u": "voltage"}).names
+        ('voltage',)
+        """
         new = [names.get(name, name) for name in self.names]
         if len(set(new)) != len(new):
             raise BadRecord(f"record {self.source!r}: renaming {dict(names)} makes two channels of one name")
@@ -165,7 +240,29 @@ class Record:
         return replace(self, channels=channels, units=dict(zip(new, self.units.values(), strict=True)))
 
     def window(self, start: int, stop: int) -> Record:
-        """Samples start … stop−1 (views, no copy), on the same clock."""
+        """Samples start … stop−1 (views, no copy), on the same clock.
+
+        Parameters
+        ----------
+        start, stop : int
+            Sample numbers.
+
+        Returns
+        -------
+        Record
+
+        Raises
+        ------
+        BadRecord
+            Not within the record.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.window(1, 3).time.tolist()
+        [0.1, 0.2]
+        """
         if not 0 <= start < stop <= self.n:
             raise BadRecord(f"record {self.source!r}: window {start}:{stop} is not inside 0:{self.n}")
         channels = {name: signal[start:stop] for name, signal in self.channels.items()}

@@ -57,11 +57,25 @@ class Catalogue(Mapping[str, Effect]):
         Examples
         --------
         See "Add an effect" in the documentation.
+
+        >>> import residuum as rs
+        >>> rs.effects.add(rs.effects["radiation"])  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+            ...
+        residuum.identification.errors.BadModel: ...
         """
         EFFECTS.add(effect() if isinstance(effect, type) else effect)
 
     def read(self, path: str | PathLike[str]) -> list[str]:
         """Add the effects that the YAML file `path` defines; returns their ids.
+
+        Parameters
+        ----------
+        path : str or path
+
+        Returns
+        -------
+        list of str
 
         Raises
         ------
@@ -71,6 +85,12 @@ class Catalogue(Mapping[str, Effect]):
         Examples
         --------
         See "Add an effect" in the documentation.
+
+        >>> import residuum as rs
+        >>> rs.effects.read("none.yaml")  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+            ...
+        residuum.identification.errors.BadModel: ...
         """
         found = read_effects(Path(path))
         for effect in found:
@@ -78,11 +98,33 @@ class Catalogue(Mapping[str, Effect]):
         return [effect.id for effect in found]
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `residuum effects --json`."""
+        """The JSON object of `residuum effects --json`.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> sorted(rs.effects.to_dict())
+        ['effects']
+        """
         return {"effects": [effect_json(effect) for effect in EFFECTS.values()]}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row an effect; MissingPackage when pandas is not installed."""
+        """A row an effect; MissingPackage when pandas is not installed.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> len(rs.effects.to_pandas()) == len(rs.effects)
+        True
+        """
         return data_frame(self.to_dict()["effects"])
 
     def __str__(self) -> str:

@@ -83,11 +83,47 @@ class Controller(Result):
         return list(self.measured.drawn)
 
     def to_control(self) -> Any:
-        """K(z) as a python-control `TransferFunction`; MissingPackage when `control` is not installed."""
+        """K(z) as a python-control `TransferFunction`; MissingPackage when `control` is not installed.
+
+        Returns
+        -------
+        control.TransferFunction
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> controller = rs.control.design(plant)
+        >>> type(controller.to_control()).__name__
+        'TransferFunction'
+        """
         return to_control(self.transfer_function)
 
     def difference_equation(self, limits: tuple[float, float] = _NO_LIMITS) -> DifferenceEquation:
-        """What the target computes each sample; `limits` of the actuator are kept without wind-up."""
+        """What the target computes each sample; `limits` of the actuator are kept without wind-up.
+
+        Parameters
+        ----------
+        limits : (lower, upper)
+            Of the actuator, in the unit of the plant's input.
+
+        Returns
+        -------
+        DifferenceEquation
+
+        Raises
+        ------
+        BadInput
+            A lower limit that is not below the upper one.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> controller = rs.control.design(plant)
+        >>> "u" in controller.difference_equation().text()
+        True
+        """
         return DifferenceEquation(self.transfer_function, *limits)
 
     def export_c(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] = _NO_LIMITS) -> str:
@@ -99,15 +135,51 @@ class Controller(Result):
         limits : (lower, upper)
             Of the actuator, in the unit of the plant's input.
 
+        Returns
+        -------
+        str
+
         Raises
         ------
         BadInput
             A folder that does not exist; a lower limit that is not below the upper one.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> controller = rs.control.design(plant)
+        >>> "controller_step" in controller.export_c(limits=(-10.0, 10.0))
+        True
         """
         return self._exported("c", path, limits)
 
     def export_structured_text(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] = _NO_LIMITS) -> str:
-        """The controller as IEC 61131-3 structured text; `path` and `limits` as in `export_c`."""
+        """The controller as IEC 61131-3 structured text; `path` and `limits` as in `export_c`.
+
+        Parameters
+        ----------
+        path : str or path
+        limits : (lower, upper)
+            Of the actuator, in the unit of the plant's input.
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        BadInput
+            As `export_c`.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+        >>> controller = rs.control.design(plant)
+        >>> "END_FUNCTION_BLOCK" in controller.export_structured_text()
+        True
+        """
         return self._exported("st", path, limits)
 
     def _exported(self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float]) -> str:
@@ -211,6 +283,11 @@ def design(
     Examples
     --------
     See `Controller`.
+
+    >>> import residuum as rs
+    >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", method="arx", order=2)
+    >>> rs.control.design(plant, structure="pi").structure
+    'pi'
     """
     if structure not in STRUCTURES:
         raise BadInput(f"structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")

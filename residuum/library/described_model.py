@@ -56,14 +56,47 @@ class DescribedModel:
         return write_model(self.physical)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the model file: whole, or not at all when interrupted; BadInput when the folder does not exist."""
+        """Write the model file: whole, or not at all when interrupted.
+
+        Parameters
+        ----------
+        path : str or path
+
+        Raises
+        ------
+        BadInput
+            The folder does not exist.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> import pathlib, tempfile
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "axis.yaml"
+        >>> rs.model("linear-axis").save(file)
+        >>> rs.model(file).name
+        'linear-axis'
+        """
         write_whole(Path(path), self.text)
 
     def with_values(self, **values: float) -> Self:
         """The model with other parameter values; an effect's full names go as `**{"effect@place.name": value}`.
 
-        Raises BadModel for an unknown name.
+        Parameters
+        ----------
+        values : float
+            By parameter name, in the parameter's unit.
 
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        BadModel
+            An unknown name, or a value out of its bounds.
+
+        Examples
+        --------
         >>> import residuum as rs
         >>> rs.model("linear-axis").with_values(M=90.0).parameters["M"].value
         90.0
@@ -71,14 +104,59 @@ class DescribedModel:
         return type(self)(self.physical.with_values(values))
 
     def with_effect(self, effect: str, place: str, **values: float) -> Self:
-        """The model with one more effect at a balance, input or output; `values` by the effect's own parameter names.
+        """The model with one more effect at a balance, input or output.
 
-        Raises BadModel for an effect that is not in the catalogue or does not fit there, and for a value out of bounds.
+        Parameters
+        ----------
+        effect : str
+            Its id in the catalogue.
+        place : str
+            Name of the balance, input or output.
+        values : float
+            By the effect's own parameter names.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        BadModel
+            An effect that is not in the catalogue or does not fit there; a value out of its bounds.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> axis = rs.model("linear-axis").with_effect("coulomb-friction", "axis", tau_c=20.0)
+        >>> axis.effects
+        ('coulomb-friction@axis',)
         """
         return type(self)(self.physical.with_effect(effect, place, values))
 
     def without_effect(self, label: str) -> Self:
-        """The model without the effect `effect@place` (or `effect`, when it occurs once); BadModel when it is not there."""
+        """The model without one of its effects.
+
+        Parameters
+        ----------
+        label : str
+            `effect@place`, or `effect` where it occurs once.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        BadModel
+            No such effect in the model.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> axis = rs.model("linear-axis").with_effect("coulomb-friction", "axis", tau_c=20.0)
+        >>> axis.without_effect("coulomb-friction").effects
+        ()
+        """
         return type(self)(self.physical.without_effect(label))
 
     def __str__(self) -> str:

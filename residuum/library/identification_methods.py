@@ -10,7 +10,7 @@ import numpy as np
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
-from residuum.identification.linear_models.error_models import ERROR_MODELS, likeliest_embedding
+from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, likeliest_embedding
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import integrated, summed_input
 from residuum.identification.linear_models.plant_tests.dead_time import dead_time

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import (
     Simulator,
     estimate,
@@ -71,6 +71,13 @@ class Model(DescribedModel):
 
     Made by `rs.model`. `physical` is the model as the identification room knows it.
 
+    Parameters
+    ----------
+    physical : PhysicalModel
+        As `rs.model` reads it.
+    given : str
+        What it was read from, for answers.
+
     Examples
     --------
     >>> import residuum as rs
@@ -95,6 +102,10 @@ class Model(DescribedModel):
         map : mapping of model name to column
         options
             Of `identification.residual_analysis.compare`: `level` of the test, `seed`.
+
+        Returns
+        -------
+        Comparison
 
         Raises
         ------
@@ -139,6 +150,10 @@ class Model(DescribedModel):
         options
             Of `identification.discrepancy.explain`.
 
+        Returns
+        -------
+        Explanation
+
         Raises
         ------
         BadRecord, BadUnit, BadModel
@@ -148,7 +163,11 @@ class Model(DescribedModel):
 
         Examples
         --------
-        See `Explanation`.
+        >>> import residuum as rs
+        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> drive = rs.model("gate-drive")
+        >>> drive.explain(record, effects=["coulomb-friction"]).best.effect
+        'coulomb-friction'
         """
         from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
@@ -198,6 +217,10 @@ class Model(DescribedModel):
         options
             Of `identification.discrepancy.improve`.
 
+        Returns
+        -------
+        Improvement
+
         Raises
         ------
         BadModel
@@ -207,7 +230,11 @@ class Model(DescribedModel):
 
         Examples
         --------
-        See `Improvement`.
+        >>> import residuum as rs
+        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> drive = rs.model("gate-drive")
+        >>> drive.improve(record, add="coulomb-friction").model.effects
+        ('coulomb-friction@shaft',)
         """
         from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
@@ -242,6 +269,10 @@ class Model(DescribedModel):
         hold : str
             Inputs between samples: `auto`, `linear` or `zero-order`.
 
+        Returns
+        -------
+        Estimation
+
         Raises
         ------
         BadInput
@@ -251,7 +282,12 @@ class Model(DescribedModel):
 
         Examples
         --------
-        See `Estimation`.
+        >>> import residuum as rs
+        >>> record = rs.simulate("gate-drive", effects={"coulomb-friction": "large"}, duration=6.0, seed=1)
+        >>> drive = rs.model("gate-drive")
+        >>> fitted = drive.estimate(record).model
+        >>> fitted.parameters["R"].value != drive.parameters["R"].value
+        True
         """
         from residuum.library.estimation import estimated  # noqa: PLC0415
         from residuum.library.improvement import Estimation  # noqa: PLC0415
@@ -312,7 +348,7 @@ class Model(DescribedModel):
         else:
             Y = Simulator(matched).run(experiment, initial).Y
         if not np.isfinite(Y).all():
-            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}")
+            raise NotIdentifiable(f"model {self.name!r}: diverges on record {record.source!r}; {MAY_DIVERGE}")
         channels = {name: Y[:, k] for k, name in enumerate(self.outputs)}
         return Record(channels, self.outputs, record.sample_time, record.t0, source=f"{self.name} on {record.source or 'record'}")
 

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.bootstrap import BlockBootstrap, block_bootstrap
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.model_error import ModelErrorModel
-from residuum.identification.linear_models.residual_check import LEVEL, ResidualCheck, residual_check
-from residuum.identification.linear_models.residual_tests import ResidualTest
+from residuum.identification.linear_models.validation.bootstrap import BlockBootstrap, block_bootstrap
+from residuum.identification.linear_models.validation.model_error import ModelErrorModel
+from residuum.identification.linear_models.validation.residual_check import LEVEL, ResidualCheck, residual_check
+from residuum.identification.linear_models.validation.residual_tests import ResidualTest
 from residuum.identification.record import Record
 from residuum.library.identification_methods import Request, identified_by
 from residuum.library.model_assumptions import Part, as_before

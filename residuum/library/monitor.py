@@ -81,27 +81,108 @@ class Monitor(OutlierMixin, BaseEstimator):
     def fit(self, X: Records, y: Sequence[str] | None = None) -> Self:
         """Learn from the healthy records `X`, or from records with one label each in `y` (`healthy`, or a fault class).
 
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+        y : sequence of str, or None
+            A label a record; None: all are healthy.
+
+        Returns
+        -------
+        Monitor
+            Itself.
+
         Raises
         ------
         BadInput
             Records that do not fit, an unknown diagnoser or setting, labels of another number than records.
+
+        Examples
+        --------
+        See `Monitor`.
+
+        >>> import residuum as rs
+        >>> rs.monitor("robust-residual").fit(rs.simulate("process-plant", seed=1)).diagnoser_.name
+        'robust-residual'
         """
         trained = self._untrained().fit(self._records(X), None if y is None else [str(label) for label in y])
         self.diagnoser_: Diagnoser | PhysicalResidual = trained
         return self
 
     def score(self, window: MeasuredRecord | str | PathLike[str]) -> Finding:  # another meaning than scikit-learn's, as issued
-        """The finding of one window."""
+        """The finding of one window.
+
+        Parameters
+        ----------
+        window : Record or file
+
+        Returns
+        -------
+        Finding
+
+        Raises
+        ------
+        NotFitted
+            Before `fit`.
+        BadRecord
+            A channel that was learned is missing.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> monitor.score(windows[1]).fault_class
+        'sensor-offset'
+        """
         (record,) = self._records(window)
         return Finding(self._trained().score(record))
 
     def findings(self, X: Records) -> list[Finding]:
-        """The finding of every window of `X` (a record, a file, or a list of these)."""
+        """The finding of every window of `X` (a record, a file, or a list of these).
+
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+            Windows.
+
+        Returns
+        -------
+        list of Finding
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> [finding.verdict for finding in monitor.findings(windows)]
+        ['healthy', 'faulty']
+        """
         trained = self._trained()
         return [Finding(trained.score(record)) for record in self._records(X)]
 
     def predict(self, X: Records) -> npt.NDArray[np.int64]:
-        """1 for a healthy window of `X`, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,)."""
+        """1 for a healthy window of `X`, −1 for a faulty one, 0 for one that cannot be judged; shape (windows,).
+
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+            Windows.
+
+        Returns
+        -------
+        array of int, shape (windows,)
+
+        Examples
+        --------
+        See `Monitor`.
+
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> monitor.predict(windows).tolist()
+        [1, -1]
+        """
         says = {Verdict.HEALTHY: 1, Verdict.FAULTY: -1, Verdict.NOT_ASSESSABLE: 0}
         return np.array([says[finding.found.verdict] for finding in self.findings(X)], dtype=np.int64)
 
@@ -109,22 +190,79 @@ class Monitor(OutlierMixin, BaseEstimator):
         """How normal each window of `X` is, the higher the more: minus its largest indicator over that one's threshold.
 
         Shape (windows,); below −1 an indicator is above its threshold, NaN for a window that cannot be judged.
+
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+            Windows.
+
+        Returns
+        -------
+        array, shape (windows,)
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> (monitor.score_samples(windows) < -1).tolist()
+        [False, True]
         """
         return np.array([-_largest(finding.found) for finding in self.findings(X)])
 
     def decision_function(self, X: Records) -> npt.NDArray[np.float64]:
-        """`score_samples` + 1 of the windows `X`: negative where an indicator is above its threshold; shape (windows,)."""
+        """`score_samples` + 1 of the windows `X`: negative where an indicator is above its threshold; shape (windows,).
+
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+            Windows.
+
+        Returns
+        -------
+        array, shape (windows,)
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> (monitor.decision_function(windows) < 0).tolist()
+        [False, True]
+        """
         return self.score_samples(X) + 1.0
 
     def indicators(self, X: Records) -> pandas.DataFrame:
         """The indicators of every window of `X`, a row a window: features of the residual for a method of your own.
 
         Raises MissingPackage when pandas is not installed.
+
+        Parameters
+        ----------
+        X : Record, file, or a list of these
+            Windows.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row a window, a column an indicator.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> monitor = rs.monitor("robust-residual").fit([rs.simulate("process-plant", seed=seed) for seed in (1, 2)])
+        >>> windows = [rs.simulate("process-plant", seed=3), rs.simulate("process-plant", faults={"sensor-offset": None}, seed=4)]
+        >>> len(monitor.indicators(windows))
+        2
         """
         return data_frame([dict(finding.found.indicators) for finding in self.findings(X)])
 
     def save(self, path: str | PathLike[str]) -> None:
         """Store the trained diagnoser in the file `path`, as `residuum train --out` does.
+
+        Parameters
+        ----------
+        path : str or path
 
         Raises
         ------
@@ -132,6 +270,16 @@ class Monitor(OutlierMixin, BaseEstimator):
             Before `fit`.
         BadInput
             A diagnoser that has no file.
+
+        Examples
+        --------
+        See `load_monitor`.
+
+        >>> import residuum as rs
+        >>> rs.monitor("robust-residual").save("baseline.zip")  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+            ...
+        residuum.library.monitor.NotFitted: ...
         """
         trained = self._trained()
         if isinstance(trained, PhysicalResidual):
@@ -193,6 +341,10 @@ def monitor(
     Examples
     --------
     See `Monitor`.
+
+    >>> import residuum as rs
+    >>> rs.monitor(rs.model("gate-drive"), map={"speed": "n_motor"})
+    Monitor(map={'speed': 'n_motor'}, source=<residuum Model 'gate-drive': voltage → speed, current>)
     """
     return Monitor(source, diagnoser, map, settings or None)
 

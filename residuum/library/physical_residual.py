@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.residuals.physical_prediction import PREDICTION, with_prediction
+from residuum.diagnosis.residuals.generators.physical_prediction import PREDICTION, with_prediction
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.identified_model_file import load_identified, save_identified
+from residuum.identification.linear_models.identified_model_file import identified_text, load_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
 from residuum.library.identification_methods import Request, check_method, identified_by, with_uncertainty
@@ -26,6 +26,7 @@ from residuum.library.plotly_figure import figure
 from residuum.library.progress import Progress, Tell, told
 from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
+from residuum.library.whole_file import write_whole
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -79,26 +80,88 @@ class Plant(Result):
         return self.identified.std
 
     def frequency_response(self, omega: npt.ArrayLike) -> npt.NDArray[np.complex128]:
-        """G at ω [rad/s], shape of `omega`."""
+        """G at ω [rad/s], shape of `omega`.
+
+        Parameters
+        ----------
+        omega : array
+            [rad/s]
+
+        Returns
+        -------
+        complex array, shape of `omega`
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> plant.frequency_response([0.1, 1.0]).shape
+        (2,)
+        """
         return self.identified.frequency_response(omega)
 
     def sample(self, n: int, seed: int = 0) -> npt.NDArray[np.float64]:
-        """`n` impulse responses drawn from the distribution of the estimate by the random numbers of `seed`, shape (n, order)."""
+        """`n` impulse responses drawn from the distribution of the estimate by the random numbers of `seed`, shape (n, order).
+
+        Parameters
+        ----------
+        n : int
+        seed : int
+
+        Returns
+        -------
+        array, shape (n, order)
+            In output unit over input unit.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> plant.sample(5).shape
+        (5, 40)
+        """
         return self.identified.sample(n, seed)
 
     def to_control(self) -> Any:
-        """The same system as a python-control `TransferFunction`; MissingPackage when `control` is not installed."""
+        """The same system as a python-control `TransferFunction`; MissingPackage when `control` is not installed.
+
+        Returns
+        -------
+        control.TransferFunction
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> type(plant.to_control()).__name__
+        'TransferFunction'
+        """
         return to_control(self.identified.transfer_function())
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the JSON file `path` that `rs.load_plant`, `residuum residual` and `residuum control` read.
 
+        Parameters
+        ----------
+        path : str or path
+
         Raises
         ------
         BadInput
             The folder of `path` does not exist.
+
+        Examples
+        --------
+        See `load_plant`.
+
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> plant.save("/no/such/folder/plant.json")  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+            ...
+        residuum.identification.errors.BadInput: ...
         """
-        save_identified(self.identified, Path(path))
+        write_whole(Path(path), identified_text(self.identified))
 
     def bode(self, frequencies: npt.ArrayLike | None = None) -> plotly.graph_objects.Figure:
         """Magnitude and phase over frequency with their 95 % bands, as a Plotly figure.
@@ -108,10 +171,21 @@ class Plant(Result):
         frequencies : array, shape (n,)
             In Hz; None: three decades up to half the sampling rate.
 
+        Returns
+        -------
+        plotly.graph_objects.Figure
+
         Raises
         ------
         MissingPackage
             Plotly is not installed.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> [axis.title.text for axis in plant.bode([0.1, 1.0]).select_yaxes()]
+        ['magnitude [dB]', 'phase [°]']
         """
         nyquist = 0.5 / self.identified.sample_time
         given = np.geomspace(nyquist / 1000.0, nyquist, _FREQUENCIES) if frequencies is None else frequencies
@@ -141,10 +215,21 @@ class Plant(Result):
         duration : float
             [s]; None: as long as the impulse response.
 
+        Returns
+        -------
+        plotly.graph_objects.Figure
+
         Raises
         ------
         MissingPackage
             Plotly is not installed.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> len(plant.step(10.0).data) > 0
+        True
         """
         model = self.identified
         n = model.delay + model.order if duration is None else max(2, round(duration / model.sample_time))
@@ -170,7 +255,24 @@ class Plant(Result):
         return self.report(self._answer())
 
     def report(self, answer: dict[str, Any]) -> str:
-        """The short human report of an answer of `to_dict`, which may name the model's file."""
+        """The short human report of an answer of `to_dict`, which may name the model's file.
+
+        Parameters
+        ----------
+        answer : dict
+            As `to_dict` gives it.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> plant.report(plant.to_dict()) == str(plant)
+        True
+        """
         text = identification_text(self.identified, answer)
         return text if self.check is None else "\n".join([text, *self.check.lines()])
 

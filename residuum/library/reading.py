@@ -66,6 +66,8 @@ def read(
     >>> rs.read(file)["voltage"].tolist()
     [0.0, 1.0, 1.0]
     """
+    if not isinstance(path, str | PathLike):
+        raise _no_record(path)
     options = ReadOptions(resample=resample, sample_time=sample_time, units=dict(units or {}))
     return shown(read_safely(Path(path), options).rename(rename or {}))
 
@@ -164,7 +166,7 @@ def from_pandas(
     if time is not None and time not in frame.columns:
         raise BadRecord(f"{where}: has no column {time!r} for the time; there are {', '.join(map(str, frame.columns))}")
     found = heads(frame, where, without=time)
-    told = units_of(found, frame.attrs.get("units", {}), units or {}, where)
+    told = units_of(found, frame.attrs.get("units", {}), units or {})
     signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in found.items()}
     if sample_time is not None and time is None and not _has_instants(frame.index):
         return from_arrays(signals, units=told, sample_time=sample_time, source=where)
@@ -227,15 +229,23 @@ def as_records(records: Any) -> list[MeasuredRecord]:
         return [records]
     if isinstance(records, str | PathLike):
         return [read(records)]
-    if hasattr(records, "iloc"):
-        raise BadRecord("record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})")
-    if hasattr(records, "dims"):
-        raise BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
-    if hasattr(records, "__array__"):
-        raise BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, sample_time=…)")
     if isinstance(records, Sequence) and records:
         return [one for item in records for one in as_records(item)]
-    raise BadRecord(f"record: is {type(records).__name__}; must be a Record, a file, or a list of these")
+    raise _no_record(records)
+
+
+def _no_record(given: Any) -> BadRecord:
+    """The refusal of what is neither a record nor a file, with the way to make a record of it."""
+    if hasattr(given, "iloc"):
+        return BadRecord("record: is a pandas object; make a record of it with rs.from_pandas(frame, units={…})")
+    if hasattr(given, "dims"):
+        return BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
+    if hasattr(given, "__array__"):
+        return BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, sample_time=…)")
+    return BadRecord(
+        f"record: is {type(given).__name__}; must be a Record, a file, or a list of these; rs.read(file), "
+        "rs.from_pandas and rs.from_arrays make one"
+    )
 
 
 def _has_instants(index: Any) -> bool:

@@ -27,6 +27,18 @@ class Record(MeasuredRecord):
     `record.units["speed"]` its unit, `record.time` the sample instants [s]; `record.window(start, stop)` are the samples
     start … stop − 1, `record.select(names)` some channels, `record.rename({old: new})` others names.
 
+    Parameters
+    ----------
+    channels : mapping of name to array, shape (n,)
+    units : mapping of name to unit
+    sample_time : float
+        [s]
+    t0 : float
+        Time of the first sample [s].
+    notes : tuple of str
+    source : str
+        A name for reports.
+
     Raises
     ------
     BadRecord
@@ -44,6 +56,10 @@ class Record(MeasuredRecord):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the record file `path`; its ending says the format (`.csv`, `.npz`, …). A failed write leaves no file behind.
+
+        Parameters
+        ----------
+        path : str or path
 
         Raises
         ------
@@ -63,10 +79,21 @@ class Record(MeasuredRecord):
     def to_pandas(self) -> pandas.DataFrame:
         """A DataFrame, a column a channel and the time [s] as index; units are in `frame.attrs["units"]`.
 
+        Returns
+        -------
+        pandas.DataFrame
+
         Raises
         ------
         MissingPackage
             pandas is not installed.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> record.to_pandas()["u"].tolist()
+        [0.0, 1.0, 1.0]
         """
         pandas = need("pandas", "a DataFrame")
         frame = pandas.DataFrame(dict(self.channels), index=pandas.Index(self.time, name="time"))
@@ -74,7 +101,19 @@ class Record(MeasuredRecord):
         return frame
 
     def plot(self) -> plotly.graph_objects.Figure:
-        """A Plotly figure with a panel a channel; MissingPackage when Plotly is not installed."""
+        """A Plotly figure with a panel a channel; MissingPackage when Plotly is not installed.
+
+        Returns
+        -------
+        plotly.graph_objects.Figure
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1)
+        >>> len(record.plot().data)
+        1
+        """
         return figure(self._picture())
 
     def _picture(self) -> Picture:

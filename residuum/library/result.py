@@ -33,27 +33,64 @@ class Result(ABC):
     """
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object of the contract, in plain Python values."""
+        """The JSON object of the contract, in plain Python values.
+
+        Returns
+        -------
+        dict
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("linear-axis", duration=2.0, seed=1)
+        >>> comparison = rs.model("linear-axis").compare(record)
+        >>> "structured_error" in comparison.to_dict()
+        True
+        """
         plain: dict[str, Any] = to_plain(self._answer())
         return plain
 
     def to_pandas(self) -> pandas.DataFrame:
         """The table of the answer.
 
+        Returns
+        -------
+        pandas.DataFrame
+
         Raises
         ------
         MissingPackage
             pandas is not installed.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("linear-axis", duration=2.0, seed=1)
+        >>> comparison = rs.model("linear-axis").compare(record)
+        >>> "output" in comparison.to_pandas().columns
+        True
         """
         return data_frame(self._rows())
 
     def plot(self) -> plotly.graph_objects.Figure:
         """The picture of the answer as a Plotly figure that can be changed.
 
+        Returns
+        -------
+        plotly.graph_objects.Figure
+
         Raises
         ------
         MissingPackage
             Plotly is not installed.
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("linear-axis", duration=2.0, seed=1)
+        >>> comparison = rs.model("linear-axis").compare(record)
+        >>> len(comparison.plot().data) > 0
+        True
         """
         return figure(self._picture())
 

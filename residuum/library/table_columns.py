@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.logger_head import is_unit, unit_of_head, unit_word
+from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
 
 if TYPE_CHECKING:
     import pandas
@@ -59,9 +59,7 @@ def _named(parts: list[str]) -> list[str]:
     return [part for part in parts if part and not part.startswith("Unnamed")]
 
 
-def units_of(
-    found: Mapping[Any, tuple[str, str]], attributes: Mapping[Any, str], told: Mapping[Any, str], where: str
-) -> dict[str, str]:
+def units_of(found: Mapping[Any, tuple[str, str]], attributes: Mapping[Any, str], told: Mapping[Any, str]) -> dict[str, str]:
     """Name → unit: what the caller tells goes over what the frame's attributes say, and that over the heads."""
     units = dict(found.values())
     for said in (attributes, told):

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_time import seconds_of
+from residuum.identification.record_formats.loggers.logger_head import unit_of_head
+from residuum.identification.record_formats.loggers.logger_time import seconds_of
 
 _EPOCH = 1e11
 """Above this a number is no second of our days, since 1970 or since a start."""

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.drawn_errors import DrawnErrors
-from residuum.identification.linear_models.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
+from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import chernoff_samples, weight_above
@@ -29,7 +29,9 @@ def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:
         raise BadInput("average plant: no identified model was given")
     steps = {model.sample_time for model in models}
     if len(steps) > 1:
-        raise BadInput(f"average plant: models have sample times {sorted(steps)}; all must be equal")
+        raise BadInput(
+            f"average plant: models have sample times {sorted(steps)}; all must be equal; identify them from records of one rate"
+        )
     if len(models) == 1:
         return models[0].transfer_function()
     length = max(model.delay + model.order for model in models)

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel
-from residuum.identification.linear_models.drawn_errors import DrawnErrors
-from residuum.identification.linear_models.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
+from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import weight_above
 from residuum.robust_control.certificates.time_domain import Measured, assess

@@ -25,7 +25,7 @@ from residuum.service.known_queries import KnownQueries
 from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
 from residuum.service.loop_watch import watch_loop
-from residuum.service.machines.judges import Judges
+from residuum.service.machines.judging.judges import Judges
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys

@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import Any
 
 from residuum.service.broker_address import BrokerAddress
-from residuum.service.fieldbus.edge_node import EdgeNode
+from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
 
 
 class FindingMetrics:

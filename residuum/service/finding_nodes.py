@@ -15,7 +15,7 @@ from typing import Any
 
 import structlog
 
-from residuum.service.fieldbus.node_server import NodeServer
+from residuum.service.fieldbus.opcua.node_server import NodeServer
 
 log = structlog.get_logger()
 _TICK = 0.05

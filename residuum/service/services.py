@@ -14,7 +14,7 @@ from fastapi import Depends, Request
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.judges import Judges
+from residuum.service.machines.judging.judges import Judges
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller
 from residuum.service.settings import Settings

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ipaddress
 import os
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import yaml
 from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_validator
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, YamlConfigSettingsSource
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from residuum.identification.errors import BadInput
+from residuum.identification.yaml_text import short_text, what_is_wrong
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.settings import MachineSettings
@@ -163,7 +166,8 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Arguments before environment before file (pydantic-settings asks for this)."""
-        file = YamlConfigSettingsSource(settings_cls, yaml_file=os.environ.get(SETTINGS_FILE))
+        named = os.environ.get(SETTINGS_FILE)
+        file = InitSettingsSource(settings_cls, _content(Path(named)) if named else {})
         return init_settings, env_settings, file
 
 
@@ -197,8 +201,24 @@ def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
         raise BadSettings(_one_line(error)) from None
 
 
+def _content(file: Path) -> dict[str, Any]:
+    """What a settings file says; BadSettings with the line where it is no YAML."""
+    try:
+        content = yaml.safe_load(short_text(file)) or {}
+    except OSError as error:
+        raise BadSettings(f"{file}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise BadSettings(f"{file}: is not YAML: {what_is_wrong(error)}") from None
+    if not isinstance(content, dict):
+        raise BadSettings(f"{file}: is no settings file; write one setting a line, as `port: 8000`")
+    return content
+
+
 def _one_line(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(map(str, first["loc"]))
     says = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        nearest = "".join(f", the nearest is {name}" for name in get_close_matches(where, Settings.model_fields, n=1))
+        return f"setting {where}: is not known{nearest}; docs/reference/settings.md lists all"
     return f"settings: {says}" if not where else f"setting {where}: {first['input']!r}: {says}"

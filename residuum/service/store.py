@@ -37,6 +37,15 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
+class _Plain:
+    """A row, which is answered as it is."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Its members as plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
 class Page(Generic[T]):
     """One page of a list; `next_cursor` asks for the next, None at the end."""
 
@@ -60,7 +69,7 @@ class StoredFinding:
 
 
 @dataclass(frozen=True)
-class StoredWindow:
+class StoredWindow(_Plain):
     """One stored window: what it holds and where it came from; the samples are read apart.
 
     `t0` is the recorder's clock [s]; `signal_let_go_at` is when the retention rule removed the samples, None while they are kept.
@@ -76,10 +85,6 @@ class StoredWindow:
     source: str
     size_bytes: int
     signal_let_go_at: datetime | None
-
-    def to_json(self) -> dict[str, Any]:
-        """The window without its samples."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,7 @@ class Asset:
 
 
 @dataclass(frozen=True)
-class Alarm:
+class Alarm(_Plain):
     """One alarm of one asset. `kind` tells a fault of the machine from one of its signals."""
 
     id: int
@@ -127,13 +132,9 @@ class Alarm:
     comment: str | None
     window: int | None
 
-    def to_json(self) -> dict[str, Any]:
-        """The alarm as plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class AlarmEntry:
+class AlarmEntry(_Plain):
     """One line of an alarm's journal."""
 
     at: datetime
@@ -142,13 +143,9 @@ class AlarmEntry:
     by: str | None
     comment: str | None
 
-    def to_json(self) -> dict[str, Any]:
-        """The entry as plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class AuditEntry:
+class AuditEntry(_Plain):
     """One line of the audit trail; `digest` chains it to the one before."""
 
     number: int
@@ -159,13 +156,9 @@ class AuditEntry:
     detail: Mapping[str, Any]
     digest: str
 
-    def to_json(self) -> dict[str, Any]:
-        """The entry as plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class AlarmRates:
+class AlarmRates(_Plain):
     """How many alarms were raised, after ANSI/ISA-18.2 clause 16: over ten in ten minutes are a flood for one operator.
 
     `highest_in_10_minutes` and `flood_share` are over the last day; `chattering` were raised three times within a minute,
@@ -183,10 +176,6 @@ class AlarmRates:
     chattering: Sequence[int]
     most_frequent: Sequence[Mapping[str, Any]]
 
-    def to_json(self) -> dict[str, Any]:
-        """The rates as plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class IndicatorHistory:
@@ -201,7 +190,7 @@ class IndicatorHistory:
 
 
 @dataclass(frozen=True)
-class FindingHour:
+class FindingHour(_Plain):
     """One hour of findings whose rows were let go: windows, verdicts, and each indicator's n, minimum, maximum and mean."""
 
     hour: datetime
@@ -209,13 +198,9 @@ class FindingHour:
     verdicts: Mapping[str, int]
     indicators: Mapping[str, Mapping[str, Any]]
 
-    def to_json(self) -> dict[str, Any]:
-        """The hour as plain values."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class ModelVersion:
+class ModelVersion(_Plain):
     """One version of a stored model: `kind` is physical (YAML), identified (JSON) or baseline (a trained diagnoser)."""
 
     model: str
@@ -227,13 +212,9 @@ class ModelVersion:
     size_bytes: int
     checksum: str
 
-    def to_json(self) -> dict[str, Any]:
-        """The version without its content."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
-class StoredRecord:
+class StoredRecord(_Plain):
     """An uploaded record: what it holds; the samples are read apart."""
 
     id: int
@@ -245,10 +226,6 @@ class StoredRecord:
     units: Mapping[str, str]
     notes: Sequence[str]
     size_bytes: int
-
-    def to_json(self) -> dict[str, Any]:
-        """The record without its samples."""
-        return asdict(self)
 
 
 class Store(Protocol):

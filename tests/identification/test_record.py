@@ -25,16 +25,14 @@ def test_units_convert_by_name():
 @pytest.mark.parametrize("wanted", ["%", "deg", "rad", "V"])
 def test_a_channel_without_a_unit_is_converted_to_none(wanted):
     record = Record({"duty": [60.0]}, {"duty": ""}, 1.0, source="r.csv")
-    with pytest.raises(
-        BadUnit, match=f"record 'r.csv', channel 'duty': unit none cannot be converted to '{wanted}'; .*--unit duty"
-    ):
+    with pytest.raises(BadUnit, match=f"record 'r.csv', channel 'duty': has no unit, and '{wanted}' is needed; .*--unit duty"):
         record.in_unit("duty", wanted)
     assert record.in_unit("duty", "")[0] == record.in_unit("duty", "1")[0] == 60.0
 
 
 def test_what_is_to_be_typed_is_said_as_a_shell_takes_it():
     record = Record({"Motor voltage": [6.0]}, {"Motor voltage": ""}, 1.0)
-    with pytest.raises(BadUnit, match="--unit 'Motor voltage=V' if"):
+    with pytest.raises(BadUnit, match="--unit 'Motor voltage=V', in Python"):
         record.in_unit("Motor voltage", "V")
 
 

@@ -57,6 +57,7 @@ def test_a_dataset_gives_its_units():
         (xarray.DataArray([1.0, 2.0], dims="time"), r"is an xarray object; make a record of it with rs\.from_xarray"),
         (np.zeros(5), r"is an array; make a record of it with rs\.from_arrays"),
         ([], "is list; must be a Record"),
+        (3, "is int; must be a Record"),
     ],
 )
 def test_what_is_no_record_is_refused_with_the_way_out(given, says):
@@ -91,3 +92,14 @@ def test_a_record_written_and_read_is_the_same(tmp_path):
     record = rs.from_arrays({"speed": SPEED}, units={"speed": "rad/s"}, sample_time=0.02)
     record.save(tmp_path / "a.npz")
     np.testing.assert_array_equal(rs.read(tmp_path / "a.npz")["speed"], SPEED)
+
+
+def test_a_table_handed_to_read_is_refused_with_the_way_out():
+    with pytest.raises(rs.BadRecord, match=r"make a record of it with rs\.from_pandas"):
+        rs.read(pandas.DataFrame({"y": [1.0, 2.0]}))
+
+
+def test_an_output_that_is_mapped_to_no_column_is_refused():
+    record = rs.simulate("linear-axis", duration=2.0, seed=1)
+    with pytest.raises(rs.BadRecord, match="output 'position' is mapped to 'nothing', which is not there; the columns are"):
+        rs.model("linear-axis").compare(record, map={"position": "nothing"})

@@ -6,10 +6,10 @@ from pathlib import Path
 import can
 import numpy as np
 
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.frame_sender import FrameSender
-from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.register_trace import TracedPage, write_trace
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_sender import FrameSender
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_trace import TracedPage, write_trace
 from residuum.service.fieldbus.settings import MAPS
 from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES

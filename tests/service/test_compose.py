@@ -16,8 +16,8 @@ import pytest
 import yaml
 
 from residuum.service.commands import COMMANDS
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.security.access import ApiKeys, Role
 from residuum.service.settings import Settings
 

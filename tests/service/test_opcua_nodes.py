@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("asyncua")
 from asyncua import Client
 
-from residuum.service.fieldbus.node_map import NodeMap
-from residuum.service.fieldbus.opcua import OpcuaSource
+from residuum.service.fieldbus.opcua.node_map import NodeMap
+from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource
 from residuum.service.finding_nodes import FindingNodes
 from residuum.service.simulated.device import Device
 from residuum.service.simulated.wiring import wiring_of

@@ -9,9 +9,9 @@ import httpx
 import pytest
 
 from residuum.identification.record_formats import write_record
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.can_log import read_can_log
-from residuum.service.fieldbus.register_trace import read_trace
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.can_log import read_can_log
+from residuum.service.fieldbus.modbus.register_trace import read_trace
 from residuum.service.fieldbus.replay import replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
 from residuum.service.simulated.demo_training import DIAGNOSER_OF

@@ -96,7 +96,7 @@ class Diagnoser(ABC):
     def with_settings(self, **settings: object) -> Self:
         """The same trained diagnoser with other settings; BadInput for one that it has not. All have `method`."""
         if unknown := [name for name in settings if name != "method"]:
-            raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}")
+            raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}; it has method")
         method = settings.get("method", self.method)
         if method not in self.methods:
             raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: must be {' or '.join(self.methods)}")

@@ -15,16 +15,16 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
-from residuum.diagnosis.vibration.bearing_frequencies import CLASS_OF, BearingFrequencies
-from residuum.diagnosis.vibration.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.fault_lines import LineEvidence, line_evidence
-from residuum.diagnosis.vibration.knocks import without_knocks
+from residuum.diagnosis.vibration.bearings.bearing_frequencies import CLASS_OF, BearingFrequencies
+from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.bearings.fault_lines import LineEvidence, line_evidence
+from residuum.diagnosis.vibration.bearings.knocks import without_knocks
+from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
 from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
-from residuum.diagnosis.vibration.moving_lines import moving_line
-from residuum.diagnosis.vibration.octave_bands import octave_edges, octave_rms
+from residuum.diagnosis.vibration.rotation.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
+from residuum.diagnosis.vibration.rotation.steady_speed import at_steady_speed
 from residuum.diagnosis.vibration.sensor_health import changed_gain, suspect, unusable
-from residuum.diagnosis.vibration.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
-from residuum.diagnosis.vibration.steady_speed import at_steady_speed
+from residuum.diagnosis.vibration.spectra.octave_bands import octave_edges, octave_rms
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
@@ -391,7 +391,7 @@ def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Re
     healthy = [record for k, record in enumerate(records) if labels is None or labels[k] == "healthy"]
     rates = {round(record.sampling_rate, 3) for record in healthy}
     if len(rates) != 1:
-        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate")
+        raise BadInput(f"bearing: healthy records of {sorted(rates)} Hz; must be of one rate; train one baseline a rate")
     return [block for record in healthy for block in blocks_of(record)]
 
 

@@ -14,11 +14,11 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
-from residuum.diagnosis.vibration.envelope import band_envelope
-from residuum.diagnosis.vibration.kurtogram import Band, Kurtogram, kurtogram
-from residuum.diagnosis.vibration.round_comparison import RoundComparison, compare_rounds, round_profile
-from residuum.diagnosis.vibration.rounds import Rounds, cut_rounds
+from residuum.diagnosis.vibration.rotation.round_comparison import RoundComparison, compare_rounds, round_profile
+from residuum.diagnosis.vibration.rotation.rounds import Rounds, cut_rounds
 from residuum.diagnosis.vibration.sensor_health import suspect, unusable
+from residuum.diagnosis.vibration.spectra.envelope import band_envelope
+from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
@@ -103,7 +103,7 @@ class GrippingPliers(Diagnoser):
         if count < self.minimum_rounds:
             raise NotIdentifiable(f"gripping-pliers: {count} healthy rounds; at least {self.minimum_rounds} are needed")
         if len(rates) != 1:
-            raise BadInput(f"gripping-pliers: records of {sorted(rates)} Hz; all must have one rate")
+            raise BadInput(f"gripping-pliers: records of {sorted(rates)} Hz; all must have one rate; train one baseline a rate")
         self._baseline = _Baseline.of(healthy, faulty, self.levels)
         return self
 

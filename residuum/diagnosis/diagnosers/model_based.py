@@ -106,7 +106,9 @@ class ModelBased(Diagnoser):
         try:
             other = type(self)(model=self.model, **known)  # type: ignore[arg-type]
         except TypeError:
-            raise BadInput(f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}") from None
+            raise BadInput(
+                f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}; it has {', '.join(known)}"
+            ) from None
         other._baseline = self._baseline
         return other
 

@@ -13,9 +13,9 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
 from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS
-from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import BankOutput
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals
 from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
 from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
 from residuum.diagnosis.thresholds.threshold import bounds, source_threshold
@@ -219,7 +219,7 @@ class RobustResidual(Diagnoser):
         said = f"{compared}: {_describe(estimate, evidence)}" if estimate is not None else compared
         if not evidence["model_explains_healthy_data"] and self.method == "default":
             said += (
-                f"; the healthy records already carry structured error (p = {self.design.structured_p:.1g}), "
+                "; the healthy records already carry structured error, "
                 "so the limit was widened: find the missing effect with `residuum explain`, add it with `residuum improve`, "
                 "and train `model-based` with the improved model to see smaller faults"
             )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.pipeline import Pipeline
 
-from residuum.diagnosis.residuals.fault_isolation import HEALTHY, UNKNOWN, RayDistances, isolation_classifier
+from residuum.diagnosis.residuals.fault_isolation import HEALTHY, RayDistances, isolation_classifier
 from residuum.identification.errors import NotIdentifiable
 
 Matrix = npt.NDArray[np.float64]
@@ -22,9 +22,8 @@ _FEWEST = 3  # movements a class
 
 @dataclass(frozen=True)
 class Isolation:
-    """Which fault a movement resembles most, how probable any fault is, each class's probability and distance."""
+    """How probable any fault is, and each class's probability and distance."""
 
-    likeliest_fault: str
     fault_probability: float
     probabilities: Mapping[str, float]
     distances: Mapping[str, float]
@@ -65,10 +64,8 @@ class MovementClassifier:
         classes = [str(label) for label in self.rays.classes_]
         distances = dict(zip(classes, map(float, self.rays.transform(x[None])[0]), strict=True))
         probabilities = dict(zip(classes, map(float, self.pipeline.predict_proba(x[None])[0]), strict=True))
-        faults = [label for label in classes if label != HEALTHY]
-        likeliest = max(faults, key=probabilities.__getitem__) if faults else UNKNOWN
         fits_none = all(distances[label] > limit for label, limit in self.distance_limits.items())
-        return Isolation(likeliest, 1.0 - probabilities[HEALTHY], probabilities, distances, fits_none)
+        return Isolation(1.0 - probabilities[HEALTHY], probabilities, distances, fits_none)
 
 
 def _held_out_distances(X: Matrix, labels: npt.NDArray[Any], folds: Sequence[tuple[Matrix, Matrix]]) -> Matrix:

@@ -13,7 +13,7 @@ from residuum.diagnosis.gate.operating_events import slow_residual
 from residuum.diagnosis.gate.position_domain import PositionProfile, position_profile
 from residuum.diagnosis.gate.residual_envelope import EnvelopeSpectrum, envelope_spectrum, fault_indicators, residual_envelope
 from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.vibration.shaft_pattern import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
+from residuum.diagnosis.vibration.rotation.shaft_pattern import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
 
 Signal = npt.NDArray[np.float64]
 RATE = 500.0  # Hz; over seven samples a motor turn, 320 a shaft turn

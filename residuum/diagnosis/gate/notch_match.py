@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
-from residuum.diagnosis.vibration.shaft_pattern import POINTS_OF_A_TURN
+from residuum.diagnosis.vibration.rotation.shaft_pattern import POINTS_OF_A_TURN
 from residuum.identification.errors import NotIdentifiable
 
 Signal = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.learning.object_wise_validation import Labels, Validation
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.bootstrap import weighed
+from residuum.identification.linear_models.validation.bootstrap import weighed
 from residuum.identification.record import Record
 
 Fit = Callable[[Sequence[int]], Diagnoser]

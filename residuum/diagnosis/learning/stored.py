@@ -115,12 +115,16 @@ def load_stored(path: str | Path, kind: str) -> Stored:
     try:
         with zipfile.ZipFile(path) as archive:
             if sum(info.file_size for info in archive.infolist()) > _LARGEST:
-                raise BadInput(f"{path}: unpacks to more than {_LARGEST >> 20} MiB; is not a stored diagnoser")
+                raise BadInput(
+                    f"{path}: unpacks to more than {_LARGEST >> 20} MiB; is not a stored diagnoser; `residuum train` writes one"
+                )
             return _read(archive, str(path), kind)
     except _UNREADABLE as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(f"{path}: is not a stored diagnoser: {' '.join(str(error).split())[:120]}") from None
+        raise BadInput(
+            f"{path}: is not a stored diagnoser, as `residuum train` writes one: {' '.join(str(error).split())[:120]}"
+        ) from None
 
 
 def stored_kind(path: str | Path) -> str | None:
@@ -136,7 +140,7 @@ def stored_kind(path: str | Path) -> str | None:
 def _read(archive: zipfile.ZipFile, path: str, kind: str) -> Stored:
     header = json.loads(archive.read(_HEADER))
     if not isinstance(header, dict) or header.get("format") != _FORMAT:
-        raise BadInput(f"{path}: is not a stored diagnoser")
+        raise BadInput(f"{path}: is not a stored diagnoser; `residuum train` writes one")
     if header["kind"] != kind:
         raise BadInput(f"{path}: holds a {header['kind']!r} diagnoser; {kind!r} is needed")
     stored = Stored(kind, int(header["version"]), dict(header["meta"]))

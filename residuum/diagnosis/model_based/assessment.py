@@ -13,8 +13,9 @@ from scipy import stats
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
+from residuum.diagnosis.model_based.complete_stretch import complete_stretch
 from residuum.diagnosis.model_based.detection import Detected, detected
-from residuum.diagnosis.model_based.policy import FEWEST_SAMPLES, LEAST_EXCITED, SHORTEST, STILL
+from residuum.diagnosis.model_based.policy import COMPLETE, FEWEST_IN_A_WINDOW, LEAST_EXCITED, SHORTEST, STILL
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.diagnosis.model_based.wording import said
@@ -46,7 +47,12 @@ class Seen:
 
 @one_thread()
 def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: float) -> Finding:
-    """The finding on one window; its indicator is the rarity of such a window among healthy ones, as a normal deviation."""
+    """The finding on one window; its indicator is the rarity of such a window among healthy ones, as a normal deviation.
+
+    A window with holes is judged by its longest stretch without one, where that is longer than half a healthy window.
+    """
+    whole = record
+    record = complete_stretch(whole, _required(baseline), COMPLETE * baseline.seconds / baseline.sample_time)
     try:
         seen = seen_window(baseline, record)
     except NotAssessable as refused:
@@ -66,6 +72,9 @@ def assess(name: str, baseline: Baseline, record: Record, false_alarms_per_day: 
         "missing_physics": missing_physics(baseline),
     }
     reason = _reason(baseline, max(deviation, 0.0), limit, told, false_alarms_per_day)
+    if record is not whole:
+        evidence["judged"] = {"from": record.t0, "to": record.t0 + record.duration, "samples": record.n, "of": whole.n}
+        reason += f"; judged by the {record.n} of {whole.n} samples from {record.t0:.6g} s on, between which none is missing"
     fault_class = _class(listed[0]) if listed else None
     verdict = Verdict.FAULTY if faulty else Verdict.HEALTHY
     indicators = {"deviation": max(deviation, 0.0)}
@@ -100,16 +109,20 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     return Seen(window, features, fit, baseline.offsets_in(fitter, usual))
 
 
+def _required(baseline: Baseline) -> list[str]:
+    """The signals that a window must have."""
+    inputs = [n for n, s in baseline.model.inputs.items() if not s.absent]
+    return inputs + [n for n, there in zip(baseline.model.outputs, baseline.measured, strict=True) if there]
+
+
 def _experiment(baseline: Baseline, record: Record) -> Experiment:
-    model, Ts = baseline.model, baseline.sample_time
-    required = [n for n, s in model.inputs.items() if not s.absent]
-    required += [n for n, there in zip(model.outputs, baseline.measured, strict=True) if there]
+    model, Ts, required = baseline.model, baseline.sample_time, _required(baseline)
     for name in required:
         if name not in record.names:
             raise BadRecord(f"record {record.source!r}: channel {name!r} is missing; the columns are {', '.join(record.names)}")
     if abs(record.sample_time / Ts - 1.0) > 1e-3:
         raise NotAssessable(f"sampled every {record.sample_time:g} s; the baseline was trained at {Ts:g} s")
-    shortest = max(FEWEST_SAMPLES, int(SHORTEST * baseline.seconds / Ts))
+    shortest = max(FEWEST_IN_A_WINDOW, int(SHORTEST * baseline.seconds / Ts))
     if record.n < shortest:
         raise NotAssessable(f"{record.n} samples; at least {shortest} are needed")
     for name in required:

@@ -16,7 +16,7 @@ from scipy import stats
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
-from residuum.diagnosis.model_based.policy import POWER, STEPS, WIDE
+from residuum.diagnosis.model_based.policy import FIT_STEPS, VISIBLE_POWER, WIDE
 from residuum.diagnosis.model_based.scatter import Scatter
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.whitening import Whitening
@@ -117,13 +117,13 @@ class Baseline:
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
     def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[Array, Array]:
-        """The offset of each output that explains a window best beside values in their healthy scatter, and the information that
-        the window has on it, each of shape (outputs,); begun where the healthy model's fit ended.
+        """The offset of each output that explains a window best beside values in their healthy scatter, and its information.
+        Each has shape (outputs,). Begun where the healthy model's fit ended.
         """
         found, told = np.zeros((2, len(self.model.outputs)))
         for o in np.flatnonzero(self.measured):
             moved = Variant(self.model, sizes=(0.0,), lower=(-np.inf,), reading=edited(int(o), shifted))
-            fit = fitter.fit(moved, STEPS, beside=healthy)
+            fit = fitter.fit(moved, FIT_STEPS, beside=healthy)
             if fit is not None:
                 found[o], told[o] = fit.own[0], information_on_size(fit, fitter.covariance)
         return found, told
@@ -138,7 +138,7 @@ class Baseline:
         if not self.free:
             return {}
         std = np.sqrt(np.diag(self.values.S) + 1.0 / np.maximum(self.typical, 1e-300))
-        reach = stats.t.isf(min(0.5, level / (6.0 * len(self.free))), self.values.freedom) + stats.norm.ppf(POWER)
+        reach = stats.t.isf(min(0.5, level / (6.0 * len(self.free))), self.values.freedom) + stats.norm.ppf(VISIBLE_POWER)
         return dict(zip(self.free, (reach * std).tolist(), strict=True))
 
     def save(self, path: str | Path, kind: str, settings: Mapping[str, Any]) -> None:
@@ -219,7 +219,7 @@ def alone(model: PhysicalModel, window: Experiment, mean: Array, whitening: Whit
     to begin with.
     """
     fitter = WindowFitter(model, window, mean, wide_prior(mean), whitening, 1e6)
-    each = [fitter.fit(Variant(model), 2 * STEPS, one) for one in ([None] if begin is None else [None, begin])]
+    each = [fitter.fit(Variant(model), 2 * FIT_STEPS, one) for one in ([None] if begin is None else [None, begin])]
     return min((fit for fit in each if fit is not None), key=lambda fit: float(np.mean(fit.power)), default=None)
 
 

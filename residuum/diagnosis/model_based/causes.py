@@ -72,8 +72,8 @@ def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Caus
 def _two(
     baseline: Baseline, fitter: WindowFitter, whole: Sequence[Tried], listed: Sequence[Tried]
 ) -> tuple[Pair, list[Cause], float] | None:
-    """The best pair of what may have been there all window long with both of its causes, where it is cheaper than any single
-    hypothesis, and the probability of any pair; that of a cause is of all pairs which hold it.
+    """The best pair of causes that may have acted all window long, where it costs less than any single hypothesis. Beside it
+    stands the probability of any pair; that of a cause is of all pairs which hold it.
     """
     found = pairs(baseline, fitter, whole)
     if not found:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.model_based.policy import FAR, FIRST_SIZE, GRID, KNOTS, STARTS
+from residuum.diagnosis.model_based.policy import FIRST_SIZE, GRID, KNOTS, LOST_READING, SHAPES_LOOKED_AT
 from residuum.diagnosis.model_based.variant import Variant, amplified, delayed, edited, held
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter
 from residuum.identification.errors import BadInput
@@ -62,18 +62,13 @@ class Hypothesis:
 def hypotheses(model: PhysicalModel, values: Sequence[str]) -> list[Hypothesis]:
     """Everything that may have happened to a machine with this model, of which these values may change."""
     found = [_value(model, name) for name in values]
-    found += [_new_effect(model, key) for key in candidates(model) if _recorded(model, key)]
+    found += [_new_effect(model, key) for key in candidates(model) if model.records(key)]
     for o, (name, output) in enumerate(model.outputs.items()):
         found += _sensor(model, o, name, output.unit)
     for i, (name, signal) in enumerate(model.inputs.items()):
         if not signal.absent and Key("input-offset", name) in candidates(model, ["input-offset"]):
             found += _actuator(model, i, name, signal.unit)
     return found + [_load(model, name) for name in model.balances]
-
-
-def _recorded(model: PhysicalModel, key: Key) -> bool:
-    effect = find_effect(key.effect)
-    return effect.recorded(model.site(key.target, effect))
 
 
 def _load(model: PhysicalModel, balance: str) -> Hypothesis:
@@ -99,7 +94,7 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list
     """An effect at each of its first shapes, small: the fit finds its sizes."""
     effect, found = find_effect(key.effect), []
     try:
-        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:STARTS]:
+        for start in list(effect.starts(conditions_at(model, effect, key.target, e, X)))[:SHAPES_LOOKED_AT]:
             small = {name: value * FIRST_SIZE if name in effect.sizes else value for name, value in start.items()}
             larger = model.with_effect(*key, small)
             use = larger.effects[-1]
@@ -184,7 +179,7 @@ def _dropped(o: int, fitter: WindowFitter, healthy: Fit) -> Fit | None:
     r, Y = healthy.error[:, o], fitter.window.Y.copy()
     if not fitter.count[o]:
         return None
-    far = np.abs(np.nan_to_num(r)) > FAR * 1.4826 * np.nanmedian(np.abs(r))
+    far = np.abs(np.nan_to_num(r)) > LOST_READING * 1.4826 * np.nanmedian(np.abs(r))
     values, counts = np.unique(Y[far, o], return_counts=True)
     if not counts.size or counts.max() < max(3.0, 0.5 * float(far.sum())):
         return None

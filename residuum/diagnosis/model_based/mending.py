@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.diagnosis.model_based.baseline import alone
-from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, NONE, OPEN, SEARCH, SEARCHED
+from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, NO_ERROR, OPEN, SEARCH, SEARCHED
 from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.diagnosis.model_based.window_fit import Fit, information
 from residuum.identification.errors import BadRecord, NotIdentifiable
@@ -45,7 +45,7 @@ class _Mended:
         """
         there = self.windows[0].measured
         power = [None if f is None else f.power.mean(axis=0) for f in self.fits]
-        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NONE**2), where=there) for p in power])
+        return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=there) for p in power])
 
     @property
     def told(self) -> Array:
@@ -55,8 +55,8 @@ class _Mended:
 
 
 def mended(model: PhysicalModel, windows: Sequence[Experiment], whitening: Whitening) -> tuple[PhysicalModel, list[Experiment]]:
-    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it; both as they are
-    where nothing is lacking in all of them.
+    """The model with what healthy windows lack beside it, and the windows at the input timing that suits it. Both stay as they
+    are where nothing is lacking in all of them.
 
     Values of new effects that the windows leave open are held.
     """

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
-from residuum.diagnosis.model_based.policy import FINEST, FOLLOWED, LOOK, PARTS, STEPS
+from residuum.diagnosis.model_based.policy import BEGINNINGS_FOLLOWED, FIT_STEPS, LOOK_STEPS, PARTS, WINDOW_PARTS
 from residuum.diagnosis.model_based.trying import Tried
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import WindowFitter
@@ -25,13 +25,13 @@ def begun(baseline: Baseline, fitter: WindowFitter, features: Array) -> dict[str
     window, found = fitter.window, dict[str, Tried]()
     listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
     for part in range(1, PARTS):
-        _keep(found, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK), fitter)
+        _keep(found, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS), fitter)
     steps = window.n // PARTS
-    while (steps := steps // 2) > window.n // FINEST:
+    while (steps := steps // 2) > window.n // WINDOW_PARTS:
         ranked = sorted(found.values(), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
-        for t in ranked[:FOLLOWED]:
+        for t in ranked[:BEGINNINGS_FOLLOWED]:
             for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
-                _keep(found, _beginning_at(baseline, fitter, features, at, [t.hypothesis], STEPS), fitter)
+                _keep(found, _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS), fitter)
     return found
 
 

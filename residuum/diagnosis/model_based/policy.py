@@ -2,7 +2,7 @@
 
 FEWEST_WINDOWS, CUT_INTO = 6, 20
 """Healthy windows at least, and windows that few long records are cut into. Chosen."""
-FEWEST_SAMPLES = 60
+FEWEST_IN_A_WINDOW = 60
 """[samples] Of a healthy window. Chosen."""
 OPEN = 0.3
 """[of its value] Standard deviation over all healthy windows from which on a value is undetermined. Chosen."""
@@ -21,19 +21,19 @@ SEARCHED, CALIBRATED = 1, 8
 """Healthy windows in which missing physics is sought, and in which every hypothesis is tried. Chosen."""
 SEARCH = 1e9
 """[samples] Of work in one such search. Chosen."""
-NONE = 1e-3
+NO_ERROR = 1e-3
 """[of the error over all windows] An error in one of them that is none. Chosen."""
 ALWAYS = 3.0
 """[standard errors over windows] By which the error has to fall in them for an effect to be missing physics. Chosen."""
 
-LOOK, STEPS = 2, 8
+LOOK_STEPS, FIT_STEPS = 2, 8
 """Gauss-Newton steps of a look and of a fit. Chosen."""
-FITTED = 14
+HYPOTHESES_FITTED = 14
 """Hypotheses that are fitted after the look. Chosen."""
 PAIRED, PAIR_STEPS, FITTED_PAIRS = 6, 5, 4
 """Likeliest hypotheses of which pairs are looked at where one alone leaves too much, Gauss-Newton steps of such a look, and pairs
 that are fitted. Chosen."""
-STARTS = 4
+SHAPES_LOOKED_AT = 4
 """First shapes of an effect that are looked at. Chosen."""
 FIRST_SIZE = 0.1
 """[of the catalogue's first size] With which an effect begins: the fit finds its size. Chosen."""
@@ -44,7 +44,7 @@ SETTLED = 1e-4
 KNOTS = 6
 """Of an unknown load that changes slowly over a window. Chosen."""
 
-GRID, PARTS, FOLLOWED, FINEST = 16, 4, 4, 100
+GRID, PARTS, BEGINNINGS_FOLLOWED, WINDOW_PARTS = 16, 4, 4, 100
 """Beginnings of what sticks; coarse beginnings of all else, how many are followed further, and the parts of a window
 at the end. Chosen."""
 UNEXPLAINED = 4.0
@@ -52,15 +52,17 @@ UNEXPLAINED = 4.0
 LEAST_UNKNOWN = 0.1
 """Probability of `unknown` at least where error is left. Chosen."""
 
-FAR = 8.0
+LOST_READING = 8.0
 """[robust spreads] Of an error from which on a reading may have been lost. Chosen."""
 LEAST_EXCITED = 0.03
 """[of a healthy window's] Information on some value that a window needs. Chosen."""
 SHORTEST = 0.25
 """[of a healthy window] Length under which a window is too short. Chosen."""
+COMPLETE = 0.5
+"""[of a healthy window] Length beyond which the longest stretch without a hole stands for a window with holes. Chosen."""
 TOLD = 12
 """Causes that an answer lists at most. Chosen."""
-POWER = 0.9
+VISIBLE_POWER = 0.9
 """Probability with which the smallest visible change of a baseline is found. Chosen."""
 LEARNED_FALSELY = 0.01
 """Probability with which healthy windows are refused as a new baseline. Chosen."""

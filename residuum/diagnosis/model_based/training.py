@@ -20,7 +20,7 @@ from residuum.diagnosis.model_based.policy import (
     APART,
     CALIBRATED,
     CUT_INTO,
-    FEWEST_SAMPLES,
+    FEWEST_IN_A_WINDOW,
     FEWEST_WINDOWS,
     OPEN,
 )
@@ -86,13 +86,13 @@ def windows_of(records: Sequence[Record]) -> list[Record]:
         raise BadRecord("model-based: no healthy record to train on")
     if len(records) >= FEWEST_WINDOWS:
         return list(records)
-    length = max(min(r.n for r in records) * len(records) // CUT_INTO, FEWEST_SAMPLES)
+    length = max(min(r.n for r in records) * len(records) // CUT_INTO, FEWEST_IN_A_WINDOW)
     parts = [r.window(k, k + length) for r in records for k in range(0, r.n - length + 1, length)]
     if len(parts) < FEWEST_WINDOWS:
         samples = sum(r.n for r in records)
         raise BadRecord(
             f"model-based: {len(records)} healthy records with {samples} samples; at least {FEWEST_WINDOWS} windows of "
-            f"{FEWEST_SAMPLES} samples are needed, 20 are good"
+            f"{FEWEST_IN_A_WINDOW} samples are needed, 20 are good"
         )
     return parts
 
@@ -105,8 +105,8 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
                 f"record {e.source!r}: sampled every {e.sample_time:g} s, {first.source!r} every {first.sample_time:g} s; "
                 "healthy windows must be alike"
             )
-        if e.n < FEWEST_SAMPLES:
-            raise BadRecord(f"record {e.source!r}: {e.n} samples; a healthy window needs at least {FEWEST_SAMPLES}")
+        if e.n < FEWEST_IN_A_WINDOW:
+            raise BadRecord(f"record {e.source!r}: {e.n} samples; a healthy window needs at least {FEWEST_IN_A_WINDOW}")
         if np.any(e.measured != first.measured):
             raise BadRecord(f"records {e.source!r} and {first.source!r}: have different outputs; healthy windows must be alike")
     hold = np.array(np.mean([e.hold for e in experiments], axis=0) >= 0.5, dtype=float)
@@ -197,7 +197,9 @@ def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: 
     for e in experiments:
         fit = alone(model, e, start, whitening)
         if fit is None:
-            raise BadRecord(f"record {e.source!r}: the model diverges along it; no healthy window may be like that")
+            raise BadRecord(
+                f"record {e.source!r}: the model diverges along it; look at it with `residuum compare`, or leave it out"
+            )
         found.append(fit)
     return found
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
-from residuum.diagnosis.model_based.policy import FITTED, GRID, LOOK
+from residuum.diagnosis.model_based.policy import GRID, HYPOTHESES_FITTED, LOOK_STEPS
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter
 from residuum.identification.errors import BadRecord
@@ -32,17 +32,19 @@ def tried(
     """
     healthy = fitter.fit(Variant(fitter.model))
     if healthy is None:
-        raise BadRecord(f"record {fitter.window.source!r}: the model diverges along it")
+        raise BadRecord(
+            f"record {fitter.window.source!r}: the model diverges along it; `residuum compare` shows how far off it is"
+        )
     X, looks = fitter.states(healthy), []
     for h in listed:
         if h.seen is not None:
             each = [h.seen(fitter, healthy)]
         else:
-            each = [fitter.fit(v, LOOK, beside=healthy) for v in h.variants(fitter.window, X)]
+            each = [fitter.fit(v, LOOK_STEPS, beside=healthy) for v in h.variants(fitter.window, X)]
         if known := [fit for fit in each if fit is not None]:
             looks.append(Tried(h, min(known, key=fitter.nats)))
     looks.sort(key=lambda t: fitter.nats(t.fit) + usual_gain(t.hypothesis))
-    looks[:FITTED] = [_fitted(fitter, healthy, t) for t in looks[:FITTED]]
+    looks[:HYPOTHESES_FITTED] = [_fitted(fitter, healthy, t) for t in looks[:HYPOTHESES_FITTED]]
     return healthy, {t.hypothesis.label: t for t in looks}
 
 
@@ -56,6 +58,6 @@ def _fitted(fitter: WindowFitter, healthy: Fit, look: Tried) -> Tried:
     best = min(known, key=fitter.nats)
     while h.begin is not None and (steps := steps // 2):
         beside = [t for t in (best.onset - steps, best.onset + steps) if 0 <= t < fitter.window.n - 2]
-        others = [fitter.fit(h.begin(fitter.window, t), LOOK, beside=healthy) for t in beside]
+        others = [fitter.fit(h.begin(fitter.window, t), LOOK_STEPS, beside=healthy) for t in beside]
         best = min([best, *(fit for fit in others if fit is not None)], key=fitter.nats)
     return Tried(h, best)

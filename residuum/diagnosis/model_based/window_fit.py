@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.model_based.policy import LOOK, NO_MERIT, SETTLED, STEPS
+from residuum.diagnosis.model_based.policy import FIT_STEPS, LOOK_STEPS, NO_MERIT, SETTLED
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.identification.errors import BadInput
@@ -110,14 +110,14 @@ class WindowFitter:
         """[nat] What it costs."""
         return float(self.logs(fit).sum()) + self.price(fit)
 
-    def fit(self, variant: Variant, steps: int = STEPS, begin: Fit | None = None, beside: Fit | None = None) -> Fit | None:
+    def fit(self, variant: Variant, steps: int = FIT_STEPS, begin: Fit | None = None, beside: Fit | None = None) -> Fit | None:
         """From a fit of the same variant, or from the variant's values and the first states of a fit beside it.
 
         A look keeps the steps of that fit too, where it adds no state that may be faster. None where it cannot be simulated.
         """
         try:
             problem = _Problem(self, variant, begin, None if beside is None else beside.initial)
-            if beside is not None and steps <= LOOK and len(problem.x0) == len(beside.initial):
+            if beside is not None and steps <= LOOK_STEPS and len(problem.x0) == len(beside.initial):
                 problem.substeps = beside.substeps
             return problem.solved(steps)
         except (BadInput, NotImplementedError, np.linalg.LinAlgError):
@@ -163,7 +163,7 @@ class _Problem:
         if here is None:
             return None
         z = self.z
-        for _ in range(1 if steps <= LOOK else 2):  # twice: errors beyond the healthy size say less
+        for _ in range(1 if steps <= LOOK_STEPS else 2):  # twice: errors beyond the healthy size say less
             z, here = self._descended(z, here, self._weights(here[0]), steps)
         return self._told(z, here)
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy import linalg, stats
 
 from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS, FaultContext
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator
 from residuum.identification.linear_models.state_space import FloatArray
 
 STUCK, PLANT_CHANGE = "stuck-sensor", "plant-change"

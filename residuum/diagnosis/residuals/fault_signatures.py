@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator
 from residuum.identification.linear_models.state_space import FloatArray
 
 

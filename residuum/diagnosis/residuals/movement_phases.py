@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.places.locate import Axis
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,18 +12,18 @@ import numpy as np
 from scipy import signal, stats
 
 from residuum.diagnosis.learning.stored import load_stored, save_stored
-from residuum.diagnosis.residuals.approximate_fault_detection import (
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import (
     FaultKind,
     PostFilter,
     approximate_fault_detection,
     noise_path,
 )
-from residuum.diagnosis.residuals.classical_filters import Given, classical_filter
+from residuum.diagnosis.residuals.generators.classical_filters import Given, classical_filter
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.residuals.innovation_size import with_unbiased_size
-from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
 from residuum.diagnosis.residuals.residual_evaluation import EVALUATIONS, evaluate
-from residuum.diagnosis.residuals.residual_generator import ResidualGenerator, ResidualSignals, generator_of
 from residuum.diagnosis.systems.coprime import left_coprime
 from residuum.diagnosis.systems.system_norms import peak_gain
 from residuum.diagnosis.thresholds.hazard_tail import HazardTail
@@ -40,7 +40,7 @@ STRUCTURED_P = 1e-3
 """Of a right model, one healthy record in so many shows structured error."""
 KIND, VERSION = "residual-design", 1
 _SWAPPED = 0.3  # of explained variance by which the reverse direction must win
-_RATE_TOLERANCE = 1e-3
+_RATE_TOLERANCE = 1e-3  # of a record's sample time
 ROBUST = "robust"
 _NOISE_NUMBERS = ("sigma", "dof", "n", "shape", "freedom", "blur")
 _SETTLED = 1000  # samples of the post-filter's impulse response
@@ -150,10 +150,7 @@ class ResidualDesign:
         """
         u = record.in_unit(self.model.input_name, self.model.input_unit)
         y = record.in_unit(self.model.output_name, self.model.output_unit)
-        if abs(record.sample_time / self.model.sample_time - 1.0) > _RATE_TOLERANCE:
-            raise BadRecord(
-                f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs {self.model.sample_time:g} s"
-            )
+        refuse_other_rate(record, self.model.sample_time)
         return u, y
 
     def refuse_swapped(self, record: Record) -> None:
@@ -227,7 +224,7 @@ class ResidualDesign:
             )
             return design, dict(stored.meta["settings"])
         except (KeyError, TypeError) as error:
-            raise BadInput(f"{path}: is not a residual design: {error}") from None
+            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
 
 
 _NUMBERS = ("method", "gamma", "fault", "input_mean", "output_mean", "input_bound", "noise_bound", "structured_p")
@@ -369,3 +366,9 @@ def _jsonable(value: Any) -> Any:
 
 def _number(value: Any) -> Any:
     return float(value["float"]) if isinstance(value, dict) and value.keys() == {"float"} else value
+
+
+def refuse_other_rate(record: Record, sample_time: float) -> None:
+    """BadRecord for a record that was not sampled as a design was."""
+    if abs(record.sample_time / sample_time - 1.0) > _RATE_TOLERANCE:
+        raise BadRecord(f"record {record.source!r}: sample time {record.sample_time:g} s; the design needs {sample_time:g} s")

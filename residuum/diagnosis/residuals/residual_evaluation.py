@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
-from residuum.diagnosis.residuals.residual_generator import ResidualSignals
+from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
+from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.thresholds.cusum import cusum
 from residuum.identification.linear_models.state_space import FloatArray
 
@@ -24,27 +24,11 @@ class BankAt(Protocol):
         """The bank."""
 
 
-def _point(bank: BankAt, signals: ResidualSignals) -> FloatArray:
-    return np.abs(signals.robust)
-
-
-def _rms(bank: BankAt, signals: ResidualSignals) -> FloatArray:
-    return moving_rms(signals)
-
-
-def _cusum(bank: BankAt, signals: ResidualSignals) -> FloatArray:
-    return cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic
-
-
-def _glr(bank: BankAt, signals: ResidualSignals) -> FloatArray:
-    return bank(_LAZY, restart=False).process(signals).statistic
-
-
 EVALUATIONS: dict[str, Callable[[BankAt, ResidualSignals], FloatArray]] = {
-    "point": _point,
-    "rms": _rms,
-    "cusum": _cusum,
-    "glr": _glr,
+    "point": lambda bank, signals: np.abs(signals.robust),
+    "rms": lambda bank, signals: moving_rms(signals),
+    "cusum": lambda bank, signals: cusum(signals.scores, signals.valid, CUSUM_REFERENCE, np.inf).statistic,
+    "glr": lambda bank, signals: bank(_LAZY, restart=False).process(signals).statistic,
 }
 
 

@@ -77,15 +77,6 @@ def scan_threshold(rate: float, scans: Sequence[tuple[int, Sequence[int]]]) -> f
     return float(optimize.brentq(excess, 1.0, 30.0)) if excess(1.0) > 0 else 1.0
 
 
-def cusum_rate(h: float, reference: float) -> float:
-    """Alarms per sample of a two-sided CUSUM of independent standard normals with threshold h.
-
-    Siegmund's approximation of the one-sided mean time between alarms,
-    (e^{2kh′} − 2kh′ − 1)/(2k²) with h′ = h + 1.166, halved for two sides (Sequential Analysis, 1985, ch. 10).
-    """
-    return float(np.exp(_log_cusum_rate(h, reference)))
-
-
 def shiryaev_roberts_rate(level: float, step: float) -> float:
     """Alarms per sample of a two-sided Shiryaev–Roberts statistic for ±`step` standard deviations with threshold ln R = `level`.
 
@@ -99,7 +90,11 @@ def shiryaev_roberts_rate(level: float, step: float) -> float:
 
 
 def cusum_threshold(rate: float, reference: float) -> float:
-    """h of a two-sided CUSUM of independent standard normals that alarms at `rate` per sample; see `cusum_rate`."""
+    """h of a two-sided CUSUM of independent standard normals that alarms at `rate` per sample.
+
+    Siegmund's approximation of the one-sided mean time between alarms,
+    (e^{2kh′} − 2kh′ − 1)/(2k²) with h′ = h + 1.166, halved for two sides (Sequential Analysis, 1985, ch. 10).
+    """
     return float(optimize.brentq(lambda h: _log_cusum_rate(h, reference) - np.log(rate), 1e-6, 1000.0))
 
 

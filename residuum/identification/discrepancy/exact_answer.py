@@ -8,19 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.completeness import is_incomplete
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.final_estimate import doubts_of
-from residuum.identification.discrepancy.free_term import FreeTerm, free_term
-from residuum.identification.discrepancy.held_values import held_values
-from residuum.identification.discrepancy.judgement import Judgement, judge
+from residuum.identification.discrepancy.fitting.structures import times_each_its_innovations
+from residuum.identification.discrepancy.fitting.unseen_errors import Blocks, blocks_of, remaining_of, unseen
+from residuum.identification.discrepancy.judging.completeness import is_incomplete
+from residuum.identification.discrepancy.judging.free_term import FreeTerm, free_term
+from residuum.identification.discrepancy.judging.judgement import Judgement, judge
 from residuum.identification.discrepancy.next_experiment import next_experiments
-from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.structures import times_each_its_innovations
-from residuum.identification.discrepancy.unseen_errors import Blocks, blocks_of, remaining_of, unseen
-from residuum.identification.discrepancy.visibility import undetectable
+from residuum.identification.discrepancy.screening.visibility import undetectable
+from residuum.identification.discrepancy.searching.held_values import held_values
+from residuum.identification.discrepancy.searching.search_state import Search
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
@@ -52,7 +51,7 @@ def answer_of(exact: Exact, model: PhysicalModel, *, searched: bool, structured:
         timing=tuple(found.timing),
         drifting=found.drifting,
         left=_left(found),
-        values=estimated_values(model, found.best.model, doubts_of(found.best)),
+        values=estimated_values(model, found.best.model, found.best.doubts),
         held=held_values(model, exact.doubted, found.best),
         remaining=remaining,
         blocks=errors,

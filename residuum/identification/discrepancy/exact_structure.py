@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from residuum.identification.discrepancy.completeness import at_the_noise
-from residuum.identification.discrepancy.experiments_to_blame import searched
-from residuum.identification.discrepancy.held_values import wrongly_held
-from residuum.identification.discrepancy.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.last_look import keep_what_shows
+from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
+from residuum.identification.discrepancy.judging.completeness import at_the_noise
+from residuum.identification.discrepancy.judging.experiments_to_blame import searched
 from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
-from residuum.identification.discrepancy.search_state import Search
+from residuum.identification.discrepancy.searching.held_values import wrongly_held
+from residuum.identification.discrepancy.searching.last_look import keep_what_shows
+from residuum.identification.discrepancy.searching.search_state import Search
 from residuum.identification.physics import Experiment, PhysicalModel, candidates
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.exact_structure import Exact
-from residuum.identification.discrepancy.free_term import FreeTerm
+from residuum.identification.discrepancy.judging.free_term import FreeTerm
 from residuum.identification.physics import Key
 from residuum.identification.unseen_blocks.advice import Undetectable
 from residuum.identification.unseen_blocks.block_errors import BlockErrors

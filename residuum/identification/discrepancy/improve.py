@@ -7,26 +7,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
 from residuum.identification.discrepancy.explain import check_length
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.final_estimate import (
-    doubts_of,
+from residuum.identification.discrepancy.fitting.structures import Structure
+from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
+from residuum.identification.discrepancy.improving.begin_improving import Request, asked_for, begun_exactly, named, with_inputs_of
+from residuum.identification.discrepancy.improving.final_estimate import (
     least_simulation_error,
     on_everything,
     vanished,
     without_needless,
 )
-from residuum.identification.discrepancy.held_out import Split, split
-from residuum.identification.discrepancy.held_out_error import HeldOutError
-from residuum.identification.discrepancy.improve_on_blocks import ASIDE, joined_on_blocks
-from residuum.identification.discrepancy.improvement import Improvement, Step, with_provenance
-from residuum.identification.discrepancy.join_effects import all_joined
+from residuum.identification.discrepancy.improving.held_out import Split, split
+from residuum.identification.discrepancy.improving.held_out_error import HeldOutError
+from residuum.identification.discrepancy.improving.improve_on_blocks import ASIDE, joined_on_blocks
+from residuum.identification.discrepancy.improving.join_effects import all_joined
 from residuum.identification.discrepancy.policy.acceptance import EXPLAINING_TIME, STRANGE
-from residuum.identification.discrepancy.structures import Structure
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.record import Record
@@ -36,13 +34,11 @@ from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.work import Tell, at_most, untold
 
-FloatArray = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not: it refused an
-    effect, or its error stands far above the rest's.
+    """An improvement by one choice of what is kept aside, and whether that shows something that the rest does not. It does
+    where it refused an effect, or where its error stands far above the rest's.
     """
 
     improvement: Improvement
@@ -120,7 +116,7 @@ def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     if said is not None and said.on_blocks is not None:
         return _Attempt(_improved_on_blocks(model, records, said, said.on_blocks, how, tell), False)
     if said is not None and said.exact is not None:
-        begun, finer = begun_exactly(model, parts, how, said, said.exact), said.exact.finer
+        begun, finer = begun_exactly(model, parts, how, said.exact), said.exact.finer
     else:
         begun, finer = asked_for(model, records, parts, how, how.add or ()), 1
     experiments = begun.experiments
@@ -138,7 +134,7 @@ def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how
     for use in vanished(final, history, [] if said is None else said.timing):
         final = replace(final, model=final.model.without_effect(use.label))
         history.append(Step(f"-{use.id}", history[-1].error))
-    improved = without_idle(with_provenance(final.model, doubts_of(final), records, history, judge.output, judge.unit), model)
+    improved = without_idle(with_provenance(final.model, final.doubts, records, history, judge.output, judge.unit), model)
     fell = history[-1].error < history[0].error
     verdict = ("improved" if fell else "not-improved") if how.add is not None else _verdict(improved, records, how.mapping)
     return _Attempt(Improvement(improved, tuple(history), verdict, judge.output, judge.unit, said, parts.aside, worse), strange)

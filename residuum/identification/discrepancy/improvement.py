@@ -22,8 +22,8 @@ _ERROR_AFTER, _STD = "error_after", "std_"
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the history: what was added (None: the model as it was, `-id`: dropped), the held-out error after it, and what
-    remains on unseen blocks then, where it was asked.
+    """One line of the history. It says what was added (None: the model as it was, `-id`: dropped), the held-out error after
+    it, and what remains on unseen blocks then, where it was asked.
 
     Effects that lower it only `together` share the error that they have together.
     """

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.structures import Structure
+from residuum.identification.discrepancy.fitting.structures import Structure
+from residuum.identification.discrepancy.searching.search_state import Search
 from residuum.identification.physics import Experiment, Key, Simulator
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.next_experiment import NextExperiment, distinguishing, power_of_test

@@ -8,7 +8,7 @@ blocks simply add up; no row spans a seam.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,25 +141,6 @@ def regression_sums(
             f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1} samples in a row without a gap; "
             "record longer, or take a smaller order"
         )
-    return total
-
-
-def streamed_sums(
-    blocks: Iterable[tuple[Sequence[npt.ArrayLike], npt.ArrayLike]], n_inputs: int, order: int, delay: int = 1
-) -> RegressionSums:
-    """The same sums from successive blocks (inputs, output) of one record that is never held as a whole.
-
-    Only the last delay + order − 1 samples of a block are kept; the result equals `regression_sums` on the joined blocks.
-    """
-    total = RegressionSums.zero(n_inputs * order)
-    past: list[FloatArray] = [np.full(delay + order - 1, np.nan) for _ in range(n_inputs)]
-    for inputs, output in blocks:
-        joined = [np.concatenate([kept, np.asarray(signal, dtype=float)]) for kept, signal in zip(past, inputs, strict=True)]
-        y = np.concatenate([np.full(delay + order - 1, np.nan), np.asarray(output, dtype=float)])
-        for start, stop in _complete_runs(joined, y, order, delay):
-            reach = delay + order - 1
-            total = total + _run_sums([signal[start - reach : stop - delay] for signal in joined], y[start:stop], order)
-        past = [signal[len(signal) - (delay + order - 1) :] for signal in joined]
     return total
 
 

@@ -169,14 +169,11 @@ def fit_impulse_response(
 ) -> ImpulseResponseFit:
     """Posterior of the impulse responses from regression sums alone; parameters as in `identify_impulse_response`.
 
-    With `streamed_sums` a record need never be in memory as a whole:
-
-    >>> from residuum.identification.kernel_based.gram import streamed_sums
+    >>> from residuum.identification.kernel_based.gram import regression_sums
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(2000)
     >>> y = np.convolve(u, [0.0, 1.0, 0.5])[:2000] + 0.1 * rng.standard_normal(2000)
-    >>> blocks = (([u[k : k + 250]], y[k : k + 250]) for k in range(0, 2000, 250))
-    >>> fit_impulse_response(streamed_sums(blocks, n_inputs=1, order=20), "tc").mean[:2].round(2).tolist()
+    >>> fit_impulse_response(regression_sums([u], y, 20), "tc").mean[:2].round(2).tolist()
     [1.0, 0.5]
     """
     order = len(sums.cross) // n_inputs

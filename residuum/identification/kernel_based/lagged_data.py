@@ -100,9 +100,14 @@ def _check_alike(records: Sequence[Record], names: Sequence[str]) -> None:
             record[name]
             if record.units[name] != first.units[name]:
                 where = f"{record.source or 'record'}, channel {name!r}"
-                raise BadRecord(f"{where}: unit {record.units[name]!r}, others have {first.units[name]!r}")
+                raise BadRecord(
+                    f"{where}: unit {record.units[name]!r}, others have {first.units[name]!r}; say one unit for all with --unit"
+                )
         if not math.isclose(record.sample_time, first.sample_time, rel_tol=1e-6):
-            raise BadRecord(f"{record.source or 'record'}: sample time {record.sample_time} s, others have {first.sample_time} s")
+            raise BadRecord(
+                f"{record.source or 'record'}: sample time {record.sample_time:g} s, others have {first.sample_time:g} s; "
+                "all must be equal, resample one"
+            )
 
 
 def _check_apart(records: Sequence[Record], inputs: Sequence[str], *, offset: bool) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from residuum.identification.errors import BadModel
 from residuum.identification.kernel_based.multivariable import MultivariableModel
 from residuum.identification.kernel_based.outlasting import Longer
-from residuum.identification.linear_models.identified_model_file import identified_from, identified_object
+from residuum.identification.linear_models.identified_model_file import identified_from, identified_object, read_json
 
 FORMAT, VERSION = "residuum-multivariable-model", 1
 
@@ -43,12 +43,7 @@ def load_multivariable(path: str | Path) -> MultivariableModel:
     Raises BadModel, naming the file and the rule, when it is not one, or a path or a covariance does not fit.
     """
     path = Path(path)
-    if not path.is_file():
-        raise BadModel(f"{path}: no such file")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise BadModel(f"{path}: is not JSON ({error})") from None
+    content = read_json(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
         raise BadModel(f"{path}: is not the file of a multivariable model ('format' must be {FORMAT!r}, 'version' {VERSION})")
     try:

@@ -62,17 +62,22 @@ def identified_from(content: dict[str, Any], path: Path) -> IdentifiedModel:
     return model
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> Any:
+    """What a JSON file of a model holds; BadModel, naming the file, where there is none or it is not JSON."""
     if not path.is_file():
         raise BadModel(f"{path}: no such file")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise BadModel(f"{path}: is not JSON ({error})") from None
+        raise BadModel(f"{path}: is not an identified model, as `residuum identify` writes one: {error}") from None
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    content = read_json(path)
     if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
-        raise BadModel(f"{path}: is not the file of an identified model ('format' must be {FORMAT!r})")
+        raise BadModel(f"{path}: is not an identified model, as `residuum identify` writes one ('format' must be {FORMAT!r})")
     if (version := content.pop("version", None)) != VERSION:
-        raise BadModel(f"{path}: has version {version!r}; this program reads version {VERSION}")
+        raise BadModel(f"{path}: has version {version!r}; this program reads version {VERSION}; identify it again")
     return content
 
 

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.drawn_errors import FORMS, DrawnErrors, Form
-from residuum.identification.linear_models.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS, DrawnErrors, Form
+from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
+from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
+from residuum.identification.linear_models.error_bounds.weight_certificate import largest_excess
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.weight_certificate import largest_excess
 
 FloatArray = npt.NDArray[np.float64]
 Rule = Literal["chernoff", "worst-case"]
@@ -179,13 +179,6 @@ def drawn_errors(
 ) -> DrawnErrors:
     """The errors of `n_samples` random models against the model itself."""
     return DrawnErrors.of(model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form)
-
-
-def error_envelope(
-    model: IdentifiedModel, omega: npt.ArrayLike, n_samples: int, *, form: Form = "multiplicative", seed: int = 0
-) -> FloatArray:
-    """Ω(ω), the largest error among `n_samples` random models (2.21), shape of `omega`."""
-    return drawn_errors(model, n_samples, form=form, seed=seed).envelope(omega)
 
 
 def _promise(rule: str, accuracy: float, confidence: float, n_samples: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from itertools import combinations, permutations
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -206,6 +207,11 @@ class PhysicalModel:
     def _defined(self) -> dict[str, str]:
         return {name: balance.kind for balance in self.balances.values() if (name := balance.defines)}
 
+    def records(self, key: Key) -> bool:
+        """Whether the record says when this effect acts at its target."""
+        effect = find_effect(key.effect)
+        return effect.recorded(self.site(key.target, effect))
+
     def with_input(self, name: str, unit: str) -> PhysicalModel:
         """The model with one more recorded input, for an effect that is tied to it."""
         if name in self.inputs:
@@ -396,11 +402,13 @@ def _pairs_of_balances(model: PhysicalModel, effect: Effect) -> list[str]:
 
 
 def find_effect(id: str) -> Effect:
-    """The effect of this id; BadModel names those there are."""
+    """The effect of this id; BadModel names the nearest there are."""
     if id in STRUCTURAL:
         return STRUCTURAL[id]
     if id not in EFFECTS:
-        raise BadModel(f"effect {id!r} is not in the catalogue; there are {', '.join([*EFFECTS, *STRUCTURAL])}")
+        near = get_close_matches(id, [*EFFECTS, *STRUCTURAL], n=3, cutoff=0.4)
+        nearest = f", the nearest are {', '.join(near)}" if near else ""
+        raise BadModel(f"effect {id!r} is not in the catalogue{nearest}; `residuum effects` lists all")
     return EFFECTS[id]
 
 

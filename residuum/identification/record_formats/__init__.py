@@ -6,10 +6,10 @@ from pathlib import Path
 from residuum.identification.errors import BadInput, BadRecord, BadUnit, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import parse_csv, read_csv, write_csv
+from residuum.identification.record_formats.loggers.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.lvm import read_lvm
 from residuum.identification.record_formats.mat import read_mat, write_mat
 from residuum.identification.record_formats.mdf import read_mdf, write_mdf
-from residuum.identification.record_formats.no_value import without_marks, without_overloads
 from residuum.identification.record_formats.npz import read_npz, write_npz
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.parquet import read_parquet, write_parquet

@@ -10,9 +10,15 @@ import numpy.typing as npt
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import even_columns
-from residuum.identification.record_formats.logger_file import understand
-from residuum.identification.record_formats.logger_head import unit_of_head
-from residuum.identification.record_formats.logger_mapping import ENDING, SAY_DUPLICATES, LoggerMapping, parse_logger, say_missing
+from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_head import unit_of_head
+from residuum.identification.record_formats.loggers.logger_mapping import (
+    ENDING,
+    SAY_DUPLICATES,
+    LoggerMapping,
+    parse_logger,
+    say_missing,
+)
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.scope_csv import is_scope_csv, parse_scope_csv
 
@@ -62,7 +68,9 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
     try:
         said = {"decimal": options.decimal, "time_form": options.time_form, "time_column": options.time_column}
-        found = understand(content, source, **said, missing=options.missing, sample_time=options.sample_time)
+        found = understand(
+            content, source, **said, told_units=options.units, missing=options.missing, sample_time=options.sample_time
+        )
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
         if "--decimal" not in str(error) and "--time" not in str(error):

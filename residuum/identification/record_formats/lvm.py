@@ -9,8 +9,8 @@ import numpy as np
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.csv import read_csv
-from residuum.identification.record_formats.logger_head import unit_of_head, unit_word
-from residuum.identification.record_formats.logger_text import MISSING, decoded, number, plain
+from residuum.identification.record_formats.loggers.logger_head import unit_of_head, unit_word
+from residuum.identification.record_formats.loggers.logger_text import MISSING, decoded, number, plain
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
 

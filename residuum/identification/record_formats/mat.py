@@ -10,7 +10,7 @@ import scipy
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats.even_time import FloatArray, on_grid
-from residuum.identification.record_formats.logger_time import seconds_of
+from residuum.identification.record_formats.loggers.logger_time import seconds_of
 from residuum.identification.record_formats.mat_variables import SHORTEST_SIGNAL, MatVariables, variables_of
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, on_one_base
@@ -182,7 +182,7 @@ def _load_hdf5(path: str | Path) -> dict[str, Any]:
     try:
         import h5py  # noqa: PLC0415  optional: the extra `formats`
     except ImportError:
-        raise BadRecord(f"{path}: MAT version 7.3 needs the extra 'formats'") from None
+        raise BadRecord(f"{path}: MAT version 7.3 needs an extra: pip install 'residuum[formats]'") from None
     found: dict[str, Any] = {}
 
     def keep(name: str, node: Any) -> None:

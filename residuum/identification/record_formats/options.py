@@ -44,7 +44,7 @@ class ReadOptions:
         if found is None or self.sample_time is None:
             return float(found if found is not None else self.sample_time or 0.0)
         if abs(found - self.sample_time) > 0.01 * found:
-            raise BadRecord(f"{source}: has sample time {found:.6g} s, but {self.sample_time:.6g} s was given")
+            raise BadRecord(f"{source}: has sample time {found:.6g} s, but {self.sample_time:.6g} s was given; leave it out")
         return float(found)
 
     def unit_of(self, name: str, found: str = "") -> str:

@@ -6,8 +6,8 @@ import numpy as np
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.logger_head import unit_word
-from residuum.identification.record_formats.logger_text import decoded, number, plain
+from residuum.identification.record_formats.loggers.logger_head import unit_word
+from residuum.identification.record_formats.loggers.logger_text import decoded, number, plain
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import TimedChannel, on_one_base
 

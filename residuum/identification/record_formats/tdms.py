@@ -8,7 +8,7 @@ import numpy as np
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.logger_time import seconds_of
+from residuum.identification.record_formats.loggers.logger_time import seconds_of
 from residuum.identification.record_formats.optional_package import need
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.time_bases import NOT_READ, TimedChannel, among, on_one_base

@@ -24,7 +24,9 @@ def read_uff(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         raise BadRecord(f"{path}: holds no time response (UFF data set 58, function type 1)")
     steps = {float(data["abscissa_inc"]) for data in sets}
     if len(steps) > 1:
-        raise BadRecord(f"{path}: responses differ in sample time {sorted(steps)}; one record has one")
+        raise BadRecord(
+            f"{path}: responses differ in sample time {sorted(steps)}; one record has one; export them as files of their own"
+        )
     names = [_name(data, position) for position, data in enumerate(sets)]
     if len(set(names)) != len(names):
         names = [f"{name}.{position}" for position, name in enumerate(names)]

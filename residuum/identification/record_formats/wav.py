@@ -33,7 +33,7 @@ def write_wav(record: Record, path: str | Path) -> None:
     """Write the channels as 32-bit float samples; units are not kept by the format."""
     rate = round(record.sampling_rate)
     if abs(rate - record.sampling_rate) > 1e-6 * record.sampling_rate:
-        raise BadRecord(f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole; WAV cannot keep it")
+        raise BadRecord(f"{path}: sampling rate {record.sampling_rate:.6g} Hz is not whole, as WAV needs; write .csv or .npz")
     scipy.io.wavfile.write(path, rate, np.stack(list(record.channels.values()), axis=1).astype(np.float32))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics import Experiment
-from residuum.identification.residual_analysis.policy.records import FEWEST_IN_A_SPECTRUM, FINEST, SHORTENED
+from residuum.identification.residual_analysis.policy.records import ABOVE_NYQUIST, FEWEST_IN_A_SPECTRUM, SHORTENED
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -42,8 +42,8 @@ def liveliest(experiments: Sequence[Experiment], most: int) -> list[Experiment]:
 
 
 def _too_coarse(experiment: Experiment, block: int) -> bool:
-    return any(_above(y, block, floor=True) > FINEST for y in experiment.Y.T) or any(
-        _above(u, block, floor=False) > FINEST for u in experiment.U.T
+    return any(_above(y, block, floor=True) > ABOVE_NYQUIST for y in experiment.Y.T) or any(
+        _above(u, block, floor=False) > ABOVE_NYQUIST for u in experiment.U.T
     )
 
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.axes import signal_axes
 from residuum.identification.residual_analysis.error_sizes import (
     BalanceError,
     OutputError,
@@ -21,9 +17,10 @@ from residuum.identification.residual_analysis.error_sizes import (
     prediction_errors,
 )
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
-from residuum.identification.residual_analysis.locate import Axis, Region
+from residuum.identification.residual_analysis.places.axes import signal_axes
+from residuum.identification.residual_analysis.places.locate import Axis, Region
+from residuum.identification.residual_analysis.places.regions import regions
 from residuum.identification.residual_analysis.policy.noise import STRUCTURE_LEVEL
-from residuum.identification.residual_analysis.regions import regions
 from residuum.identification.residual_analysis.structure_tests import (
     beyond_noise,
     refitted_difference,
@@ -33,8 +30,6 @@ from residuum.identification.residual_analysis.structure_tests import (
 )
 from residuum.identification.residual_analysis.structured_error import StructuredError
 from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed
-from residuum.identification.residual_analysis.noise_floor import noise_floor
+from residuum.identification.residual_analysis.noise.noise_floor import noise_floor
 from residuum.identification.residual_analysis.policy.answers import HORIZONS, PREDICTED_SAMPLES
 from residuum.identification.residual_analysis.policy.noise import BEYOND_NOISE, UNDER_STRUCTURE
 from residuum.identification.residual_analysis.structured_error import StructuredError

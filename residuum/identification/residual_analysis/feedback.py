@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.residual_analysis.innovations import fit_noises
+from residuum.identification.residual_analysis.noise.innovations import fit_noises
 from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER
 from residuum.identification.residual_analysis.policy.records import (
     ANSWER_CERTAIN,

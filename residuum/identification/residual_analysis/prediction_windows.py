@@ -9,7 +9,7 @@ import numpy as np
 
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, windows
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
-from residuum.identification.residual_analysis.policy.records import LASTING, LONGEST_WINDOW, SHORTEST_WINDOW, WINDOWS
+from residuum.identification.residual_analysis.policy.records import LASTING, LONGEST_PREDICTED, SHORTEST_PREDICTED, WINDOWS
 
 
 def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: int = 1) -> list[Experiment]:
@@ -23,7 +23,7 @@ def in_windows(model: PhysicalModel, experiments: Sequence[Experiment], finer: i
     """
     found: list[Experiment] = []
     for e in experiments:
-        samples = int(np.clip(e.n // WINDOWS, SHORTEST_WINDOW, LONGEST_WINDOW)) // finer
+        samples = int(np.clip(e.n // WINDOWS, SHORTEST_PREDICTED, LONGEST_PREDICTED)) // finer
         felt = _lasting(model, e) if e.n > 2 * samples else None
         if felt is None or not any(share > LASTING for share in felt.values()):
             found.append(e)

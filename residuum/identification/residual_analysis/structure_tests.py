@@ -11,14 +11,14 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate
-from residuum.identification.residual_analysis.axes import signal_axes
 from residuum.identification.residual_analysis.coarse_reading import reading_variances
-from residuum.identification.residual_analysis.coloured_noise import forgetting, longest_memory
-from residuum.identification.residual_analysis.features import features
 from residuum.identification.residual_analysis.feedback import feeds_back
-from residuum.identification.residual_analysis.local_structure import local_structure
-from residuum.identification.residual_analysis.locate import Axis
-from residuum.identification.residual_analysis.noise_floor import fast_floor, times_the_noise
+from residuum.identification.residual_analysis.noise.coloured_noise import forgetting, longest_memory
+from residuum.identification.residual_analysis.noise.noise_floor import fast_floor, times_the_noise
+from residuum.identification.residual_analysis.places.axes import signal_axes
+from residuum.identification.residual_analysis.places.features import features
+from residuum.identification.residual_analysis.places.local_structure import local_structure
+from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.policy.noise import (
     BEYOND_NOISE,
     BEYOND_NOISE_CHANCE,

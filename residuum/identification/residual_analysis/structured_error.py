@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.special import gammaincc
 
 from residuum.identification.errors import BadInput
-from residuum.identification.residual_analysis.coloured_noise import (
+from residuum.identification.residual_analysis.noise.coloured_noise import (
     ColouredNoise,
     fit_coloured_noise,
     forgetting,

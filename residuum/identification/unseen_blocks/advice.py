@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
@@ -21,8 +20,6 @@ from residuum.identification.unseen_blocks.policy import SENSOR_NOISE, TIE, WORT
 from residuum.identification.unseen_blocks.proposals import beginnings, proposed
 from residuum.identification.unseen_blocks.scale import Scale, of_noise
 from residuum.identification.unseen_blocks.search import Search, Wanted
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

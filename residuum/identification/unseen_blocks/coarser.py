@@ -17,8 +17,8 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.input_timing import turned_timing
-from residuum.identification.unseen_blocks.data import FEWEST_SAMPLES, Data, data_of
-from residuum.identification.unseen_blocks.policy import ENOUGH, LOST
+from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, Data, data_of
+from residuum.identification.unseen_blocks.policy import ENOUGH_SAMPLES, LOST
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 def coarser(data: Data) -> Data:
     """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
     counts = [e.n for e in data.experiments]
-    most = min(sum(counts) // ENOUGH, min(counts) // FEWEST_SAMPLES)
+    most = min(sum(counts) // ENOUGH_SAMPLES, min(counts) // FEWEST_TO_CUT)
     outputs = _outputs(data.model, data.experiments) if most >= 2 else None
     best, step = data, 2
     while outputs is not None and step <= most:

@@ -15,9 +15,9 @@ from residuum.identification.unseen_blocks.policy import (
     EVERYWHERE,
     MERITLESS,
     REAL,
-    SHORTEST_WINDOW,
     SMALL,
     TIE,
+    WINDOW_SAMPLES,
     WORTH,
 )
 from residuum.identification.unseen_blocks.scale import Scale
@@ -53,8 +53,8 @@ def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
 
 
 def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
-    """Standard errors by which the new one's error is smaller: of the paired logarithms, or of the ratio of totals where a few
-    blocks hold most of the error (a machine that stands still in the others).
+    """Standard errors by which the new one's error is smaller. They are of the paired logarithms, or of the ratio of totals
+    where a few blocks hold most of the error (a machine that stands still in the others).
     """
     mean, std = paired(new, old, scale)
     p, q = scale.by_block(new.power), scale.by_block(old.power)
@@ -73,8 +73,9 @@ def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
 
 
 def corrected(new: Judged, old: Judged) -> float:
-    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors, summed over
-    pieces as long as those remember (self-normalised: an effect may show in few places, not in one alone).
+    """Standard errors by which what the new one corrects on unseen blocks goes along with the old one's errors. They are
+    summed over pieces as long as the errors are correlated, and self-normalised: an effect may show in few places, not in one
+    alone.
     """
     rows = (old.left * (old.left - new.left)).sum(axis=1)
     e = old.left.sum(axis=1)
@@ -82,7 +83,7 @@ def corrected(new: Judged, old: Judged) -> float:
     rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * len(e))) ** 2)[: max(len(e) // 20, 2)]
     rho = rho / max(float(rho[0]), 1e-300)
     until = int(np.argmax(rho < 0.05)) or len(rho)
-    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), SHORTEST_WINDOW, max(len(e) // 20, SHORTEST_WINDOW)))
+    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), WINDOW_SAMPLES, max(len(e) // 20, WINDOW_SAMPLES)))
     s = np.add.reduceat(rows, np.arange(0, len(rows), length))
     return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.policy import BLOCKS, FOLDS, LADDER, SHORTEST_WINDOW
+from residuum.identification.unseen_blocks.policy import BLOCKS, FOLDS, LADDER, WINDOW_SAMPLES
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-FEWEST_SAMPLES = FOLDS * SHORTEST_WINDOW
+FEWEST_TO_CUT = FOLDS * WINDOW_SAMPLES
 """[samples] Of a record of which parts can be kept aside."""
 
 
@@ -103,8 +103,8 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
     model, experiments = match(model, records, mapping)
     check_moves(experiments)
     for e in experiments:
-        if e.n < FEWEST_SAMPLES:
-            least = f"at least {FEWEST_SAMPLES} samples are needed"
+        if e.n < FEWEST_TO_CUT:
+            least = f"at least {FEWEST_TO_CUT} samples are needed"
             raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
     return data_of(model, experiments)
 
@@ -118,7 +118,7 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     spread[~(spread > 0.0)] = 1.0
     each, fold = folds_of(len(experiments))
     shortest = min(e.n for e in experiments)
-    rungs = tuple(_rung(experiments, k, each) for k in LADDER if shortest // k >= SHORTEST_WINDOW or k == LADDER[-1])
+    rungs = tuple(_rung(experiments, k, each) for k in LADDER if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1])
     return Data(model, experiments, measured, spread, rungs, fold)
 
 

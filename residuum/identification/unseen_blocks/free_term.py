@@ -21,7 +21,7 @@ from residuum.identification.unseen_blocks.comparing import evidence
 from residuum.identification.unseen_blocks.judged import Equations, Judged, equations, summed
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 from residuum.identification.unseen_blocks.looks import Court
-from residuum.identification.unseen_blocks.policy import FREE_TERM_KNOTS
+from residuum.identification.unseen_blocks.policy import KNOTS_BY_AXIS
 from residuum.identification.unseen_blocks.structure import fitted
 
 Array = npt.NDArray[np.float64]
@@ -92,11 +92,11 @@ def _terms(
     times = [part.t0 - begin + part.sample_time * np.arange(part.n) for part in parts]
     for name, balance in model.balances.items():
         signals = [balance_variables(simulator, balance, e, r.X) for e, r in zip(parts, responses, strict=True)]
-        axes = {axis: [s[axis] for s in signals] for axis in FREE_TERM_KNOTS if axis in signals[0]} | {"time": times}
+        axes = {axis: [s[axis] for s in signals] for axis in KNOTS_BY_AXIS if axis in signals[0]} | {"time": times}
         for axis, values in axes.items():
             joined = np.concatenate(values)
             if np.all(np.isfinite(joined)) and np.ptp(joined) > 0:
-                knots: Array = np.linspace(joined.min(), joined.max(), FREE_TERM_KNOTS[axis])
+                knots: Array = np.linspace(joined.min(), joined.max(), KNOTS_BY_AXIS[axis])
                 yield name, axis, knots, [hats(np.asarray(v), knots) for v in values]
 
 

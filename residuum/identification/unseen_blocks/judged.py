@@ -133,8 +133,8 @@ class Equations:
 
 
 def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
-    """How far the values move where a fold of rows is left out: by fold (q,), from weighted slopes T (rows, outputs, q) and
-    errors e (rows, outputs) of the fit to everything.
+    """How far the values move where a fold of rows is left out, (q,) a fold. It follows from weighted slopes
+    T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
     """
     each = {int(k): row_fold == k for k in np.unique(row_fold)}
     H = {k: np.einsum("roi,roj->ij", T[at], T[at]) for k, at in each.items()}
@@ -185,13 +185,13 @@ def judged(structure: Structure, found: Estimate, rung: Rung, data: Data, scale:
     parameters += sum(not p.fixed for p in structure.model.parameters.values())
     seen = summed(np.where(at.known, np.clip(at.errors, -clip, clip), 0.0) ** 2, rung, data.blocks)
     squares, count = np.zeros((2, data.blocks, len(measured)))
-    squares[:, measured] = summed(np.where(at.known, _in_units(plainly, at, found, rung, scale), 0.0) ** 2, rung, data.blocks)
+    squares[:, measured] = summed(np.where(at.known, _in_units(plainly, at, found, scale), 0.0) ** 2, rung, data.blocks)
     count[:, measured] = summed(at.known.astype(float), rung, data.blocks)
     cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, np.concatenate(found.residuals))
 
 
-def _in_units(unseen: Array, at: Equations, found: Estimate, rung: Rung, scale: Scale) -> Array:
+def _in_units(unseen: Array, at: Equations, found: Estimate, scale: Scale) -> Array:
     """The unseen errors in the outputs' units: where the scale whitens, those that were seen, as much larger as in the scale."""
     measured = scale.weights > 0.0
     if scale.filters is None:

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Estimate, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.coarser import turned
 from residuum.identification.unseen_blocks.data import Data, Rung
-from residuum.identification.unseen_blocks.policy import FOLLOWED, FORGETS
+from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, fitted
 
@@ -47,11 +47,11 @@ def climb(data: Data) -> Climbed:
     structure, last, found = Structure((), data.model, {}, {}), None, None
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
-        if here is None or (last is not None and mean_error(here, scale) > FOLLOWED and not _forgets(here, rung)):
+        if here is None or (last is not None and mean_error(here, scale) > RUNG_ERROR and not _forgets(here, rung)):
             continue
         structure, last, found = structure.at(rung, here), rung, here
     if last is None or found is None:
-        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows of them")
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows; {MAY_DIVERGE}")
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
     return Climbed(data, structure, found, last, ordered[min(1, len(ordered) - 1)], clipped(scale, found.residuals, last))
 

@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """z(k+1) = F(k) z(k) + G(k) w(k), δy(k) = C(k) z(k) + D(k) w(k), one column a balance; over a sample w counts with the
+    """z(k+1) = F(k) z(k) + G(k) w(k), δy(k) = C(k) z(k) + D(k) w(k), one column a balance. Over a sample, w counts with the
     mean of its two ends.
 
     `X` (n, states) is the trajectory; F (n, states, states + balances) holds F and G, C (n, outputs, states + balances) C and D.

@@ -13,6 +13,8 @@ from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, MOST_PROPOSALS
 
 Array = npt.NDArray[np.float64]
+_BOTH_WAYS = ("N", "N*m", "V", "A")
+"""Units of inputs that a machine can usually reverse: a force, a torque, a voltage, a current; no heater and no valve."""
 Power = Callable[[Sequence[Experiment], int | None], float | None]
 """Of the test in these experiments, with one output more seen where that is asked; None when they could not be simulated."""
 
@@ -36,7 +38,7 @@ def distinguishing(
         for o, (name, output) in enumerate(model.outputs.items())
         if not measured[o]
     }
-    found |= {do: power(profile, None) for do, profile in _profiles(experiments).items()}
+    found |= {do: power(profile, None) for do, profile in _profiles(model, experiments).items()}
     proposals = [NextExperiment(do, separates, p) for do, p in found.items() if p is not None]
     return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS])
 
@@ -58,8 +60,8 @@ def _exceeds(threshold: float, shift: float) -> float:
     return normal.cdf(shift - threshold) + normal.cdf(-shift - threshold)
 
 
-def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
-    """The records' duration driven otherwise, within the range of the inputs on record."""
+def _profiles(model: PhysicalModel, experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
+    """The records' duration driven otherwise, within the range of the inputs on record; one that only pushed may pull, too."""
     e = max(experiments, key=lambda e: e.n)
     low, high = e.U.min(axis=0), e.U.max(axis=0)
     phase = np.linspace(0.0, 1.0, e.n)[:, None]
@@ -71,4 +73,9 @@ def _profiles(experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment
         + half * np.sin(97.0 * np.floor(40.0 * phase) ** 2 + 1.0),
         "repeat at half the amplitude": middle + 0.5 * (e.U - middle),
     }
+    one_way = (low * high >= 0.0) & (low < high) & [signal.unit in _BOTH_WAYS for signal in model.inputs.values()]
+    if one_way.any():
+        triangles = 2.0 * np.abs(2.0 * ((3.0 * phase) % 1.0) - 1.0) - 1.0
+        peak = np.maximum(np.abs(low), np.abs(high))
+        cycles["drive slow triangles both ways, forwards and backwards"] = np.where(one_way, peak * triangles, e.U)
     return {do: [replace(e, U=np.ascontiguousarray(U))] for do, U in cycles.items()}

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 LADDER = (27, 9, 3, 1)
 """Windows a record, from short horizons to the whole: long simulations lock in wrongly from a poor start. Chosen."""
-SHORTEST_WINDOW = 25
+WINDOW_SAMPLES = 25
 """[samples] Of a window, and of the pieces over which corrections are summed. Chosen."""
-FOLLOWED = 0.1
+RUNG_ERROR = 0.1
 """[of the outputs' variance] Error up to which a rung of the ladder is followed. Chosen."""
 BLOCKS, FOLDS = 20, 4
 """Blocks of all records, and of how many one is left out at a time. Chosen."""
@@ -18,26 +18,26 @@ to refits with masked blocks."""
 CLIPPED = 8.0
 """[robust spreads] As which a larger error counts: an event that nobody recorded. Chosen."""
 
-ENOUGH, LOST = 5000, 1e-6
+ENOUGH_SAMPLES, LOST = 5000, 1e-6
 """[samples] Of all records, above which a lower rate may do; and the part of the first error's power that it may lose: next to
 nothing of what is left at the end. Chosen."""
 
 FORGETS = 0.3
 """[of its peak] Effect of a first state that may be left at the end of a window. Chosen."""
 
-STARTS, FOLLOWED_STARTS = 6, 2
+STARTS_LOOKED_AT, FOLLOWED_STARTS = 6, 2
 """First values of an effect that are looked at, and those that go on after one step. Chosen."""
 ROWS = 4000
 """[samples] Of the track on which effects are regressed. Chosen."""
-RESEMBLES, TOLD_BY_OUTPUTS, MOST_COLUMNS = 0.05, 0.98, 3
+RESEMBLES, TOLD_BY_OUTPUTS, COLUMNS_TRIED = 0.05, 0.98, 3
 """Part of what a balance lacks that a column has to explain; of a column that the outputs explain, which makes it none of its
 own; and how many are tried. Chosen."""
 CURVE_KNOTS, MOST_CURVES = 9, 3
 """Of the curves by which a signal is chosen, and how many are tried. Chosen."""
 
-BEAM, DEPTH = 5, 4
+BEAM, DEEPEST = 5, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
-FITTED = 12
+FULLY_FITTED = 12
 """Candidates of each look that are fitted fully at a level. Chosen."""
 GLANCED = 4000
 """[samples] Of a look at short windows. Chosen."""
@@ -65,7 +65,7 @@ TIE = 3.0
 EVERYWHERE = 2.0
 """[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
 
-FREE_TERM_KNOTS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
+KNOTS_BY_AXIS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
 """Axes of the free term, and how many hat functions stand on each. Chosen."""
 
 UNKNOWN_LEADS = 0.5

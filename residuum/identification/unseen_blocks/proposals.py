@@ -24,11 +24,11 @@ from residuum.identification.physics.model import find_effect, idle_inputs, plac
 from residuum.identification.unseen_blocks.following import Track, beside, own_terms, regressed
 from residuum.identification.unseen_blocks.held_value import HELD, freed
 from residuum.identification.unseen_blocks.policy import (
+    COLUMNS_TRIED,
     CURVE_KNOTS,
-    MOST_COLUMNS,
     MOST_CURVES,
     RESEMBLES,
-    STARTS,
+    STARTS_LOOKED_AT,
     TOLD_BY_OUTPUTS,
 )
 from residuum.identification.unseen_blocks.scale import innovations
@@ -43,18 +43,13 @@ def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | 
     """
     keys = candidates(model, wanted)
     if wanted is None:
-        keys = [key for key in keys if _recorded(model, key)]
+        keys = [key for key in keys if model.records(key)]
     keys = [key for key in keys if not find_effect(key.effect).curve]
     if learned and along is not None:
         keys += _curves(model, along)
     if held:
         keys += [Key(HELD, name) for name, p in model.parameters.items() if p.fixed and p.value != 0.0]
     return keys
-
-
-def _recorded(model: PhysicalModel, key: Key) -> bool:
-    effect = find_effect(key.effect)
-    return effect.recorded(model.site(key.target, effect))
 
 
 def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
@@ -71,7 +66,7 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
                 models.append(along.model.with_effect(*key, _flat(effect, start)))
         except (BadInput, NotImplementedError):
             continue
-    return [canonical(model) for model in models[:STARTS]]
+    return [canonical(model) for model in models[:STARTS_LOOKED_AT]]
 
 
 def grown(key: Key, special: Track) -> list[PhysicalModel]:
@@ -114,7 +109,7 @@ def _starts(key: Key, along: Track) -> list[Mapping[str, float]]:
     effect = find_effect(key.effect)
     each = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
     turns = [start for turn in zip_longest(*each) for start in turn if start is not None]
-    return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS]
+    return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS_LOOKED_AT]
 
 
 def _lacks(effect: Effect, target: str, along: Track) -> list[Array | None]:
@@ -162,7 +157,7 @@ def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:
     }
     bases = {balance: own_terms(model, balance, along) for balance in model.balances}
     alike = {n: max(_alike(basis, along.missing[b], s) for b, basis in bases.items()) for n, s in columns.items()}
-    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[:MOST_COLUMNS]
+    return sorted((n for n in alike if alike[n] > RESEMBLES), key=lambda n: -alike[n])[:COLUMNS_TRIED]
 
 
 def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:

@@ -14,8 +14,8 @@ from residuum.identification.unseen_blocks.verdict import share_of
 
 @dataclass(frozen=True)
 class Remaining:
-    """What a model leaves on unseen blocks: `share` of the power of the model as it was, `times_noise` the largest RMS error
-    over its measurement noise, and the block of time `where` (from, to) [s] in which most of it lies.
+    """What a model leaves on unseen blocks. `share` is of the power that the model left as it was, `times_noise` the largest
+    RMS error over its measurement noise. `where` (from, to) [s] is the block of time in which most of it lies.
     """
 
     share: float

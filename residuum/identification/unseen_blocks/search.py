@@ -13,9 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
@@ -24,14 +23,12 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEPTH, FITTED, FOLLOWED, KEPT
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
     found = begun(climb_at_likelier_timing(data) if turn else climb(data))
     beam, kept = [found.best], None
     try:
-        for depth in range(DEPTH):
-            tell(0.1 + 0.6 * depth / DEPTH, _beside(found.best.keys))
+        for depth in range(DEEPEST):
+            tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
             ranked: list[Judged] = []
             if not is_nothing(found.best, found.base, found.court.scale):
                 glances = _glances(found, beam, wanted, kept)
@@ -98,7 +95,7 @@ def begun(climbed: Climbed) -> Search:
     data, last = climbed.data, climbed.last
     first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
     if first is None:
-        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records")
+        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
     scale = of_power(climbed.scale, data, first.power)
     first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
     court = Court(data, last, climbed.middle, scale)
@@ -157,7 +154,7 @@ def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judge
     top: dict[tuple[Key, ...], Glance] = {}
     for kind in (SHORT, LONG):
         there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
-        top |= {one.keys: one for one in there[:FITTED]}
+        top |= {one.keys: one for one in there[:FULLY_FITTED]}
     each = each_beside(lambda seen: _looked(seen, found.court), list(top.values()))
     here = {one.keys: one for one in each if one is not None}
     here |= _related(found, here, glances)
@@ -177,7 +174,7 @@ def _related(
     found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
 ) -> dict[tuple[Key, ...], Judged]:
     """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does: from nothing they may not be reached, or end on the way.
+    does. From nothing they may not be reached, or end on the way.
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
@@ -246,7 +243,7 @@ def _lengthened(found: Search) -> bool:
     rung, flat = longer[0], plain(data)
     best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or mean_error(best, flat) > FOLLOWED:
+    if best is None or base is None or mean_error(best, flat) > RUNG_ERROR:
         return False
     scale = clipped(flat, base.residuals, rung)
     first = judged(found.base.structure.at(rung, base), base, rung, data, scale)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.residual_analysis.noise_floor import times_the_noise
+from residuum.identification.residual_analysis.noise.noise_floor import times_the_noise
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN

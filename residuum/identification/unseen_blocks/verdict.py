@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.physics import Key
 from residuum.identification.physics.model import find_effect
@@ -22,7 +21,6 @@ from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
 from residuum.identification.unseen_blocks.search import Search, chain
 
-Array = npt.NDArray[np.float64]
 NONE, UNKNOWN = "none", "unknown"
 
 
@@ -66,8 +64,8 @@ def steps_of(found: Search) -> list[Step]:
 
 
 def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
-    """How often each structure wins when blocks are drawn again; "none" where it is not worth its while and the model is
-    `adequate`, "unknown" where it is not and the model is not, or where a free term does plainly more.
+    """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
+    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more.
     """
     scale = found.court.scale
     tried = sorted(found.every.values(), key=lambda one: one.cost)[:MOST_RIVALS]

@@ -7,7 +7,7 @@ from typing import Any
 
 from residuum.identification.physics.simulate.experiment import PART
 from residuum.identification.residual_analysis.compare import Comparison
-from residuum.identification.residual_analysis.locate import Region
+from residuum.identification.residual_analysis.places.locate import Region
 from residuum.library.answers.chance import chance
 
 
@@ -62,7 +62,7 @@ def region_json(region: Region) -> dict[str, Any]:
 
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
-    lines = [f"{name}: an experiment of its own, for an input was not measured before or after" for name in _parts(comparison)]
+    lines = [f"{name}: simulated by itself, because an input is missing before or after it" for name in _parts(comparison)]
     for name, output in comparison.outputs.items():
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "

@@ -9,8 +9,8 @@ from typing import Any
 
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.discrepancy.judging.free_term import FreeTerm
+from residuum.identification.discrepancy.judging.suggestion import suggestion
 from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.block_errors import Array, BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate
@@ -21,6 +21,8 @@ from residuum.identification.work import Work
 from residuum.library.answers.quantities import quantities_json, sizes_text, value_text
 from residuum.library.answers.tied_effects import tied_json, tied_text
 
+_WORTH_SAYING = 0.1
+"""Power of an experiment below which it is no advice."""
 _RULED_OUT = 0.005
 """Candidates that are less probable are only named."""
 _TOLD = 6
@@ -229,6 +231,7 @@ def explanation_text(explanation: Explanation) -> str:
     lines += [
         f"  next: {p.do} (tells {' from '.join(p.separates)} in {100 * p.power:.0f} % of the cases)"
         for p in explanation.next_experiment[:2]
+        if p.power >= _WORTH_SAYING
     ]
     lines += work_text(explanation.work)
     lines.append(f"  none of these: {explanation.probability_none + explanation.probability_unknown:.2f}")

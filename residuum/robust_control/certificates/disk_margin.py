@@ -6,11 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.robust_stability import loop_responses
-from residuum.robust_control.loop import Loop
+from residuum.robust_control.loop import Loop, characteristic, frequency_grid
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -62,3 +65,13 @@ def disk_margin(plant: TransferFunction, controller: TransferFunction, *, skew: 
     high = (2.0 + alpha * (1.0 - skew)) / room if room > 1e-12 else math.inf
     cosine = low if math.isinf(high) else (1.0 + low * high) / (low + high)
     return DiskMargin(alpha, low, high, math.acos(min(1.0, max(-1.0, cosine))), float(omega[k]))
+
+
+def loop_responses(
+    plant: TransferFunction, controller: TransferFunction
+) -> tuple[FloatArray, ComplexArray, ComplexArray, ComplexArray]:
+    """(ω, G, K, S) on a grid dense about the plant's and the closed loop's resonances."""
+    closed = TransferFunction(plant.den, characteristic(plant, controller), plant.sample_time)
+    omega = frequency_grid([plant, closed], points=4000)
+    G, K = plant.frequency_response(omega), controller.frequency_response(omega)
+    return omega, G, K, 1.0 / (1.0 + G * K)

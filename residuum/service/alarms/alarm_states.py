@@ -47,8 +47,6 @@ class IllegalTransition(BadInput):
 
 ACTIVE = (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED, AlarmState.RETURNED_UNACKNOWLEDGED)
 """States that an operator sees on the list of alarms."""
-ASIDE = (AlarmState.SHELVED, AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE)
-"""States in which somebody has put an alarm aside: by an operator for a while, by a rule of the plant, for maintenance."""
 
 _TRANSITIONS: dict[tuple[AlarmState, AlarmEvent], AlarmState] = {
     (AlarmState.NORMAL, AlarmEvent.RAISE): AlarmState.UNACKNOWLEDGED,

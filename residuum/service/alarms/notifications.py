@@ -185,7 +185,7 @@ class Broker:
         try:
             self._mqtt: Any = importlib.import_module("paho.mqtt.client")
         except ImportError:
-            raise BadInput("setting mqtt: needs the extra 'mqtt'") from None
+            raise BadInput("setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'") from None
         self._address = address
         self._client: Any = None
 
@@ -228,7 +228,7 @@ class Broker:
         except queue.Empty:
             raise ConnectionError("the broker did not take the connection") from None
         if reason.is_failure:
-            raise ConnectionError(f"the broker refuses us: {reason}")
+            raise ConnectionError(f"the broker refuses the connection: {reason}")
 
 
 def _without_secrets(url: str) -> str:

@@ -272,7 +272,7 @@ def residuals(running: Running, asked: Residuals) -> Response:
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
-    models = [_content(running, name, "identified", None) for name in asked.models]
+    models = [(name, _content(running, name, "identified", None)) for name in asked.models]
     joined = None if asked.joined is None else _content(running, asked.joined, "identified", None)
     weight = WeightChoice(asked.epsilon, asked.zeta, asked.rule, asked.weight_order, asked.points, asked.lowest)
     options = asked.model_dump(include=set(_AIM))

@@ -14,10 +14,10 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME, TEXT, AssetName
-from residuum.service.machines.acceptance import propose
-from residuum.service.machines.healthy_windows import healthy_windows, parted
-from residuum.service.machines.model_texts import ModelText, stored_model
-from residuum.service.machines.stored_baselines import baseline_name, newest_baseline
+from residuum.service.machines.adding.model_texts import ModelText, stored_model
+from residuum.service.machines.baselines.acceptance import propose
+from residuum.service.machines.baselines.healthy_windows import healthy_windows, parted
+from residuum.service.machines.baselines.stored_baselines import baseline_name, newest_baseline
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of

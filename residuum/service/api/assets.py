@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
 from residuum.service.api.parameters import TEXT, AssetName, Cursor, Limit
-from residuum.service.machines.judges import diagnoser_class
+from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.services import Running, caller_of
 
 router = APIRouter(prefix="/assets", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)

@@ -16,25 +16,25 @@ from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
 from residuum.service.hidden_password import with_hidden_password
-from residuum.service.machines.baseline_training import train_baseline
-from residuum.service.machines.bus_description import bus_description
-from residuum.service.machines.channel_guess import guessed_channels, model_signals
-from residuum.service.machines.channel_names import named
-from residuum.service.machines.complete_windows import complete_windows, used_by
-from residuum.service.machines.judges import diagnoser_class
-from residuum.service.machines.kept_machines import (
+from residuum.service.machines.adding.bus_description import bus_description
+from residuum.service.machines.adding.channel_guess import guessed_channels, model_signals
+from residuum.service.machines.adding.channel_names import named
+from residuum.service.machines.adding.kept_machines import (
     document_name,
     forget_machine,
     keep_machine,
     kept_maps,
     with_map_files,
 )
-from residuum.service.machines.kept_passwords import with_kept_passwords
-from residuum.service.machines.model_texts import ModelText, model_of_settings, stored_model
-from residuum.service.machines.second_opinion import what_is_trained
-from residuum.service.machines.stored_baselines import has_baseline
-from residuum.service.machines.training_windows import MOST, training_windows
-from residuum.service.machines.watched_machine import WatchedMachine
+from residuum.service.machines.adding.kept_passwords import with_kept_passwords
+from residuum.service.machines.adding.model_texts import ModelText, model_of_settings, stored_model
+from residuum.service.machines.adding.watched_machine import WatchedMachine
+from residuum.service.machines.baselines.baseline_training import train_baseline
+from residuum.service.machines.baselines.stored_baselines import has_baseline
+from residuum.service.machines.baselines.training_windows import MOST, training_windows
+from residuum.service.machines.judging.judges import diagnoser_class
+from residuum.service.machines.judging.second_opinion import what_is_trained
+from residuum.service.machines.windows.complete_windows import complete_windows, used_by
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.views.model_view import model_of
 from residuum.service.work.record_parts import parts_of

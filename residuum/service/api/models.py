@@ -80,5 +80,5 @@ def _versions(running: Services, model: str) -> Sequence[ModelVersion]:
     """Versions of a model, newest first; NotFound also for a machine's document, which is no model."""
     versions = running.store.model_versions(model)
     if versions[0].kind not in MODEL_KINDS:
-        raise NotFound(f"model {model!r}: there is none of this name")
+        raise NotFound(f"model {model!r}: there is none of this name; GET /models lists them")
     return versions

@@ -12,7 +12,7 @@ from starlette.datastructures import QueryParams
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats.logger_time import FORMS
+from residuum.identification.record_formats.loggers.logger_time import FORMS
 from residuum.service.bad_bodies import BadBody
 
 _OF_THE_FILE = {

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS, LOGGERS, OLDER, READERS
-from residuum.identification.record_formats.logger_time import FORMS
+from residuum.identification.record_formats.loggers.logger_time import FORMS
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
@@ -20,7 +20,7 @@ from residuum.service.api.reading_options import READING_OPTIONS, reading, remed
 from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
-from residuum.service.machines.known_dbc import known_dbc
+from residuum.service.machines.adding.known_dbc import known_dbc
 from residuum.service.services import Running
 from residuum.service.settings import Settings
 from residuum.service.work.upload_reader import read_upload

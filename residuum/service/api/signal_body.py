@@ -20,7 +20,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
-from residuum.service.machines.known_dbc import known_dbc
+from residuum.service.machines.adding.known_dbc import known_dbc
 from residuum.service.services import Services
 from residuum.service.work.npy import read_npy
 from residuum.service.work.signal_formats import FORMATS, few, unpacked_size

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query, Response
 
-from residuum.diagnosis.vibration.amplitude_spectrum import amplitude_spectrum
+from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.record import Record
 from residuum.library.picture import Curve
 from residuum.service.api.answers import PROBLEMS

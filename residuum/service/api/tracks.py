@@ -11,8 +11,8 @@ from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName
+from residuum.service.machines.adding.model_texts import model_of_settings, stored_model
 from residuum.service.machines.limits import keep_limits, limits_of
-from residuum.service.machines.model_texts import model_of_settings, stored_model
 from residuum.service.machines.tracks import follow, missing_terms, told_parameters
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound, SignalLetGo

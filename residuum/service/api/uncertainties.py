@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.service.api.analyses import RecordNumbers
 from residuum.service.api.answers import PROBLEMS, JobAnswer

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
-from residuum.diagnosis.vibration.amplitude_spectrum import amplitude_spectrum
+from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
@@ -20,8 +20,8 @@ from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, record_of
-from residuum.service.machines.deciding_method import deciding_method
-from residuum.service.machines.stored_baselines import newest_baseline
+from residuum.service.machines.baselines.deciding_method import deciding_method
+from residuum.service.machines.baselines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
 from residuum.service.store import NotFound
 from residuum.service.views.signal_view import extremes

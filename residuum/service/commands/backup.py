@@ -12,10 +12,10 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.commands.settings_file import DatabaseUrl, SettingsFile
 from residuum.service.settings import SETTINGS_FILE, Settings, load_settings
-from residuum.service.storage.backup import write_backup
-from residuum.service.storage.backup_contents import Contents
+from residuum.service.storage.backup.backup_contents import Contents
+from residuum.service.storage.backup.backup_file import write_backup
 from residuum.service.storage.database import Database, sqlite_file
 from residuum.service.store import StorageUnavailable
 
@@ -26,7 +26,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def backup(
     file: Annotated[Path, typer.Argument(help="Backup file to write; it must not exist yet.")],
     data: Annotated[Path | None, typer.Option(help="Folder of signal blocks and the default database.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    database: DatabaseUrl = None,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:

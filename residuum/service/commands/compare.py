@@ -1,10 +1,9 @@
 """`residuum compare`: how large is a model's error on records, is it structured, and where does it lie?"""
 
-from typing import Annotated
-
 import typer
 
 from residuum.service.commands.fmu_process import model_for
+from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
@@ -25,7 +24,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="compare")
 def compare_command(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    model: ModelSource,
     records: RecordFiles,
     channel_map: ChannelMap = None,
     resample: Resample = False,

@@ -83,12 +83,13 @@ def design(
     within: Annotated[
         list[str] | None, typer.Option(metavar="NAME=LOW:HIGH", help="Keep a parameter of the controller between limits.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the random plants.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random plants.")] = 0,
     export: Annotated[
         tuple[str, Path] | None, typer.Option(metavar="c|st FILE", help="Also write the controller as C or structured text.")
     ] = None,
     limits: Annotated[
-        tuple[float, float], typer.Option(metavar="LOW HIGH", help="Of the actuator, in the exported code.")
+        tuple[float, float],
+        typer.Option(metavar="LOW HIGH", help="Limits of the actuator in the exported code, in the unit of the plant's input."),
     ] = _NO_LIMITS,
     as_json: AsJson = False,
 ) -> None:
@@ -138,7 +139,7 @@ def design(
 
 def _check_export(export: tuple[str, Path] | None, limits: tuple[float, float]) -> None:
     if not limits[0] < limits[1]:
-        raise BadInput(f"--limits {limits[0]:g} {limits[1]:g}: the lower must be below the upper")
+        raise BadInput(f"--limits {limits[0]:g} {limits[1]:g}: write the lower one first")
     if export is None:
         return
     if export[0] not in LANGUAGES:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from residuum.identification.errors import BadInput
-from residuum.service.fieldbus.device_reading import MISSING, ChannelReading, as_plain, read_device
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.device_reading import MISSING, ChannelReading, as_plain, read_device
+from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import map_file
 
 MODBUS = "modbus:"

@@ -1,5 +1,6 @@
 """Choosing and setting up a diagnoser on the command line."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -26,7 +27,8 @@ FixUndetermined = Annotated[
         "--fix-undetermined", help="model-based: keep the file's value of a parameter that the healthy records do not determine."
     ),
 ]
-FalseAlarms = Annotated[float | None, typer.Option(help="model-based: the chosen number of false alarms a day.")]
+Baseline = Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")]
+FalseAlarms = Annotated[float | None, typer.Option(help="model-based: number of false alarms a day that is accepted.")]
 
 
 def model_settings(model: str | None, fix_undetermined: bool, false_alarms_per_day: float | None) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import urllib.parse
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import can
@@ -22,23 +21,24 @@ from residuum.service.broker_address import BrokerAddress, broker_address
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.settings_file import SettingsFile
-from residuum.service.fieldbus.can import streamed
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.device_reading import read_device
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.metric_map import read_metric_map
-from residuum.service.fieldbus.node_map import read_node_map
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.can_source import streamed
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.device_reading import read_device
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings
-from residuum.service.machines.stored_baselines import has_baseline
+from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
+from residuum.service.machines.baselines.stored_baselines import has_baseline
 from residuum.service.security.access import ApiKeys
 from residuum.service.settings import Settings, is_loopback, load_settings
-from residuum.service.storage import DiskStore, audit, block_rows
+from residuum.service.storage import DiskStore, audit
 from residuum.service.storage.audit import BrokenAudit
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, newest_revision, sqlite_file
-from residuum.service.storage.row_checks import check_rows
+from residuum.service.storage.rows import block_rows
+from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -73,8 +73,8 @@ class Check:
 
 @app.command()
 def doctor(
-    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    data: DataFolder = None,
+    database: DatabaseUrl = None,
     blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,

@@ -9,6 +9,7 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.estimation import estimate_text
 from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
+from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
@@ -29,7 +30,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="estimate")
 def estimate_command(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the model with the estimated parameters (YAML).")],
     method: Annotated[str, typer.Option(help=f"What error is minimised: {', '.join(METHODS)}.")] = "simulation",

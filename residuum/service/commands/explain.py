@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from residuum.service.commands.fmu_process import model_for
+from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
     ChannelMap,
@@ -36,7 +37,7 @@ Learned = Annotated[
 
 @app.command(name="explain")
 def explain_command(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    model: ModelSource,
     records: RecordFiles,
     effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
     learned: Learned = False,

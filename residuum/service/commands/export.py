@@ -7,6 +7,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.library.whole_file import write_whole
+from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 
@@ -17,7 +18,7 @@ _TARGETS = ("c", "python", "matlab", "modelica", "fmu")
 
 @app.command(name="export")
 def export_command(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    model: ModelSource,
     to: Annotated[str, typer.Option(metavar="|".join(_TARGETS), help="What to write.")],
     out: Annotated[Path, typer.Option(help="File to write.")],
     as_json: AsJson = False,

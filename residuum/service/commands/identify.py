@@ -55,7 +55,10 @@ def identify(
     delay: Annotated[str, typer.Option(help="Samples before the input acts, or `estimate`.")] = "1",
     noise_variance: Annotated[str, typer.Option(help="`marginal`, `least-squares`, or a number [output unit²].")] = "marginal",
     uncertainty: Annotated[
-        str, typer.Option(help=f"How far to trust the model: one of {', '.join(UNCERTAINTIES)}; all but own from the kept part.")
+        str,
+        typer.Option(
+            help=f"What says how far to trust the model: one of {', '.join(UNCERTAINTIES)}. All but own use data kept aside."
+        ),
     ] = "own",
     noise_bound: Annotated[
         float | None,

@@ -10,6 +10,7 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
 from residuum.service.commands.explain import Learned, Seconds
+from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.records import (
@@ -31,7 +32,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="improve")
 def improve_command(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A built-in model or a model file.")],
+    model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="Model file to write. The model that was read is not changed.")],
     add: Annotated[

@@ -8,7 +8,7 @@ import typer
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS, ReadOptions
-from residuum.identification.record_formats.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_file import understand
 from residuum.identification.record_formats.lvm import LONGEST_HEAD, has_head
 from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
@@ -61,6 +61,7 @@ def inspect_command(
             "decimal": decimal,
             "time_form": time,
             "time_column": time_column,
+            "told_units": pairs("--unit", units),
             "missing": missing or [],
             "sample_time": sample_time,
         }

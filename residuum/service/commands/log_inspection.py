@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from residuum.service.fieldbus.can_log import read_can_log
-from residuum.service.fieldbus.frame_layout import NO_COUNTER, read_dbc
-from residuum.service.fieldbus.logged_messages import LoggedMessage, logged_messages
+from residuum.service.fieldbus.can.can_log import read_can_log
+from residuum.service.fieldbus.can.frame_layout import NO_COUNTER, read_dbc
+from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
 from residuum.service.fieldbus.settings import map_file
 
 

@@ -29,9 +29,11 @@ def machine(
         str | None, typer.Option(help="Address to offer its slow streams over OPC UA, for example opc.tcp://127.0.0.1:4840/.")
     ] = None,
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Speed of the simulation; 2 is twice real time.")] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of noise and start values.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of noise and start values.")] = 0,
     exemplar: Annotated[int, typer.Option(min=0, help="Number of the specimen: no two machines of a series are equal.")] = 0,
-    with_parent: Annotated[bool, typer.Option("--with-parent", help="End when standard input closes.")] = False,
+    with_parent: Annotated[
+        bool, typer.Option("--with-parent", help="End when standard input closes, that is, with the program that started it.")
+    ] = False,
 ) -> None:
     """Run a simulated machine on a real bus until it is interrupted.
 

@@ -10,7 +10,7 @@ from residuum.identification.physics import load_model
 from residuum.identification.units import compatible
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.channel_guess import guessed_channels, model_signals
+from residuum.service.machines.adding.channel_guess import guessed_channels, model_signals
 from residuum.service.machines.machine_line import MachineLine
 
 ENOUGH = 20

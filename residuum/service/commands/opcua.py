@@ -13,7 +13,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
-from residuum.service.fieldbus.node_map import node_map_text, read_node_map
+from residuum.service.fieldbus.opcua.node_map import node_map_text, read_node_map
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -60,7 +60,7 @@ def trust(
 
 def _library() -> Any:
     try:
-        return import_module("residuum.service.fieldbus.opcua")
+        return import_module("residuum.service.fieldbus.opcua.opcua_source")
     except ModuleNotFoundError:
         raise BadInput("OPC UA needs the extra `opcua`: pip install 'residuum[opcua]'") from None
 

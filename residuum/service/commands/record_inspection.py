@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.record_formats import ReadOptions
-from residuum.identification.record_formats.first_rows import first_rows
-from residuum.identification.record_formats.logger_file import LoggerFile
+from residuum.identification.record_formats.loggers.first_rows import first_rows
+from residuum.identification.record_formats.loggers.logger_file import LoggerFile
 from residuum.identification.record_formats.read_apart import read_safely
 
 _Column = tuple[int, str, str, int]

@@ -12,26 +12,41 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS, ReadOptions
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
-from residuum.identification.record_formats.logger_mapping import ENDING, read_logger_file, read_mapping
-from residuum.identification.record_formats.no_value import NO_VALUE
+from residuum.identification.record_formats.loggers.logger_mapping import ENDING, read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.no_value import NO_VALUE
 from residuum.identification.record_formats.read_apart import read_safely
 from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
 from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
 Resample = Annotated[
-    bool, typer.Option("--resample", help="Accept uneven time stamps; samples are interpolated, longer holes stay missing.")
+    bool,
+    typer.Option(
+        "--resample", help="Accept uneven time stamps: interpolate onto even ones. Holes of more than three steps stay missing."
+    ),
 ]
-SampleTime = Annotated[float | None, typer.Option(help="Seconds between samples, for files that do not say it.")]
+SampleTime = Annotated[float | None, typer.Option(help="Seconds from sample to sample, for a file that does not say them.")]
 Units = Annotated[
-    list[str] | None, typer.Option("--unit", metavar="CHANNEL=UNIT", help="Unit of a channel, for files without units.")
+    list[str] | None,
+    typer.Option(
+        "--unit",
+        metavar="CHANNEL=UNIT",
+        help="Unit of a channel for which the file says none, as speed=rpm; of the times too, as t=ms.",
+    ),
 ]
 ChannelMap = Annotated[
-    list[str] | None, typer.Option("--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column.")
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="NAME=COLUMN", help="Take the signal NAME from this column. time=COLUMN names the column of times."
+    ),
 ]
 
 MappingFile = Annotated[
-    Path | None, typer.Option("--mapping", help="Read loggers' files by this mapping (`residuum inspect` writes it).")
+    Path | None,
+    typer.Option(
+        "--mapping",
+        help="Mapping by which a logger's file is read (`residuum inspect` writes it). Default: FILE.mapping.yaml beside it.",
+    ),
 ]
 DbcFile = Annotated[
     Path | None, typer.Option("--dbc", metavar="FILE", help=f"DBC file by which CAN logs ({', '.join(CAN_LOGS)}) are read.")
@@ -75,8 +90,8 @@ def load_records(
     if dbc is not None and not any(is_can_log(file) for file in files):
         raise BadRecord(f"--dbc {dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
     columns = pairs("--map", channel_map or model_map)
-    time = columns.pop("time", None)
     told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
+    time = columns.pop("time", None)
     options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
     renames = {column: name for name, column in columns.items()} if channel_map else {}
     return [_read(file, options, mapping, dbc).rename(renames) for file in files]
@@ -93,7 +108,7 @@ def _can_record(file: Path, options: ReadOptions, dbc: Path | None) -> Record:
         raise BadRecord(f"{file}: is a CAN log; name the DBC file of its bus with --dbc FILE")
     if not file.is_file():
         raise BadRecord(f"{file}: no such file")
-    made: Record = import_module("residuum.service.fieldbus.can_record").read_can_record(file, dbc, options)
+    made: Record = import_module("residuum.service.fieldbus.can.can_record").read_can_record(file, dbc, options)
     return made
 
 

@@ -13,11 +13,11 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, is_can_log, load_records
 from residuum.service.commands.report import AsJson, progress, report
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.can_log import TimedFrame, read_can_log
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
-from residuum.service.fieldbus.register_trace import TracedPage, read_trace
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.can_log import TimedFrame, read_can_log
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.modbus.register_map import RegisterMap, read_register_map
+from residuum.service.fieldbus.modbus.register_trace import TracedPage, read_trace
 from residuum.service.fieldbus.replay import (
     TRACE,
     layout_for,

@@ -1,12 +1,12 @@
 """`residuum rescore`: a diagnoser's finding on every record of a fleet."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS, diagnoser_class
 from residuum.identification.errors import BadInput
+from residuum.service.commands.diagnoser_options import Baseline
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet_source import StoredWindows, fleet_source
@@ -29,7 +29,7 @@ def rescore(
     ],
     records: Source,
     out: Results,
-    baseline: Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")] = None,
+    baseline: Baseline = None,
     data: Data = None,
     workers: Workers = None,
     scheduler: Scheduler = None,

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from residuum.diagnosis.learning.stored import stored_kind
-from residuum.diagnosis.residuals.classical_filters import CLASSICAL_METHODS
-from residuum.diagnosis.residuals.multivariable_detection import detect_multivariable
-from residuum.diagnosis.residuals.multivariable_residual import (
+from residuum.diagnosis.residuals.generators.classical_filters import CLASSICAL_METHODS
+from residuum.diagnosis.residuals.multivariable.multivariable_detection import detect_multivariable
+from residuum.diagnosis.residuals.multivariable.multivariable_residual import (
     KIND,
     UNKNOWN_INPUT,
     MultivariableResidual,
@@ -19,7 +19,7 @@ from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKind
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable_file import is_multivariable, load_multivariable
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model_file import load_identified
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
@@ -115,7 +115,9 @@ def run(
     design: Annotated[Path, typer.Argument(help="Design file, as `residuum residual design` writes it.")],
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record file.")],
     threshold: Annotated[ThresholdKind, typer.Option(help="Kind of threshold.")] = "posterior",
-    false_alarms_per_day: Annotated[float, typer.Option(help="For the posterior and the calibrated threshold.")] = 1.0,
+    false_alarms_per_day: Annotated[
+        float, typer.Option(help="Number of false alarms a day that is accepted, for the posterior and the calibrated threshold.")
+    ] = 1.0,
     evaluation: Annotated[
         EvaluationName | None,
         typer.Option(

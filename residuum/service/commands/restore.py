@@ -10,9 +10,10 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.backup import described, in_words
 from residuum.service.commands.report import AsJson, report
+from residuum.service.commands.settings_file import DatabaseUrl
 from residuum.service.settings import load_settings
+from residuum.service.storage.backup.restore import restore_backup
 from residuum.service.storage.database import Database
-from residuum.service.storage.restore import restore_backup
 from residuum.service.store import StorageUnavailable
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -22,7 +23,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 def restore(
     file: Annotated[Path, typer.Argument(help="A backup, from either kind of database.")],
     data: Annotated[Path | None, typer.Option(help="Folder for signal blocks and the default database.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    database: DatabaseUrl = None,
     as_json: AsJson = False,
 ) -> None:
     """Verify a backup and restore all of it, or nothing. Existing data are never changed.

@@ -32,8 +32,10 @@ DatabaseUrl = Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: 
 @app.command()
 def parquet(
     asset: AssetArgument,
-    begin: Annotated[str, typer.Option("--from", help="Begin, for example 2026-11-01 or 2026-11-01T08:00+01:00 (UTC).")],
-    end: Annotated[str, typer.Option("--to", help="End, which is not part of it.")],
+    begin: Annotated[
+        str, typer.Option("--from", help="Begin, for example 2026-11-01 or 2026-11-01T08:00+01:00. Without a zone it is UTC.")
+    ],
+    end: Annotated[str, typer.Option("--to", help="End of the span. What begins there is not part of it.")],
     out: Annotated[Path, typer.Option(help="Folder for MACHINE-findings.parquet and MACHINE-windows.parquet.")],
     windows: Annotated[bool, typer.Option(help="Write the windows with their signals, too.")] = True,
     data: Data = None,

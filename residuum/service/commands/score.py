@@ -1,7 +1,7 @@
 """`residuum score`: what a diagnoser says of records."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -11,6 +11,7 @@ from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
 from residuum.service.commands.diagnoser_options import (
+    Baseline,
     DiagnoserName,
     FalseAlarms,
     Hertz,
@@ -41,7 +42,7 @@ _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 def score(
     diagnoser: DiagnoserName,
     records: RecordFiles,
-    baseline: Annotated[Path | None, typer.Option(help="A trained diagnoser, as `train` writes it.")] = None,
+    baseline: Baseline = None,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,

@@ -8,6 +8,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.broker_address import broker_address
+from residuum.service.commands.settings_file import DatabaseUrl
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
 from residuum.service.settings import load_settings
@@ -26,7 +27,7 @@ def scorer(
             metavar="K/N", help="Number of this scorer and of all scorers, as 1/3. Each scorer has its share of the machines."
         ),
     ] = ("1/1"),
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
+    database: DatabaseUrl = None,
     data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, shared with the service.")] = None,
 ) -> None:
     """Take windows from the broker that the settings name, judge them, and store each once. Runs until interrupted."""

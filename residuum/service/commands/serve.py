@@ -6,7 +6,6 @@ import ssl
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,7 +14,7 @@ from fastapi import FastAPI
 
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
-from residuum.service.commands.settings_file import SettingsFile
+from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.security.http_connections import BoundedConnection
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory
@@ -33,8 +32,8 @@ def serve(
     demo: Annotated[bool | None, typer.Option("--demo", help="Start the simulated machines and watch them.")] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on; any but this machine's own needs API keys.")] = None,
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="TCP port; 0 takes a free one.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default: SQLite in the data folder.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder of signal blocks, baselines and the default database.")] = None,
+    database: DatabaseUrl = None,
+    data: DataFolder = None,
     settings_file: SettingsFile = None,
 ) -> None:
     """Run the service until it is interrupted."""

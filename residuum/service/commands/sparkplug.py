@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.broker_address import broker_address
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
-from residuum.service.fieldbus.metric_map import NAME, metric_map_text
+from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -42,7 +42,7 @@ def browse(
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:
         raise BadInput(f"{node}: must be GROUP/NODE, without + and #")
     try:
-        numeric_metrics = import_module("residuum.service.fieldbus.sparkplug_browse").numeric_metrics
+        numeric_metrics = import_module("residuum.service.fieldbus.sparkplug.sparkplug_browse").numeric_metrics
     except ModuleNotFoundError:
         raise BadInput("Sparkplug needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
     try:

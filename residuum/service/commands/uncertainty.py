@@ -6,9 +6,13 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, UncertaintyWeight, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import (
+    WEIGHT_ORDER,
+    UncertaintyWeight,
+    design_uncertainty_weight,
+)
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,
@@ -36,7 +40,7 @@ def uncertainty(
     weight_order: WeightOrder = WEIGHT_ORDER,
     points: Points = None,
     lowest: Lowest = None,
-    seed: Annotated[int, typer.Option(help="Of the random models.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random models.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Bound the error of a model at every frequency (Algorithm 1)."""

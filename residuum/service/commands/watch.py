@@ -21,10 +21,10 @@ from residuum.service.commands.running_service import HERE, ServiceUrl, answered
 from residuum.service.commands.settings_file import SettingsFile
 from residuum.service.commands.settings_template import settings_template
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.register_table import register_map_of, register_map_text
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_table import register_map_of, register_map_text
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.channel_guess import guessed_channels
+from residuum.service.machines.adding.channel_guess import guessed_channels
 from residuum.service.machines.live_values import LiveValues
 from residuum.service.settings import load_settings
 
@@ -44,7 +44,7 @@ def init(
     sparkplug: Annotated[str | None, typer.Option(help="Broker of a Sparkplug B node, for example mqtt://192.168.0.11.")] = None,
     bus_map: Annotated[
         str | None,
-        typer.Option("--map", help="DBC file (CAN), register, node (OPC UA) or metric map (Sparkplug)."),
+        typer.Option("--map", help="DBC file (CAN), register map (Modbus), node map (OPC UA) or metric map (Sparkplug)."),
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file of the machine, or a built-in model.")] = None,
     as_json: AsJson = False,
@@ -145,7 +145,7 @@ def train(
     fix_undetermined: Annotated[
         bool, typer.Option("--fix-undetermined", help="Keep the file's value of a parameter that the windows do not determine.")
     ] = False,
-    false_alarms_per_day: Annotated[float | None, typer.Option(help="The chosen number of false alarms a day.")] = None,
+    false_alarms_per_day: Annotated[float | None, typer.Option(help="Number of false alarms a day that is accepted.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a machine's baseline from its recorded windows; the service judges by it from now on."""

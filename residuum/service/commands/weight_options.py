@@ -4,13 +4,17 @@ from typing import Annotated, Literal
 
 import typer
 
-Epsilon = Annotated[float, typer.Option(help="ε of the number of random models (2.24).")]
-Zeta = Annotated[float, typer.Option(help="ζ of the number of random models (2.24).")]
+Epsilon = Annotated[
+    float, typer.Option(help="Error ε that an estimated share of models may have. A smaller one draws more models, (2.24).")
+]
+Zeta = Annotated[
+    float, typer.Option(help="Probability ζ that the error is larger than ε. A smaller one draws more models, (2.24).")
+]
 Rule = Annotated[
     Literal["chernoff", "worst-case"],
-    typer.Option(help="Meaning of ε and ζ: bounds for a share of the models, or for the worst of them."),
+    typer.Option(help="What ε and ζ hold for: a share of the models (chernoff), or the worst of them (worst-case)."),
 ]
 WeightOrder = Annotated[int, typer.Option(help="Order of the fitted weight W_T.", min=0, max=20)]
 Points = Annotated[int | None, typer.Option(help="Number of frequencies in the first grid, logarithmic up to π/Ts.", min=2)]
-Lowest = Annotated[float | None, typer.Option(help="Lowest of these frequencies \\[rad/s].")]
-EPSILON, ZETA, RULE = 0.05, 0.05, "chernoff"
+Lowest = Annotated[float | None, typer.Option(help="Lowest frequency of the grid \\[rad/s].")]
+EPSILON, ZETA = 0.05, 0.05

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from importlib import import_module
 
 from residuum.service.broker_address import broker_address
-from residuum.service.fieldbus.can import CanSource
-from residuum.service.fieldbus.frame_layout import BadBusDescription, read_dbc
-from residuum.service.fieldbus.metric_map import read_metric_map
-from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.node_map import read_node_map
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.can.can_source import CanSource
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_dbc
+from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.opcua.node_map import read_node_map
 from residuum.service.fieldbus.settings import SourceSettings
 from residuum.service.fieldbus.source import Sink, Source
+from residuum.service.fieldbus.sparkplug.metric_map import read_metric_map
 
 Open = Callable[[SourceSettings, Sink], Source]
 
@@ -25,7 +25,7 @@ def _opcua(settings: SourceSettings, sink: Sink) -> Source:
     """Imported when it is opened: the library is an extra."""
     nodes = read_node_map(settings.map_file)
     try:
-        made: Source = import_module("residuum.service.fieldbus.opcua").OpcuaSource(settings.channel, nodes, sink)
+        made: Source = import_module("residuum.service.fieldbus.opcua.opcua_source").OpcuaSource(settings.channel, nodes, sink)
     except ModuleNotFoundError:
         raise BadBusDescription("an OPC UA source needs the extra `opcua`: pip install 'residuum[opcua]'") from None
     return made
@@ -35,7 +35,7 @@ def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
     """Imported when it is opened: the libraries are an extra."""
     metrics = read_metric_map(settings.map_file)
     try:
-        module = import_module("residuum.service.fieldbus.sparkplug")
+        module = import_module("residuum.service.fieldbus.sparkplug.sparkplug_source")
     except ModuleNotFoundError:
         raise BadBusDescription("a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
     made: Source = module.SparkplugSource(broker_address(settings.channel), metrics, sink)

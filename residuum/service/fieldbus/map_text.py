@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from residuum.service.fieldbus.frame_layout import BadBusDescription
+from residuum.identification.yaml_text import short_text, what_is_wrong
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
 Map = TypeVar("Map", bound=BaseModel)
 
@@ -33,24 +34,26 @@ def read_map_text(path: str | Path) -> Any:
     """The content of a YAML file; BadBusDescription names file, line and rule."""
     where = Path(path).name
     try:
-        return yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_EachNameOnce)
+        return yaml.load(short_text(Path(path)), Loader=_EachNameOnce)
     except yaml.constructor.ConstructorError as error:
         line = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
         raise BadBusDescription(f"{where}{line}: {error.problem}") from None
     except FileNotFoundError:
         raise BadBusDescription(f"{where}: no such file") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, TypeError) as error:
-        raise BadBusDescription(f"{where}: cannot be read as YAML: {' '.join(str(error).split())}") from None
+    except OSError as error:
+        raise BadBusDescription(f"{where}: cannot be read: {error.strerror}") from None
+    except (UnicodeDecodeError, yaml.YAMLError, TypeError) as error:
+        raise BadBusDescription(f"{where}: is not YAML: {what_is_wrong(error)}") from None
 
 
 def read_map(path: Path, kind: type[Map], way_on: Callable[[str], str] = lambda _field: "") -> Map:
     """The map of a kind in a YAML file; BadBusDescription names file and field, and says what `way_on` knows for it."""
     try:
-        return kind.model_validate(yaml.load(path.read_text(encoding="utf-8"), Loader=_EachNameOnce))
+        return kind.model_validate(yaml.load(short_text(path), Loader=_EachNameOnce))
     except OSError as error:
         raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadBusDescription(f"{path}: is not YAML: {' '.join(str(error).split())[:200]}") from None
+        raise BadBusDescription(f"{path}: is not YAML: {what_is_wrong(error)}") from None
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"

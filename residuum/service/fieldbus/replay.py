@@ -13,13 +13,13 @@ import numpy as np
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
-from residuum.service.fieldbus.can_bus import CanBus
-from residuum.service.fieldbus.can_log import TimedFrame
-from residuum.service.fieldbus.device_registers import DeviceRegisters
-from residuum.service.fieldbus.frame_layout import FrameLayout, read_dbc
-from residuum.service.fieldbus.register_map import RegisterMap, StreamRegisters
-from residuum.service.fieldbus.register_server import RegisterServer
-from residuum.service.fieldbus.register_trace import TracedPage
+from residuum.service.fieldbus.can.can_bus import CanBus
+from residuum.service.fieldbus.can.can_log import TimedFrame
+from residuum.service.fieldbus.can.frame_layout import FrameLayout, read_dbc
+from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.register_map import RegisterMap, StreamRegisters
+from residuum.service.fieldbus.modbus.register_server import RegisterServer
+from residuum.service.fieldbus.modbus.register_trace import TracedPage
 
 TRACE = ".trace"
 """Ending of a register trace."""

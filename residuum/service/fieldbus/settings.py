@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.broker_address import broker_address
+from residuum.service.fieldbus.strict_model import StrictModel
 
 MAPS = Path(__file__).parent / "maps"
 
@@ -19,11 +20,7 @@ def map_file(name: str) -> Path:
     return built_in if "/" not in name and built_in.is_file() else Path(name)
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SourceSettings(_Strict):
+class SourceSettings(StrictModel):
     """One bus connection.
 
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`) and a DBC file; `modbus`
@@ -54,7 +51,7 @@ class SourceSettings(_Strict):
         return map_file(self.map)
 
 
-class WindowSettings(_Strict):
+class WindowSettings(StrictModel):
     """How the streams are cut into windows.
 
     `movement`: from the phase signal's leaving 0 to its return. `round`: from the first of four indicator pulses to the next
@@ -67,7 +64,7 @@ class WindowSettings(_Strict):
     step: float = Field(default=10.0, gt=0, le=3600, description="From one sliding window to the next [s].")
 
 
-class SecondOpinion(_Strict):
+class SecondOpinion(StrictModel):
     """Who else judges the windows of a machine: its findings are shown beside the first one's and raise no alarm."""
 
     diagnoser: Literal["model-based"] = "model-based"
@@ -75,7 +72,7 @@ class SecondOpinion(_Strict):
     baseline: str | None = Field(default=None, description="Name of its trained baseline; None: the asset's, with `.second`.")
 
 
-class MachineSettings(_Strict):
+class MachineSettings(StrictModel):
     """One machine: its name (the asset), the diagnoser that judges it, its windows, sources and alarm rule."""
 
     asset: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")

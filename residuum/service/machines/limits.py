@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import orjson
 
-from residuum.service.machines.kept_machines import KIND, document_name, kept_document
+from residuum.service.machines.adding.kept_machines import KIND, document_name, kept_document
 from residuum.service.store import Store
 
 

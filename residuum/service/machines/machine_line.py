@@ -18,9 +18,9 @@ from residuum.identification.record import Record
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.channel_names import named
+from residuum.service.machines.adding.channel_names import named
 from residuum.service.machines.live_values import LiveValues
-from residuum.service.machines.windows import make_cutter
+from residuum.service.machines.windows.cut_windows import make_cutter
 
 log = structlog.get_logger()
 

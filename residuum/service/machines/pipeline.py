@@ -14,12 +14,12 @@ from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.fieldbus.source import FaultsUnavailable, Source
-from residuum.service.machines.baseline_files import baseline_file
-from residuum.service.machines.judge_and_store import JudgeAndStore
-from residuum.service.machines.kept_machines import kept_machines
+from residuum.service.machines.adding.kept_machines import kept_machines
+from residuum.service.machines.baselines.baseline_files import baseline_file
+from residuum.service.machines.baselines.stored_baselines import newest_baseline
+from residuum.service.machines.judging.judge_and_store import JudgeAndStore
+from residuum.service.machines.judging.second_opinion import second_name
 from residuum.service.machines.machine_line import MachineLine
-from residuum.service.machines.second_opinion import second_name
-from residuum.service.machines.stored_baselines import newest_baseline
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
 from residuum.service.store import Conflict, NotFound, StorageUnavailable, Store

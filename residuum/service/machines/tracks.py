@@ -11,8 +11,8 @@ from residuum.diagnosis.tracks.track import FEWEST_WINDOWS_OF_A_TRACK, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible
-from residuum.service.machines.channel_names import named
-from residuum.service.machines.model_texts import ModelText
+from residuum.service.machines.adding.channel_names import named
+from residuum.service.machines.adding.model_texts import ModelText
 from residuum.service.store import Store
 from residuum.service.views.model_view import view_model
 from residuum.service.work.jobs import Progress

@@ -44,7 +44,7 @@ class BearerTokens:
         try:
             self._jwt: Any = import_module("jwt")  # optional: the extra `oidc`
         except ImportError:
-            raise BadSettings("setting oidc_issuer: needs the extra 'oidc'") from None
+            raise BadSettings("setting oidc_issuer: needs the extra `oidc`: pip install 'residuum[oidc]'") from None
         self._settings = settings
         self._issuer = str(settings.oidc_issuer).rstrip("/")
         self._keys: dict[str, Any] = {}

@@ -12,11 +12,11 @@ from threadpoolctl import threadpool_limits
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.record import Record
 from residuum.service.fieldbus.block import Block
-from residuum.service.fieldbus.frame_layout import read_dbc
-from residuum.service.fieldbus.frame_sender import FrameSender
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.can.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_sender import FrameSender
+from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.fieldbus.settings import MAPS, WindowSettings
-from residuum.service.machines.windows import make_cutter
+from residuum.service.machines.windows.cut_windows import make_cutter
 from residuum.service.simulated.wiring import Wiring, wiring_of
 from residuum.simulation import MACHINES, Machine
 

@@ -27,7 +27,7 @@ class NodeStreams:
 
     def __init__(self, url: str, machine: str, streams: Collection[str], speed: float) -> None:
         try:
-            self._server: Any = import_module("residuum.service.fieldbus.node_server").NodeServer(url)
+            self._server: Any = import_module("residuum.service.fieldbus.opcua.node_server").NodeServer(url)
         except ModuleNotFoundError:
             raise BadInput("--opcua: needs the extra `opcua`: pip install 'residuum[opcua]'") from None
         self._machine, self._streams, self._speed = machine, streams, speed

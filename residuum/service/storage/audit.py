@@ -16,7 +16,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Connection, Row, insert, select, update
 
-from residuum.service.storage import paging
+from residuum.service.storage.rows import paging
 from residuum.service.storage.tables import audit, audit_head
 from residuum.service.store import AuditEntry, Page
 

@@ -14,24 +14,12 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.alarm_states import AlarmEvent
-from residuum.service.storage import (
-    alarm_rates,
-    alarms,
-    assets,
-    audit,
-    block_rows,
-    finding_hours,
-    finding_notices,
-    models,
-    records,
-    retention,
-    time_range,
-    windows,
-)
+from residuum.service.storage import alarm_rates, audit, retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Database
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Retention
+from residuum.service.storage.rows import alarms, assets, block_rows, finding_hours, finding_notices, models, records, windows
 from residuum.service.store import (
     Alarm,
     AlarmEntry,

@@ -18,8 +18,8 @@ import orjson
 from sqlalchemy import ColumnElement, Connection, delete, func, insert, or_, select, update
 from sqlalchemy.exc import IntegrityError
 
-from residuum.service.storage import finding_notices
 from residuum.service.storage.database import Database
+from residuum.service.storage.rows import finding_notices
 from residuum.service.storage.tables import alarm_notices, receivers
 from residuum.service.store import Alarm, StoredFinding
 

@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, select, update
 
 from residuum.service.alarms.alarm_states import AlarmState
-from residuum.service.storage import finding_hours, finding_notices
+from residuum.service.storage.rows import finding_hours, finding_notices
 from residuum.service.storage.tables import alarms, assets, findings, windows
 
 _DAY = 86_400.0

@@ -7,8 +7,8 @@ from datetime import datetime
 
 from sqlalchemy import Connection, select
 
-from residuum.service.storage import assets, windows
 from residuum.service.storage import tables as t
+from residuum.service.storage.rows import assets, windows
 from residuum.service.store import StoredFinding, StoredWindow
 
 

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from residuum.diagnosis.residuals.movement_phases import phase_cells
 from residuum.identification.physics import Experiment, Key, PhysicalModel, load_model, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis import term_curves
 from residuum.identification.residual_analysis.compare import Comparison, compare
-from residuum.identification.residual_analysis.locate import Axis
+from residuum.identification.residual_analysis.places import term_curves
+from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.library.answers.comparison import comparison_json
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress

@@ -53,7 +53,7 @@ def broker_client(
     try:
         mqtt: Any = importlib.import_module("paho.mqtt.client")  # optional: the extra `mqtt`
     except ImportError:
-        raise BadInput("setting mqtt: needs the extra 'mqtt'") from None
+        raise BadInput("setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'") from None
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=not kept, manual_ack=True)
     if address.user:
         client.username_pw_set(address.user, address.password)

@@ -14,7 +14,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.settings import MachineSettings
-from residuum.service.machines.scoring import PlainRecord
+from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.spool import Spool
 from residuum.service.window_queue.topics import receipt_topic, window_topic

@@ -17,9 +17,9 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.service.broker_address import BrokerAddress
-from residuum.service.machines.baseline_files import baseline_file
-from residuum.service.machines.deciding_method import deciding_method
-from residuum.service.machines.scoring import score_window
+from residuum.service.machines.baselines.baseline_files import baseline_file
+from residuum.service.machines.baselines.deciding_method import deciding_method
+from residuum.service.machines.judging.scoring import score_window
 from residuum.service.store import NotFound, StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
 from residuum.service.window_queue.stored_news import StoredNews

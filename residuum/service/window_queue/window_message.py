@@ -10,7 +10,7 @@ import msgpack
 import numpy as np
 
 from residuum.identification.errors import BadInput
-from residuum.service.machines.scoring import PlainRecord
+from residuum.service.machines.judging.scoring import PlainRecord
 
 _VERSION = 1
 _TYPES = ("<f4", "<f8")

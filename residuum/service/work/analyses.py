@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.identification.linear_models.error_grid import asked_grid
+from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import identified_text
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight
@@ -158,14 +158,21 @@ def residuals(
 
 
 def design_controller(
-    progress: Progress, models: Sequence[bytes], joined: bytes | None, weight: WeightChoice, options: Mapping[str, Any]
+    progress: Progress,
+    models: Sequence[tuple[str, bytes]],
+    joined: bytes | None,
+    weight: WeightChoice,
+    options: Mapping[str, Any],
 ) -> Mapping[str, Any]:
-    """`result`: the `control design` object, infeasible or with the controller; `options` are those of `rs.control.design`."""
+    """`result`: the `control design` object, infeasible or with the controller; `models` are names and contents.
+
+    `options` are those of `rs.control.design`.
+    """
     progress(0.0, "control")
-    plants = [Plant(model, model.method.split("-")[0]) for model in map(read_identified, models)]
+    plants = [Plant(model, model.method.split("-")[0]) for model in (read_identified(text) for _, text in models)]
     middle = None if joined is None else read_identified(joined)
     nominal = None if middle is None else Plant(middle, middle.method.split("-")[0])
-    named = {"models": [f"model-{number}.json" for number in range(len(models))]}
+    named = {"models": [name for name, _ in models]}
     try:
         controller = control.design(plants, joined=nominal, weight=weight, **options)
     except Infeasible as no:

@@ -56,7 +56,7 @@ def open_executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
     try:
         connect: Any = import_module("distributed").Client  # optional: the extra `fleet`
     except ImportError:
-        raise BadInput("--scheduler: needs the extra 'fleet'") from None
+        raise BadInput("--scheduler: needs the extra `fleet`: pip install 'residuum[fleet]'") from None
     try:
         client = connect(scheduler, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:

@@ -163,7 +163,7 @@ def _file_system(url: str) -> tuple[Any, str]:
     try:
         fsspec: Any = import_module("fsspec.core")  # optional: the extra `fleet`
     except ImportError:
-        raise BadInput(f"{url}: needs the extra 'fleet'") from None
+        raise BadInput(f"{url}: needs the extra `fleet`: pip install 'residuum[fleet]'") from None
     files, root = fsspec.url_to_fs(url)
     return files, root
 

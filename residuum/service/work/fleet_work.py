@@ -11,11 +11,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from residuum.diagnosis.diagnosers import DIAGNOSERS
-from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
 from residuum.library.identification_methods import Request, identified_by
+from residuum.service.machines.judging.kept_diagnosers import diagnoser_of_file
 from residuum.service.work.fleet_source import FleetSource, Folder
 
 
@@ -35,7 +34,7 @@ class Rescore:
     def __call__(self, file: str) -> dict[str, Any]:
         """`{"by": …, "finding": …}` or `{"by": …, "refused": …}`."""
         try:
-            finding = _judge(self.diagnoser, self.baseline).score(self.source.read(file))
+            finding = diagnoser_of_file(self.diagnoser, self.baseline).score(self.source.read(file))
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         return {"by": self.mark, "finding": to_plain(finding.to_json())}
@@ -79,8 +78,3 @@ class Reidentify:
 def _mark(asked: str, baseline: str | None) -> str:
     content = b"" if baseline is None else Path(baseline).read_bytes()
     return hashlib.sha256(asked.encode() + b"\n" + content).hexdigest()[:16]
-
-
-@lru_cache(maxsize=4)
-def _judge(diagnoser: str, baseline: str | None) -> Diagnoser:
-    return DIAGNOSERS[diagnoser]() if baseline is None else DIAGNOSERS[diagnoser].load(Path(baseline))

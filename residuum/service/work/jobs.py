@@ -179,8 +179,8 @@ class Jobs:
         done = state is JobState.DONE
         told = outcome if done else (str(outcome).strip().splitlines() or [state.value])[-1]
         fields = {"result": told, "progress": 1.0} if done else {"error": told}
-        self._update(job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields)
-        if state is JobState.FAILED:  # said last: a log that cannot be written must not leave the job running
+        ended = self._update(job, state=state, doing=state.value, finished_at=datetime.now(UTC), **fields)
+        if ended.state is JobState.FAILED:  # said last: a log that cannot be written must not leave the job running
             log.error("job failed", job=job, reason=outcome)
 
     def _update(self, job: str, **fields: Any) -> Job:

@@ -1,5 +1,5 @@
-"""A stranger's bytes are read in a process of its own, with limits on memory, time, files and output: what is hostile or broken
-can end that process, and nothing else.
+"""A stranger's bytes are read in a process of its own, with limits on memory, time, files and output. What is hostile or
+broken can end that process, and nothing else.
 
 The process is a module run as a program, `python -m MODULE MEMORY SECONDS …`. A refusal is its kind and one line on standard
 output, and exit status 2.

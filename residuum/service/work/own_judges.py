@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +12,11 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
-from residuum.service.machines.deciding_method import deciding_method
-from residuum.service.machines.stored_baselines import KIND, newest_baseline
-from residuum.service.storage import DiskStore, models
+from residuum.service.machines.baselines.deciding_method import deciding_method
+from residuum.service.machines.baselines.stored_baselines import KIND, newest_baseline
+from residuum.service.machines.judging.kept_diagnosers import IN_THIS_PROCESS, diagnoser_of_content
+from residuum.service.storage import DiskStore
+from residuum.service.storage.rows import models
 from residuum.service.store import ModelVersion, NotFound, Store
 from residuum.service.work.fleet_source import StoredWindows, stored_in
 
@@ -53,7 +53,7 @@ class RescoreOwn:
             own = next((judge for judge in self.judges if judge.asset == asset), None)
             if own is None or own.diagnoser is None:
                 raise BadInput(f"asset {asset!r}: has no diagnoser")
-            finding = _judge(self.source, own).score(self.source.read(window))
+            finding = IN_THIS_PROCESS.get((self.source, own), lambda: _judge(self.source, own)).score(self.source.read(window))
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         return {"by": self.mark, "finding": to_plain(finding.to_json())}
@@ -91,15 +91,12 @@ def _baseline(store: Store, asset: str) -> ModelVersion | None:
     return newest if newest.kind == KIND else None
 
 
-@lru_cache(maxsize=64)
 def _judge(source: StoredWindows, own: OwnJudge) -> Diagnoser:
     kind = DIAGNOSERS[own.diagnoser or ""]
     judge = kind()
     if own.baseline is not None:
         name, number, _ = own.baseline
         database, _ = stored_in(source.url, source.data)
-        with database.read() as connection, tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "baseline"
-            file.write_bytes(models.content(connection, name, number))
-            judge = kind.load(file)
+        with database.read() as connection:
+            judge = diagnoser_of_content(kind, models.content(connection, name, number))
     return judge if own.method is None else judge.with_settings(method=own.method)

@@ -78,7 +78,7 @@ def _record(file: Path, how: Mapping[str, Any]) -> Record:
     if "kind" in how:
         return FORMATS[how["kind"]](file.read_bytes(), how["unpacked"])
     if how["dbc"] is not None:
-        from residuum.service.fieldbus.can_record import read_can_record  # noqa: PLC0415
+        from residuum.service.fieldbus.can.can_record import read_can_record  # noqa: PLC0415
 
         return read_can_record(file, how["dbc"], ReadOptions(**how["options"]))
     if file.suffix == ".npz":

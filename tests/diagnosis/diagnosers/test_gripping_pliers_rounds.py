@@ -61,7 +61,6 @@ def test_table_6_envelope_grows_as_in_the_source():
     compared = diagnoser.compare(faulty)
     medians = np.median(compared.quadrant_rms, axis=0)
     assert medians[2] > medians[3] > 1.1 * medians[:2].max()
-    assert set(np.argsort(compared.quadrant_excess)[-2:]) == {2, 3}
     assert compared.exceeding[: compared.place.size // 2].max() < 0.1
 
 

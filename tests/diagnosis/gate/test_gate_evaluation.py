@@ -15,7 +15,7 @@ from residuum.diagnosis.learning.object_wise_validation import Validation, mixed
 from residuum.diagnosis.residuals.fault_isolation import source_classifier
 from residuum.diagnosis.thresholds.upper_tail import UpperTail
 from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.vibration.shaft_pattern import shaft_pattern
+from residuum.diagnosis.vibration.rotation.shaft_pattern import shaft_pattern
 from residuum.identification.errors import BadInput
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.diagnosis.residuals.approximate_fault_detection import noise_path
-from residuum.diagnosis.residuals.classical_filters import CLASSICAL_METHODS
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import noise_path
+from residuum.diagnosis.residuals.generators.classical_filters import CLASSICAL_METHODS
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.diagnosis.systems.coprime import left_coprime

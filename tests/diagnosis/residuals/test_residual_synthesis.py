@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.diagnosis.residuals.approximate_fault_detection import (
+from residuum.diagnosis.residuals.generators.approximate_fault_detection import (
     approximate_fault_detection,
-    exact_fault_detection,
     noise_path,
 )
 from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
@@ -103,12 +102,6 @@ def test_post_filter_keeps_the_budget_decouples_u_and_is_optimal(name, fault):
     other = np.sqrt(np.abs(N * WEIGHT.frequency_response(OMEGA)) ** 2 + np.abs(M) ** 2)
     limit = 0.1 * np.max(np.abs(M if fault == "sensor" else N) / other)
     assert 0.95 * limit <= found.beta <= limit * (1 + 1e-6)
-
-
-def test_without_model_error_and_noise_the_problem_is_exact():
-    found = exact_fault_detection(left_coprime(state_space(PROCESS)), fault="actuator")
-    assert found.gamma == 0.0 and found.decoupling == np.inf
-    assert found.beta == pytest.approx(abs(PROCESS.frequency_response([0.0])[0]))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.fitting.structure_fits import fit_structure
 from residuum.identification.physics import Experiment, load_model
 
 RECORDS, N, SAMPLE_TIME = 200, 4000, 0.005

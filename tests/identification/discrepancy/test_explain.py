@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.held_out import split
 from residuum.identification.discrepancy.improve import improve
+from residuum.identification.discrepancy.improving.held_out import split
 from residuum.identification.errors import BadModel, BadRecord
 from residuum.identification.physics import Simulator, load_model, match, read_model, write_model
 from residuum.identification.physics.model import missing_name

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numba import njit
 
-from residuum.identification.discrepancy.final_estimate import vanished
-from residuum.identification.discrepancy.held_out import split, split_experiments
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Step, quantities_of
+from residuum.identification.discrepancy.improving.final_estimate import vanished
+from residuum.identification.discrepancy.improving.held_out import split, split_experiments
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record
 

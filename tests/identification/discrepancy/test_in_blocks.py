@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.in_blocks import at_every_sample, in_blocks
-from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.structure_fits import base_structure
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure
+from residuum.identification.discrepancy.screening.in_blocks import at_every_sample, in_blocks
+from residuum.identification.discrepancy.screening.score_test import Screen
 from residuum.identification.physics import Settings, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.averaged import averaged

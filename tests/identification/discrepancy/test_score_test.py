@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.linearisation import at_rest, linearised
-from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.structure_fits import base_structure
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure
+from residuum.identification.discrepancy.screening.linearisation import at_rest, linearised
+from residuum.identification.discrepancy.screening.score_test import Screen
 from residuum.identification.physics import candidates, load_model, match
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.record import Record

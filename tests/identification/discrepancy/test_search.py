@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.evidence import preferred
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.growth import _climbed_without, _leave_to_the_noise, winner
-from residuum.identification.discrepancy.search_state import Search
-from residuum.identification.discrepancy.special_cases import that_say_more
-from residuum.identification.discrepancy.structure_fits import base_structure, refit
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure, refit
+from residuum.identification.discrepancy.searching.evidence import preferred
+from residuum.identification.discrepancy.searching.growth import _climbed_without, _leave_to_the_noise, winner
+from residuum.identification.discrepancy.searching.search_state import Search
+from residuum.identification.discrepancy.searching.special_cases import that_say_more
 from residuum.identification.physics import Key, load_model, match, read_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES

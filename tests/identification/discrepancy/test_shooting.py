@@ -5,10 +5,10 @@ import pytest
 from numba import njit
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.score_test import Screen
-from residuum.identification.discrepancy.shooting import pairs_by_shooting
-from residuum.identification.discrepancy.structures import times_its_innovations
+from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
+from residuum.identification.discrepancy.fitting.structures import times_its_innovations
+from residuum.identification.discrepancy.screening.score_test import Screen
+from residuum.identification.discrepancy.screening.shooting import pairs_by_shooting
 from residuum.identification.physics import candidates, read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy.noise import SLOW

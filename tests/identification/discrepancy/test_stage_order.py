@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure, in_likelier_order
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure, fit_structure, in_likelier_order
 from residuum.identification.physics import match, read_model
 from residuum.identification.record import Record
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.free_term import FreeTerm
-from residuum.identification.discrepancy.suggestion import suggestion
+from residuum.identification.discrepancy.judging.free_term import FreeTerm
+from residuum.identification.discrepancy.judging.suggestion import suggestion
 
 
 def term(at, value):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.structure_fits import base_structure, fit_structure
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure, fit_structure
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions

@@ -201,7 +201,7 @@ def test_bad_requests_are_refused_with_the_rule():
     ]:
         with pytest.raises(BadInput, match=match):
             identify_impulse_response(record, "u", "y", **options)
-    with pytest.raises(BadRecord, match=r"sample time 1\.0 s, others have 0\.5"):
+    with pytest.raises(BadRecord, match=r"sample time 1 s, others have 0\.5"):
         identify_impulse_response([record, Record(record.channels, UNITS, 1.0)], "u", "y", order=5)
     with pytest.raises(BadRecord, match="unit 'm', others have 'mm'"):
         identify_impulse_response([record, Record(record.channels, {"u": "V", "y": "m"}, 0.5)], "u", "y", order=5)

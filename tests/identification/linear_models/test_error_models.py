@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from residuum.identification.errors import BadInput, NotIdentifiable
-from residuum.identification.linear_models.error_models import ERROR_MODELS, likeliest_embedding
+from residuum.identification.linear_models.error_bounds.error_models import ERROR_MODELS, likeliest_embedding
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.stochastic_embedding import laguerre_basis
 from residuum.identification.linear_models.transfer_function import TransferFunction

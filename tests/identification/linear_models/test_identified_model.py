@@ -91,7 +91,7 @@ def test_file_keeps_every_number(tmp_path):
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        ({"format": "other"}, "not the file of an identified model"),
+        ({"format": "other"}, "is not an identified model"),
         ({"version": 9}, "version 9"),
         ({"surprise": 1}, "unknown field 'surprise'"),
         ({"covariance": [[1.0]]}, "covariance: has shape"),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.magnitude_fit import between_samples, fit_magnitude, worst_distance_db
+from residuum.identification.linear_models.error_bounds.magnitude_fit import between_samples, fit_magnitude, worst_distance_db
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
 OMEGA = np.geomspace(1e-2, 1e2, 80)

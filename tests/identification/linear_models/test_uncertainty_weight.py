@@ -9,7 +9,7 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.linear_models.uncertainty import (
     chernoff_samples,
     design_uncertainty_weight,
-    error_envelope,
+    drawn_errors,
     worst_case_accuracy,
     worst_case_samples,
 )
@@ -46,7 +46,7 @@ def test_worst_case_rule_keeps_its_promise(repeat):
     frequency, broken = OMEGA[:1], 0
     judged = np.abs(model().sample_frequency_responses(20_000, frequency, seed=99) / model().frequency_response(frequency) - 1)
     for seed in range(100):
-        envelope = error_envelope(model(), frequency, worst_case_samples(0.05, 0.95), seed=1000 * repeat + seed)
+        envelope = drawn_errors(model(), worst_case_samples(0.05, 0.95), seed=1000 * repeat + seed).envelope(frequency)
         broken += np.mean(judged > envelope) > 0.05
     assert broken <= 12  # binomial(100, 0.05) exceeds 12 with probability 0.1 %
 
@@ -75,7 +75,7 @@ def test_a_zero_of_the_nominal_model_is_named():
         method="by hand", sample_time=1.0, impulse_response=[1.0, -1.0], covariance=0.01 * np.eye(2), noise_variance=0.1
     )
     with pytest.raises(BadModel, match=r"zero at 0 rad/s.*use additive"):
-        error_envelope(differencing, [0.0, 1.0], 20)
+        drawn_errors(differencing, 20).envelope([0.0, 1.0])
 
 
 @pytest.mark.parametrize(("accuracy", "confidence"), [(0.0, 0.9), (0.1, 1.0)])

@@ -34,7 +34,7 @@ def test_the_parts_are_what_was_measured():
 def test_an_exact_model_fits_both_sides_of_a_hole_and_the_answer_says_so():
     compared = rs.model("linear-axis").compare(drive(hole=(800, 1200)))
     assert compared.to_dict()["outputs"]["velocity"]["fit_percent"] > 99.0
-    assert "axis.csv (part 2: 17 to 24.99 s): an experiment of its own" in str(compared)
+    assert "axis.csv (part 2: 17 to 24.99 s): simulated by itself" in str(compared)
     assert len(compared.to_dict()["records"]) == 2
 
 

@@ -62,5 +62,4 @@ outputs: {current: {value: i, unit: A}}
     model, experiments = match(read_model(coil), [Record({"u": u, "current": u / 150}, {"u": "V", "current": "A"}, 0.01)])
     simulator = Simulator(model)
     assert simulator.modal_substeps(experiments, [np.zeros(0)], simulator.p()) == [1]
-    assert simulator.resolves(experiments, [np.zeros(0)], simulator.p(), [1])
     assert abs(estimate(model, experiments).model.values["R"] - 150.0) < 1e-6

@@ -5,8 +5,8 @@ import pytest
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import ReadOptions, read_record
-from residuum.identification.record_formats.logger_file import understand
-from residuum.identification.record_formats.logger_mapping import read_logger_file, read_mapping
+from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_mapping import read_logger_file, read_mapping
 
 SPEED = np.array([1.5, 2.25, 3.0, 4.75])
 DAY = 1704063600.0
@@ -164,7 +164,7 @@ def test_rows_without_times_are_as_far_apart_as_is_said(tmp_path):
 
 
 def test_a_sample_time_does_not_stand_in_for_a_time_that_the_file_has():
-    with pytest.raises(BadRecord, match="nothing says in which unit time column 'time' is"):
+    with pytest.raises(BadRecord, match="time column 'time' has no unit; say --unit time=s"):
         understand(b"time;v [V]\n0;1\n1;2\n2;3\n", "log.csv", sample_time=0.1)
 
 
@@ -198,3 +198,9 @@ def test_quoted_cells_below_a_plain_head_are_read(tmp_path):
     file = tmp_path / "log.csv"
     file.write_text("time [s],U [V]\n" + "\n".join(f'"{k}","{k}.5"' for k in range(9)) + "\n")
     np.testing.assert_array_equal(read_record(file)["U"], np.arange(9) + 0.5)
+
+
+def test_the_unit_of_times_may_be_said_like_any_other(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_text("t;speed\n0;1\n10;2\n20;3\n")
+    assert read_record(file, ReadOptions(units={"t": "ms", "speed": "rpm"})).sample_time == pytest.approx(0.01)

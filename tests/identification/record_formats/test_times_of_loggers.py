@@ -8,9 +8,9 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import ReadOptions, read_record, write_record
-from residuum.identification.record_formats.logger_file import understand
-from residuum.identification.record_formats.logger_mapping import parse_logger
-from residuum.identification.record_formats.no_value import without_overloads
+from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_mapping import parse_logger
+from residuum.identification.record_formats.loggers.no_value import without_overloads
 
 N = 300
 BASE = datetime(2024, 3, 11, 9, 58, 30)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.identification.discrepancy.structure_fits import fit_structure
+from residuum.identification.discrepancy.fitting.structure_fits import fit_structure
 from residuum.identification.physics import Experiment, block_means, load_model
 from residuum.identification.residual_analysis.averaged import averaged
 

@@ -6,9 +6,9 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import t
 
-from residuum.identification.residual_analysis.coloured_noise import ColouredNoise
-from residuum.identification.residual_analysis.innovation_sums import log_density, squared_scale
-from residuum.identification.residual_analysis.innovations import fit_noises, pointwise_log_likelihood
+from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise
+from residuum.identification.residual_analysis.noise.innovation_sums import log_density, squared_scale
+from residuum.identification.residual_analysis.noise.innovations import fit_noises, pointwise_log_likelihood
 from residuum.identification.residual_analysis.policy.noise import FREEDOM
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, medfilt, welch
 
-from residuum.identification.residual_analysis import noise_floor
-from residuum.identification.residual_analysis.noise_floor import times_the_noise, times_the_quiet_noise
+from residuum.identification.residual_analysis.noise import noise_floor
+from residuum.identification.residual_analysis.noise.noise_floor import times_the_noise, times_the_quiet_noise
 from residuum.identification.residual_analysis.policy.noise import AN_EVENT, BEYOND_NOISE, UNDER_STRUCTURE
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.structure_fits import base_structure
-from residuum.identification.discrepancy.unseen_errors import blocks_of, unseen
+from residuum.identification.discrepancy.fitting.structure_fits import base_structure
+from residuum.identification.discrepancy.fitting.unseen_errors import blocks_of, unseen
 from residuum.identification.physics import estimate, match, read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.comparing import share

@@ -9,7 +9,6 @@ import pytest
 from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband
 from residuum.service.alarms.alarm_states import (
     ACTIVE,
-    ASIDE,
     AlarmEvent,
     AlarmState,
     AlarmStatus,
@@ -17,6 +16,8 @@ from residuum.service.alarms.alarm_states import (
     follow,
     operate,
 )
+
+ASIDE = (AlarmState.SHELVED, AlarmState.SUPPRESSED, AlarmState.OUT_OF_SERVICE)
 
 START = datetime(2026, 1, 1, tzinfo=UTC)
 # Written out after ANSI/ISA-18.2-2016, figure 3, apart from the code: state → what each event may lead to.

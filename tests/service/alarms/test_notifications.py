@@ -167,7 +167,7 @@ def test_findings_wait_in_the_database_until_each_receiver_was_told(store_urls, 
 
 
 def test_findings_that_wait_are_bounded_and_what_was_let_go_is_counted_once(store_urls, tmp_path, monkeypatch):
-    monkeypatch.setattr("residuum.service.storage.finding_notices.MOST_NOTICES_OF_FINDINGS", 5)
+    monkeypatch.setattr("residuum.service.storage.rows.finding_notices.MOST_NOTICES_OF_FINDINGS", 5)
     for url in store_urls:
         store = DiskStore(tmp_path / "data", url)
         broker = store.outbox.register("mqtt://broker", findings=True)

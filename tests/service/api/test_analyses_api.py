@@ -103,7 +103,7 @@ def test_a_controller_is_designed_for_a_stored_model(client, plant, tmp_path):
     assert result(client, client.post("/api/v1/identify", json=asked))["state"] == "done"
     job = result(client, client.post("/api/v1/control-designs", json={"models": ["controlled"]}))
     assert job["state"] == "done", job
-    assert isinstance(job["result"]["file"], dict)
+    assert isinstance(job["result"]["file"], dict) and job["result"]["models"] == ["controlled"]
 
 
 def test_compare_gives_what_the_command_gives(client, tmp_path):

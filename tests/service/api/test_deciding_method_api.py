@@ -8,8 +8,8 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.errors import BadInput
-from residuum.service.machines.baseline_training import train_baseline
-from residuum.service.machines.deciding_method import choose_method, chosen_method, deciding_method
+from residuum.service.machines.baselines.baseline_training import train_baseline
+from residuum.service.machines.baselines.deciding_method import choose_method, chosen_method, deciding_method
 from residuum.service.work.record_parts import parts_of
 
 ADDRESS = "/api/v1/assets/plant/method"
@@ -145,7 +145,7 @@ def test_a_machines_document_is_not_told_as_a_model(service):
     with httpx.Client(base_url=f"{service.url}/api/v1/models/plant.method", timeout=60) as client:
         for path in ("/versions", "/versions/1"):
             assert client.get(path).status_code == 404
-            assert client.get(path).json()["detail"] == "model 'plant.method': there is none of this name"
+            assert client.get(path).json()["detail"] == "model 'plant.method': there is none of this name; GET /models lists them"
 
 
 def test_a_baseline_is_trained_with_the_method_that_is_asked_for(case, tmp_path):

@@ -5,6 +5,7 @@ import http.client
 import json
 import re
 import socket
+from pathlib import Path
 
 import httpx
 import pytest
@@ -163,3 +164,20 @@ def test_the_demo_on_this_machine_has_no_rate_limit_unless_asked_for(tmp_path):
     assert load_settings().requests_per_second is None
     assert load_settings(rate_limit=5).requests_per_second == 5
     assert load_settings(host="0.0.0.0", api_keys=tmp_path).requests_per_second == 200
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("host: [1\n", "not YAML: line 2, column 1"),
+        ("- host\n", "is no settings file"),
+        ("hoost: a\n", "setting hoost: is not known, the nearest is host"),
+        ("#" * 1_000_001, "1000001 bytes; a YAML file has at most 1000000"),
+    ],
+)
+def test_a_settings_file_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path, text: str, says: str) -> None:
+    file = tmp_path / "settings.yaml"
+    file.write_text(text)
+    with pytest.raises(BadSettings, match=says) as refused:
+        load_settings(file)
+    assert "\n" not in str(refused.value)

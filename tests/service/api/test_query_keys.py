@@ -6,7 +6,7 @@ import httpx
 import numpy as np
 import pytest
 
-from residuum.diagnosis.vibration.bearing_model import faulty_bearing
+from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
 
 ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}
 TOLD = ",".join(f"{name}={order}" for name, order in ORDERS.items())

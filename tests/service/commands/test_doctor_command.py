@@ -95,7 +95,7 @@ def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, ex
     away, closed, opened = (free_port() for _ in range(3))
     start_mosquitto(closed, "allow_anonymous false")
     start_mosquitto(opened)
-    for port, says in ((away, "refused"), (closed, "refuses us"), (opened, None)):
+    for port, says in ((away, "refused"), (closed, "refuses the connection"), (opened, None)):
         monkeypatch.setenv("RESIDUUM_MQTT", f"mqtt://eva:secret@127.0.0.1:{port}/plant-7")
         status, wrong = examine(data)
         assert (status, list(wrong)) == ((0, []) if says is None else (1, ["broker"]))

@@ -22,6 +22,7 @@ def explanation(verdict, times, held=()):
         drifting=False,
         timing=(),
         next_experiment=(),
+        values=(),
         held=held,
         work=Work(),
     )

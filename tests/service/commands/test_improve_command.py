@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from residuum.identification.discrepancy.held_out_error import HeldOutError
+from residuum.identification.discrepancy.improving.held_out_error import HeldOutError
 from residuum.identification.physics import load_model
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record

@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from residuum.service.fieldbus.register_map import build_page, read_register_map
+from residuum.service.fieldbus.modbus.register_map import build_page, read_register_map
 from residuum.service.fieldbus.settings import MAPS
 
 STREAM = read_register_map(MAPS / "process_plant.yaml").streams["process"]

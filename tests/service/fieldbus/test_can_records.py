@@ -10,8 +10,8 @@ import pytest
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import CAN_LOGS, ReadOptions
 from residuum.service.cli import run
-from residuum.service.fieldbus.can_log import read_can_log
-from residuum.service.fieldbus.can_record import read_can_record
+from residuum.service.fieldbus.can.can_log import read_can_log
+from residuum.service.fieldbus.can.can_record import read_can_record
 
 DBC = """VERSION ""
 BS_:

@@ -7,8 +7,8 @@ import pytest
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS, SourceSettings
 

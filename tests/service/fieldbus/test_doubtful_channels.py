@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.channel_registers import ChannelRegisters
-from residuum.service.fieldbus.device_reading import ChannelReading, _reading
-from residuum.service.fieldbus.doubtful_channels import DoubtfulChannels
+from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters
+from residuum.service.fieldbus.modbus.device_reading import ChannelReading, _reading
+from residuum.service.fieldbus.modbus.doubtful_channels import DoubtfulChannels
 
 
 @pytest.mark.parametrize("value", [1352.6334, 1736.1733, 1200.5, 230.25])

@@ -4,8 +4,8 @@ import cantools
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.can import CanSource
-from residuum.service.fieldbus.frame_layout import BadBusDescription, read_dbc
+from residuum.service.fieldbus.can.can_source import CanSource
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_dbc
 from residuum.service.fieldbus.settings import MAPS
 
 MIXED = """VERSION ""

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.register_map import RegisterMap, read_register_map
+from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
+from residuum.service.fieldbus.modbus.register_map import RegisterMap, read_register_map
 from residuum.service.fieldbus.sequence import BREAK
 from residuum.service.fieldbus.settings import MAPS
 from residuum.service.fieldbus.source import FaultsUnavailable

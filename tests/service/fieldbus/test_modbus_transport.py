@@ -13,11 +13,11 @@ import pytest
 from pymodbus.transport import ModbusProtocol
 
 import residuum.service.fieldbus
-from residuum.service.fieldbus.device_reading import read_device
-from residuum.service.fieldbus.device_registers import DeviceRegisters
-from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.register_map import read_register_map
-from residuum.service.fieldbus.register_server import RegisterServer
+from residuum.service.fieldbus.modbus.device_reading import read_device
+from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
+from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_server import RegisterServer
 from residuum.service.fieldbus.settings import MAPS
 
 MAP = read_register_map(MAPS / "process_plant.yaml")
@@ -133,7 +133,7 @@ def test_all_modbus_traffic_goes_through_the_transport_of_pymodbus(wire):
     assert {function for function, _ in requests} == {function for function, _ in replies} == {3, 16}
 
 
-OWN_PROTOCOL = ("can_bus", "frame_batch", "modbus_client", "register_server")
+OWN_PROTOCOL = ("can/can_bus", "can/frame_batch", "modbus/modbus_client", "modbus/register_server")
 """What speaks to the libraries of buses; the rest of the room is addresses, maps, layouts, counters, replay and sources."""
 
 
@@ -158,7 +158,7 @@ def code_lines(path):
 def test_little_code_of_ours_stands_between_the_libraries_of_buses_and_the_maps():
     room = Path(residuum.service.fieldbus.__file__).parent
     assert sum(code_lines(room / f"{name}.py") for name in OWN_PROTOCOL) <= 150
-    for path in room.glob("*.py"):
+    for path in room.rglob("*.py"):
         names = {node.id for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Name)}
         opens = names & {"struct", "socketserver"} if path.stem != "sparkplug_payload" else set()
         assert not opens and ("socket" not in names or path.stem == "can_bus"), f"{path.name} has a protocol of its own"

@@ -12,8 +12,8 @@ import yaml
 
 from residuum.service.cli import BAD_INPUT, DONE, run
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.frame_layout import BadBusDescription
-from residuum.service.fieldbus.node_map import NodeMap, read_node_map
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.opcua.node_map import NodeMap, read_node_map
 from residuum.service.fieldbus.settings import SourceSettings
 
 pytest.importorskip("asyncua")
@@ -21,8 +21,8 @@ from asyncua import Server, ua
 from asyncua.crypto.cert_gen import setup_self_signed_certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from residuum.service.fieldbus.node_server import NodeServer
-from residuum.service.fieldbus.opcua import OpcuaSource, enter, make_client, said, server_certificate
+from residuum.service.fieldbus.opcua.node_server import NodeServer
+from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource, enter, make_client, said, server_certificate
 
 STEP, BAD = 0.02, 37
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cantools.database.errors import DecodeError
 
-from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.can.frame_layout import read_dbc
 
 MESSAGES = 50
 FRAMES = 60

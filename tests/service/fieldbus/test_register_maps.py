@@ -13,9 +13,9 @@ import pytest
 import yaml
 
 from residuum.service.cli import run
-from residuum.service.fieldbus.frame_layout import BadBusDescription
-from residuum.service.fieldbus.modbus import ModbusSource
-from residuum.service.fieldbus.register_map import read_register_map
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
+from residuum.service.fieldbus.modbus.register_map import read_register_map
 
 _spec = importlib.util.spec_from_file_location("small_device", Path(__file__).with_name("small_device.py"))
 _module = importlib.util.module_from_spec(_spec)

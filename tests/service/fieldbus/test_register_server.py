@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 
-from residuum.service.fieldbus.device_registers import DeviceRegisters
-from residuum.service.fieldbus.register_map import float_registers, read_register_map
-from residuum.service.fieldbus.register_server import RegisterServer
+from residuum.service.fieldbus.modbus.device_registers import DeviceRegisters
+from residuum.service.fieldbus.modbus.register_map import float_registers, read_register_map
+from residuum.service.fieldbus.modbus.register_server import RegisterServer
 from residuum.service.fieldbus.settings import MAPS
 
 MAP = read_register_map(MAPS / "process_plant.yaml")

@@ -3,7 +3,7 @@
 import pytest
 
 from residuum.service.fieldbus import replay
-from residuum.service.fieldbus.can_log import TimedFrame
+from residuum.service.fieldbus.can.can_log import TimedFrame
 from residuum.service.fieldbus.replay import replay_to_can
 
 

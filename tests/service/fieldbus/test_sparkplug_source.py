@@ -20,12 +20,12 @@ from residuum.identification.record import Record
 from residuum.service.broker_address import broker_address
 from residuum.service.cli import BAD_INPUT, DONE, run
 from residuum.service.fieldbus import SOURCES
-from residuum.service.fieldbus.edge_node import EdgeNode
-from residuum.service.fieldbus.frame_layout import BadBusDescription
-from residuum.service.fieldbus.metric_map import MetricMap, read_metric_map
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.settings import SourceSettings
-from residuum.service.fieldbus.sparkplug import REBIRTH, SparkplugSource
-from residuum.service.fieldbus.sparkplug_payload import BOOLEAN, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.edge_node import EdgeNode
+from residuum.service.fieldbus.sparkplug.metric_map import MetricMap, read_metric_map
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, Metric, Payload, pack, unpack
+from residuum.service.fieldbus.sparkplug.sparkplug_source import REBIRTH, SparkplugSource
 from residuum.service.finding_metrics import FindingMetrics
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
@@ -179,7 +179,7 @@ def test_a_flood_takes_no_more_than_its_share_and_no_more_memory():
 
 
 def test_a_node_is_born_again_after_a_flood(broker, node, monkeypatch):
-    monkeypatch.setattr("residuum.service.fieldbus.sparkplug._MOST_WAITING", 5)
+    monkeypatch.setattr("residuum.service.fieldbus.sparkplug.sparkplug_source._MOST_WAITING", 5)
     blocks = []
     node.write("Drive", {"u": 0.0}, time.time())
     source = SparkplugSource(

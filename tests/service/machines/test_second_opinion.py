@@ -5,7 +5,7 @@ import pytest
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.settings import MachineSettings, SecondOpinion, SourceSettings, WindowSettings
-from residuum.service.machines.second_opinion import what_is_trained, with_second_opinion
+from residuum.service.machines.judging.second_opinion import what_is_trained, with_second_opinion
 
 CAUSE = {"kind": "sensor", "name": "offset", "place": "y", "probability": 0.9}
 

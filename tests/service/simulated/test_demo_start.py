@@ -22,7 +22,7 @@ def test_no_start_of_the_demo_counts_a_device_that_is_not_there_yet(run_service)
 
 
 def test_the_process_plant_of_the_demo_is_on_opc_ua_beside_modbus(run_service, free_port):
-    opcua = pytest.importorskip("residuum.service.fieldbus.opcua", reason="the extra 'opcua' is not installed")
+    opcua = pytest.importorskip("residuum.service.fieldbus.opcua.opcua_source", reason="the extra 'opcua' is not installed")
     url = f"opc.tcp://127.0.0.1:{free_port()}/"
     service = run_service(demo=True, demo_opcua=url)
     end, found = time.monotonic() + 300, {}

@@ -4,9 +4,9 @@ import uuid
 
 import pytest
 
-from residuum.service.fieldbus.can import COMMAND
-from residuum.service.fieldbus.can_bus import open_bus
-from residuum.service.fieldbus.frame_layout import read_dbc
+from residuum.service.fieldbus.can.can_bus import open_bus
+from residuum.service.fieldbus.can.can_source import COMMAND
+from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.settings import MAPS
 from residuum.service.simulated.device import Device
 from residuum.service.simulated.wiring import wiring_of

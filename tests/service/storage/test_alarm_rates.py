@@ -7,8 +7,9 @@ from sqlalchemy import update
 
 from residuum.diagnosis.finding import Finding
 from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.storage import alarm_rates, alarms, assets
+from residuum.service.storage import alarm_rates
 from residuum.service.storage.database import Database
+from residuum.service.storage.rows import alarms, assets
 from residuum.service.storage.tables import alarms as rows
 
 PLAIN = AlarmRule()

@@ -122,7 +122,7 @@ def test_a_full_disk_stores_nothing_and_says_so(store, monkeypatch, tmp_path):
 
 
 def test_a_failing_transaction_leaves_no_block(store, monkeypatch, tmp_path):
-    monkeypatch.setattr("residuum.service.storage.alarms.follow", lambda *_: 1 / 0)
+    monkeypatch.setattr("residuum.service.storage.rows.alarms.follow", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         store.add_window("a", window(), finding("faulty"))
     assert not list(tmp_path.glob("blocks/*/*.block"))

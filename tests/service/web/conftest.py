@@ -16,6 +16,19 @@ TOO_WIDE = """() => document.documentElement.scrollWidth <= innerWidth ? [] :
   [...document.querySelectorAll('main *')].filter((element) =>
   element.getBoundingClientRect().right > innerWidth + 1 && !element.closest('.scroll, svg'))
     .map((element) => element.outerHTML.slice(0, 200))"""
+CUT = """() => [...document.querySelectorAll('body *')].filter((element) => {
+  if (!element.checkVisibility() || element.closest('svg, .visually-hidden, .skip, .scroll, pre, textarea')) return false;
+  if (![...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim())) return false;
+  const text = document.createRange();
+  text.selectNodeContents(element);
+  const box = text.getBoundingClientRect();
+  for (let at = element; at; at = at.parentElement) {
+    const frame = at.getBoundingClientRect();
+    const hides = at === document.documentElement || getComputedStyle(at).overflowX !== 'visible';
+    if (hides && (box.right > frame.right + 1 || box.left < frame.left - 1)) return true;
+  }
+  return false;
+}).map((element) => element.outerHTML.slice(0, 200))"""
 CONTRAST = """() => {
   const channels = (text) => text.startsWith('color(srgb')
     ? text.slice(10).match(/[0-9.e-]+/g).map((c, index) => index < 3 ? 255 * c : Number(c))
@@ -75,6 +88,17 @@ def fits():
 
     def check(page):
         assert page.evaluate(TOO_WIDE) == []
+
+    return check
+
+
+@pytest.fixture
+def uncut(fits):
+    """A page fits its window, and nothing hides a part of a text."""
+
+    def check(page):
+        fits(page)
+        assert page.evaluate(CUT) == []
 
     return check
 

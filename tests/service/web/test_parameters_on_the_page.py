@@ -17,7 +17,10 @@ FRICTION = {
     "indistinguishable_from": ["load-friction@shaft"],
     "says": "friction of the shaft 0.031 ± 0.002 N·m, healthy 0.018 to 0.022",
 }
-SECOND = {"diagnoser": "model-based", "verdict": "healthy", "reason": "within the limit", "causes": []}
+LUGRE = FRICTION | {"name": "lugre", "probability": 0.07, "indistinguishable_from": []}
+BARELY = FRICTION | {"name": "backlash", "probability": 4e-4, "indistinguishable_from": []}
+"""Rounded to what the page shows it is 0 %."""
+SECOND = {"diagnoser": "model-based", "verdict": "healthy", "reason": "within the limit", "causes": [BARELY]}
 MISSING = {"effect": "quadratic-drag", "place": "shaft", "parameters": {}}
 
 
@@ -31,7 +34,7 @@ def worn_fan(run_service):
         faulty = k > 25
         evidence = {
             "parameters": {"R": value | {"healthy": {"low": 0.9, "high": 1.3}}},
-            "causes": [FRICTION] if faulty else [],
+            "causes": [FRICTION, LUGRE, BARELY] if faulty else [],
             "missing_physics": [MISSING],
             "second_opinion": SECOND,
         }
@@ -46,9 +49,11 @@ def worn_fan(run_service):
 @pytest.mark.parametrize("size", [(1280, 900), (390, 844)])
 def test_causes_and_parameters_of_a_machine(worn_fan, open_page, legible, size):
     page = open_page(f"{worn_fan.url}/#/machines/fan", size=size)
-    expect(page.get_by_text("93 %: coulomb friction of shaft")).to_be_visible()
+    expect(page.get_by_text("93 %: Coulomb friction of shaft")).to_be_visible()
+    expect(page.get_by_text("7 %: LuGre friction of shaft")).to_be_visible()
+    expect(page.get_by_text("acklash")).to_have_count(0)
     expect(page.get_by_text("It disagrees: model-based says faulty, model-based says healthy")).to_be_visible()
-    expect(page.get_by_text("Healthy windows show quadratic drag of shaft too")).to_be_visible()
+    expect(page.get_by_text("Healthy windows show Quadratic drag of shaft too")).to_be_visible()
     page.locator("[data-key=follow-parameters]").click()
     expect(page.get_by_text("It drifts slowly since")).to_be_visible()
     page.locator("[data-key=limit-R]").fill("3")
@@ -66,7 +71,7 @@ def test_an_alarm_leads_to_its_window_and_on_to_the_workbench(worn_fan, open_pag
     expect(page).to_have_url(f"{worn_fan.url}/#/machines/fan?window=30")
     expect(page.get_by_text("Window 30: 100 samples")).to_be_visible()
     expect(page.get_by_text("In window 30:")).to_be_visible()
-    expect(page.get_by_text("This window cannot tell it from load friction of the shaft.")).to_be_visible()
+    expect(page.get_by_text("This window cannot tell it from Load-dependent friction of the shaft.")).to_be_visible()
     legible(page)
     page.locator("[data-key=window-20]").click()
     expect(page.get_by_text("Window 20 shows nothing that needs a cause.")).to_be_visible()  # the chosen one, not the last one

@@ -48,3 +48,7 @@ def test_lines_are_no_longer_than_pythons_and_no_diagnoser_is_known_by_name(file
     text = file.read_text()
     assert max(map(len, text.splitlines())) <= 130
     assert not [name for name in DIAGNOSERS if re.search(rf"[\"'`]{name}[\"'`]", text)]
+
+
+def test_heads_of_tables_are_built_in_one_place():
+    assert [file.name for file in FILES if '"thead"' in file.read_text()] == ["table_head.js"]

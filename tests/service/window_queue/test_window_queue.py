@@ -18,8 +18,8 @@ from residuum.identification.record import Record
 from residuum.service.broker_address import broker_address
 from residuum.service.cli import run
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.machines.deciding_method import choose_method
-from residuum.service.machines.scoring import PlainRecord
+from residuum.service.machines.baselines.deciding_method import choose_method
+from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway
 from residuum.service.window_queue.spool import Spool

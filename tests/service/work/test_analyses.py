@@ -68,9 +68,9 @@ def test_every_run_is_a_part_of_the_residuals_work(plant):
 def test_a_design_that_cannot_be_is_an_answer(plant):
     model = identified_text(identified([plant], REQUEST, "kernel", lambda *_: None).identified).encode()
     impossible = {"aim": "nominal", "structure": "pi", "overshoot": 1e-6, "settling_time": 1e-6, "slack": 1e-6}
-    _, found = told_by(analyses.design_controller, [model], None, WeightChoice(), impossible)
+    _, found = told_by(analyses.design_controller, [("press", model)], None, WeightChoice(), impossible)
     assert found["result"]["feasible"] is False and found["result"]["reason"]
-    assert found["result"]["models"] == ["model-0.json"]
+    assert found["result"]["models"] == ["press"]
 
 
 def test_what_does_not_fit_is_refused_by_its_name(plant):

@@ -22,7 +22,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
 from residuum.library.identification_methods import Request
 from residuum.service.cli import run
-from residuum.service.machines.deciding_method import choose_method
+from residuum.service.machines.baselines.deciding_method import choose_method
 from residuum.service.storage import DiskStore
 from residuum.service.work import fleet_source
 from residuum.service.work.fleet import open_executor, run_fleet

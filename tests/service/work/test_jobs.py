@@ -6,6 +6,7 @@ import signal
 import time
 
 import pytest
+from structlog.testing import capture_logs
 
 from residuum.service.store import NotFound
 from residuum.service.work.jobs import OVER, Jobs, JobState, TooManyJobs
@@ -95,6 +96,21 @@ def test_cancelling_ends_the_process_and_frees_its_place(jobs, work):
     assert until(jobs, waiting[1], over).state is JobState.FAILED
     assert until(jobs, jobs.submit("count", work.count, 1), over).state is JobState.DONE
     assert jobs.cancel(queued.id).state is JobState.DONE
+
+
+def test_a_job_that_is_cancelled_ends_without_a_word_in_the_log(jobs, work):
+    with capture_logs() as lines:
+        left = [jobs.submit("wait", work.wait) for _ in range(2)]
+        for job in left:
+            until(jobs, job, lambda job: job.doing.startswith("waiting in"))
+            jobs.cancel(job.id)
+        for after in [jobs.submit("count", work.count, 1) for _ in range(2)]:  # each has the place of one that was cancelled
+            assert until(jobs, after, over).state is JobState.DONE
+        assert lines == []
+        until(jobs, jobs.submit("fail", work.fail), over)
+        while not lines:
+            time.sleep(0.01)
+    assert [line["event"] for line in lines] == ["job failed"]
 
 
 def test_the_last_that_is_told_of_a_job_is_how_it_ended(jobs, work, told):

@@ -10,7 +10,7 @@ REFUTED = 0.9
 """How probable something else is where what the likelihood wanted failed, or nothing follows the error. Chosen."""
 DOUBTED = 0.3
 """How probable it is where more is left than the right effects leave. Chosen."""
-UNKNOWN = 0.5
+UNKNOWN_FROM = 0.5
 """Probability of something else from which on the verdict is that."""
 MUCH_ABOVE_NOISE = 3.0
 """Times the noise floor that no error keeps with the right effect added (at most 2)."""
@@ -41,24 +41,3 @@ FACTOR_KNOTS = 5
 """Hat functions by which an effect that was found may change. Chosen."""
 FORMULA_TERMS = 3
 """Functions that a formula of the free term has at most. Chosen."""
-
-PREDICTED_SAMPLES = 2000
-"""[samples] Of which errors of prediction are told. Chosen."""
-HORIZONS = (1, 10, 100)
-"""[samples] Ahead of which they are."""
-LOCATION_BINS = 24
-"""Of an axis along which an error is located. Chosen."""
-FEWEST_IN_A_BIN = 12
-"""[samples] Chosen."""
-LOCATION_SCORE = 10.0
-"""[2 nat] Likelihood ratio that a region has to exceed, beside twice the logarithm of the number of bins. Chosen."""
-WIDEST_REGION = 0.7
-"""Part of the samples that a region may hold. Chosen."""
-ONE_WAY = 4.0
-"""Ratio of an error's power in the two directions of movement from which on it is one direction's. Chosen."""
-STANDSTILL_REGION = 0.2
-"""Part of an axis's largest value within which a region around zero is a standstill's. Chosen."""
-STANDSTILL_SPEED = 0.02
-"""Part of the largest speed up to which there is no direction. Chosen."""
-MOST_REGIONS = 8
-"""Regions that are told. Chosen."""

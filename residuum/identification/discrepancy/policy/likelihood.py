@@ -44,7 +44,7 @@ TOKEN_BOUND = 1e-9
 """Positive lower bounds up to which they only keep a parameter from zero."""
 NEAR_A_TOKEN = 1e3
 """Times such a bound up to which a parameter lies on it. Chosen."""
-RIDGE = 1e-11
+FLAT_DIRECTION = 1e-11
 """Directions whose scaled curvature is below this fraction of the largest are left alone: rounding."""
 FREE_TERM_RIDGE = 1e-5
 """The same of a free term, up to which it is what the parameters do (a voltage linear in the current, a resistance): their

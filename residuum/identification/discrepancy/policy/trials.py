@@ -32,7 +32,7 @@ GENERALISED_SHARE = 0.01
 
 NEAR = 3.0
 """Factor from its nominal value within which a parameter is near. Chosen."""
-FAR = 20.0
+STRAYED = 20.0
 """Factor from its nominal value beyond which a parameter has strayed too far to go on from there. Chosen."""
 HALF_THE_ERROR = 0.5
 """Share of its error that the base is left with at most, where a search begins with what lowers it most. Chosen."""

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.linear_models.fit import simulated_beside
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.residual_tests import input_correlation_test
+from residuum.identification.linear_models.validation.fit import simulated_beside
+from residuum.identification.linear_models.validation.residual_tests import input_correlation_test
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]

@@ -47,7 +47,7 @@ def signals(records: Sequence[Record], input: str | None, output: str, *, offset
         raise BadRecord("prediction error method: no record was given")
     steps = {record.sample_time for record in records}
     if max(steps) - min(steps) > 1e-6 * min(steps):
-        raise BadRecord(f"records: have sample times {sorted(steps)}; all must be equal")
+        raise BadRecord(f"records: have sample times {sorted(steps)} s; all must be equal, resample one")
     ys = [_complete(record, output) for record in records]
     us = [np.zeros(len(y)) if input is None else _complete(record, input) for record, y in zip(records, ys, strict=True)]
     u_level, u_scale = _level_and_scale(us, offset)
@@ -73,7 +73,7 @@ def _complete(record: Record, name: str) -> FloatArray:
     if missing.size:
         raise BadRecord(
             f"{where}, channel {name!r}: sample {int(missing[0])} is missing; prediction error methods need every sample "
-            "(the kernel method does not)"
+            "cut the record there, or take --method kernel"
         )
     return signal
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -77,10 +77,6 @@ class Polynomials:
     def predictor_is_stable(self) -> bool:
         """Whether F and C, by which the predictor divides, have all roots inside the unit circle."""
         return is_schur(self.f) and is_schur(self.c)
-
-    def with_stable_predictor(self) -> Polynomials:
-        """The same with the roots of F and C that lie on or outside the unit circle mirrored into it."""
-        return replace(self, f=reflected(self.f), c=reflected(self.c))
 
     @property
     def delayed_b(self) -> FloatArray:

@@ -304,10 +304,6 @@ class Effect(ABC):
         """A start with its sizes shrunk to where screening takes derivatives."""
         return {name: value * self.rest if name in self.sizes else value for name, value in start.items()}
 
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """The physical assertion on its term along a simulation (friction never drives, heat flows downhill)."""
-        return bool(np.all(np.isfinite(term)))
-
     @abstractmethod
     def examples(self) -> Sequence[Example]:
         """Cases for the conformance test."""

@@ -23,7 +23,7 @@ import numpy.typing as npt
 import scipy
 
 from residuum.identification.descent import End, descend
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics.estimation.least_squares import (
     FlatDirection,
     bounded_step,
@@ -293,7 +293,7 @@ class _Problem:
         self.weights = self._scales() if given is None else np.where(self.measured, given, 0.0)
         point = self.point((self.theta0, initial))
         if not np.isfinite(point.cost):
-            raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values")
+            raise NotIdentifiable(f"model {self.simulator.model.name!r}: diverges at its starting values; {MAY_DIVERGE}")
         point, iterations, converged = self._descend(point)
         for _ in range(REWEIGHTINGS if given is None and np.sum(self.measured) > 1 else 0):
             self.weights = self._from_residuals(point)

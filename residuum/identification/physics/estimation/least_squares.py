@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 FLAT = 1e-9
 """Eigenvalues of the scaled Gauss–Newton matrix below this fraction of the largest are flat."""
 
-RIDGE = 1e-13
+NOTHING_ALONG = 1e-13
 """And below this fraction a solution has nothing along them."""
 
 
@@ -48,7 +48,7 @@ def bounded_step(H: Array, g: Array, theta: Array, lower: Array, upper: Array) -
     return step
 
 
-def solve_scaled(H: Array, right: Array, ridge: float = RIDGE) -> Array:
+def solve_scaled(H: Array, right: Array, ridge: float = NOTHING_ALONG) -> Array:
     """H⁻¹ right for symmetric H scaled to unit diagonal, zero along directions of too little curvature, or after an overflow.
 
     Shapes (…, m, m) and (…, m, columns); `ridge` is the fraction of the largest scaled curvature that is too little.

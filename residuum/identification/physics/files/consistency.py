@@ -24,7 +24,7 @@ _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
 
 def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     """The model with the unit of each balance filled in; BadModel with line and column for the first thing wrong."""
-    _unique_names(model, tree)
+    _unique_names(tree)
     _known_names(model)
     _inputs(model, tree)
     _states_have_rates(model, tree)
@@ -42,7 +42,7 @@ def _expressions(model: PhysicalModel) -> list[Expression]:
     return [*parts, *(output.value for output in model.outputs.values())]
 
 
-def _unique_names(model: PhysicalModel, tree: Table) -> None:
+def _unique_names(tree: Table) -> None:
     seen: dict[str, str] = {}
     for section in ("inputs", "states", "parameters"):
         for name, place in tree.table(section, "model file").keys.items():
@@ -254,6 +254,6 @@ def _check_output(output: Output, names: Mapping[str, Dimension]) -> None:
     dimension, declared = dimension_of(output.value.tree, names), dimension_of_unit(output.unit)
     if not dimension.agrees(declared):
         raise output.value.place.refuse(
-            f"unit clash: output {output.name!r} is in {dimension}, declared in {declared}; declare the unit of the value, "
-            "records in other units are converted"
+            f"unit clash: the value of output {output.name!r} is in {dimension}, declared is {output.unit!r}, {declared}; "
+            "declare the unit of the value: a record in another unit is converted when it is read"
         )

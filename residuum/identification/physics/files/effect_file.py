@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.compile import symbolic as sp
@@ -34,11 +33,9 @@ from residuum.identification.physics.compile.expression_meaning import symbolic
 from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
-from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import BALANCE_KINDS
 from residuum.identification.units import compatible, convert
-
-FloatArray = npt.NDArray[np.float64]
 
 OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
 DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
@@ -147,7 +144,8 @@ def read_effects(path: str | Path) -> list[WrittenEffect]:
     if not file.is_file():
         raise BadModel(f"catalogue {str(path)!r}: no such file")
     try:
-        text = file.read_text(encoding="utf-8")
+        with file.open(encoding="utf-8") as opened:
+            text = opened.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
     tree = read_tree(text, file.name)

@@ -19,7 +19,7 @@ from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
 from residuum.identification.physics.files.expression import Expression, parse
-from residuum.identification.physics.files.yaml_tree import Listing, Scalar, Table, read_tree
+from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
     Balance,
@@ -72,7 +72,7 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         return read_model(read_linear_file(path), path.name)
     try:
         with path.open(encoding="utf-8") as file:
-            text = file.read(1_000_000)
+            text = file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"model {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
     return read_model(text, path.name)

@@ -15,6 +15,7 @@ import yaml
 from residuum.identification.physics.files.expression import Place
 
 MOST_CHARACTERS = 200_000
+"""Of a model file: the largest here has 3 000. Parsing more takes seconds, so a longer text is refused before that."""
 DEEPEST_NESTING = 12
 
 
@@ -106,7 +107,7 @@ def read_tree(text: str, source: str) -> Table:
     """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
     start = Place(source)
     if len(text) > MOST_CHARACTERS:
-        raise start.refuse(f"{len(text)} characters; a model file has at most {MOST_CHARACTERS}")
+        raise start.refuse(f"longer than the {MOST_CHARACTERS} characters that a model file may have")
     try:
         _bounded(text, source)
         node = yaml.compose(text, Loader=yaml.SafeLoader)

@@ -19,8 +19,8 @@ def block_means(values: Array, block: int) -> Array:
 
 
 def means_in_blocks(values: Array, starts: Integers, blocks: Sequence[int]) -> tuple[Array, Integers]:
-    """Means along axis 0 of several pieces, piece k being values[starts[k]] … values[starts[k + 1] − 1] in blocks of blocks[k];
-    and where those of each piece start and the last ones end.
+    """Means along axis 0 of several pieces. Piece k is values[starts[k]] … values[starts[k + 1] − 1], in blocks of blocks[k].
+    Also where those of each piece start and the last ones end.
     """
     if all(block == 1 for block in blocks):
         return values, starts

@@ -161,10 +161,16 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
             U[:, k] = _input(record, columns[signal.name], signal.name, signal.unit)
     Y = np.full((record.n, len(model.outputs)), np.nan)
     for k, output in enumerate(model.outputs.values()):
-        if columns[output.name] in record.names:
-            Y[:, k] = record.in_unit(columns[output.name], output.unit)
+        column = columns[output.name]
+        if column not in (output.name, *record.names):
+            there = ", ".join(record.names)
+            raise BadRecord(
+                f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; the columns are {there}"
+            )
+        if column in record.names:
+            Y[:, k] = record.in_unit(column, output.unit)
     if np.all(np.isnan(Y)):
-        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}"
+        there = f"outputs are {', '.join(model.outputs)}; columns are {', '.join(record.names)}; map one: --map OUTPUT=COLUMN"
         raise BadRecord(f"record {record.source!r}: has no output of model {model.name!r} ({there})")
     wanted = [hold if isinstance(hold, str) else hold.get(name, "auto") for name in model.inputs]
     linear = [_is_linear(how, U[:, k]) for k, how in enumerate(wanted)]
@@ -191,7 +197,9 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
         where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}"
-        raise BadRecord(f"{where}; inputs must be complete: cut the record there and give the parts as separate records")
+        raise BadRecord(
+            f"{where}; inputs must be complete: cut the record there, record.window(start, stop), and give the parts as a list"
+        )
     return record.in_unit(column, unit)
 
 

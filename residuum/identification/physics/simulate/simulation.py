@@ -312,12 +312,6 @@ class Simulator:
         """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X of each experiment ask for."""
         return self._needed_along(_Joined.of(experiments), np.concatenate(X), p).tolist()
 
-    def resolves(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array, substeps: Sequence[int]) -> bool:
-        """Whether the most steps a sample that are taken follow the fastest mode along each run; else the integrator errs."""
-        joined, none = _Joined.of(experiments, _LOOKED_AT), self.columns(())
-        X, *_ = self._simulated(joined, np.array(initial), p, np.array(substeps), none)
-        return bool(np.all(self._asked_along(joined, X, p) <= MOST_SUBSTEPS))
-
     def _needed_along(self, joined: _Joined, X: Array, p: Array) -> Integers:
         """Steps a sample of each of several experiments, at most 64."""
         return np.minimum(np.ceil(self._asked_along(joined, X, p)), MOST_SUBSTEPS).astype(np.int64)
@@ -362,8 +356,8 @@ def _extremes(X: Array, starts: Integers) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class _Joined:
-    """Experiments laid end to end, as the integrator takes them: inputs U, first rows (and the last one's end), and of each
-    its sample time, its hold, and whether it follows the one before in time.
+    """Experiments laid end to end, as the integrator takes them: inputs U, first rows and the last one's end. Of each also its
+    sample time, its hold, and whether it follows the one before in time.
     """
 
     U: Array

@@ -92,7 +92,7 @@ machine's own dynamics. Chosen."""
 VALUES_ERR = 0.7
 """Ratio of the RMS errors after and before re-estimation below which the parameters' values err: half of the power."""
 
-PLACES = 20
+BINS_OF_AN_AXIS = 20
 """Bins of an axis in which a local error is sought, each with as many samples. Chosen."""
 LOCAL_LEVEL = 1e-4
 """False-alarm probability of an output, all axes and places counted (Bonferroni): one finding among a thousand complete models

@@ -6,7 +6,7 @@ ANSWERED = 2
 """Times as many samples where no means of them may be taken, for a controller answers the noise. Chosen."""
 SHORTENED = 3
 """Times the innovations wanted from which on only the liveliest stretches of a record are used. Chosen."""
-FINEST = 1e-2
+ABOVE_NYQUIST = 1e-2
 """Share of a signal's power that may lie above the Nyquist frequency of blocks; of an output's, its flat noise floor not counted.
 Chosen."""
 FEWEST_IN_A_SPECTRUM = 64
@@ -32,7 +32,7 @@ LASTING = 0.6
 length (a furnace) shows more as a whole. Chosen."""
 WINDOWS = 25
 """Into which the record of a plant that integrates is cut. Chosen."""
-SHORTEST_WINDOW, LONGEST_WINDOW = 80, 1200
+SHORTEST_PREDICTED, LONGEST_PREDICTED = 80, 1200
 """[samples] Of those. Chosen."""
 FINER_WINDOWS = 4
 """How many times shorter windows are tried where the usual ones leave a slow error. Chosen."""
@@ -47,7 +47,7 @@ DRIFTING_LOAD_WINDOWS = 8
 
 TRAINING_SHARE = 0.7
 """Part of a record that estimates; the rest is kept aside. Chosen."""
-STANDSTILL = 0.2
+STANDS_STILL = 0.2
 """Part of a channel's standard deviation in the record under which it stands still in a part of it. Chosen."""
 FEWEST_TO_SPLIT = 60
 """[samples] That a record must have for a part of it to be kept aside. Chosen."""

@@ -1,10 +1,6 @@
 """Constant voltage lost at the brushes."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import drive_example
 
 
@@ -31,10 +27,6 @@ class BrushDrop(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"V_b": 0.05 * conditions.magnitude}]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Takes power out of the circuit."""
-        return bool(np.all(term * variables["current"] <= 0.0))
 
     def examples(self) -> list[Example]:
         return [drive_example()]

@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -57,10 +54,6 @@ class ResistanceHeating(Effect):
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         size = 0.1 * conditions.storage / conditions.largest("current") ** 2
         return [{"a": size, "tau": fraction * conditions.duration} for fraction in (0.1, 1.0)]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Takes power out of the circuit."""
-        return bool(np.all(term * variables["current"] <= 0.0))
 
     def examples(self) -> list[Example]:
         return [drive_example()]

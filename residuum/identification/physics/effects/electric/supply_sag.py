@@ -1,12 +1,7 @@
 """The supply gives way under load."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -56,10 +51,6 @@ class SupplySag(Effect):
         k = 0.05 / conditions.largest("current")
         u_ref = conditions.largest("supply_terms") if "supply_terms" in conditions.variables else conditions.magnitude
         return [{"k": k, "p": p, "fed": fed, "u_ref": u_ref} for p, fed in ((1.0, 0.0), (0.0, 1.0), (2.0, 1.0))]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Opposes the supply."""
-        return bool(np.all(term * variables["supply_terms"] <= 0.0))
 
     def examples(self) -> list[Example]:
         return [drive_example()]

@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -60,10 +57,6 @@ class LuGre(Effect):
             {"tau_c": size, "tau_s": 0.3 * size, "v_s": 0.1 * fastest, "sigma": size / (steps * travelled)}
             for steps in (5.0, 30.0)
         ]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Never more than at breakaway."""
-        return bool(np.all(np.abs(term) <= (values["tau_c"] + values["tau_s"]) * (1 + 1e-6)))
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

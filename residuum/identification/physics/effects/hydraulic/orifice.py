@@ -1,11 +1,7 @@
 """Flow through an orifice to or from another level."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import tank_example
 
 _LEAST = 1e-4
@@ -40,10 +36,6 @@ class Orifice(Effect):
         size = 0.1 * conditions.magnitude / conditions.span("level") ** 0.5
         beyond = (conditions.quantile("level", 0.1), conditions.quantile("level", 0.5), -0.5 * conditions.span("level"))
         return [{"c": size, "h_0": h} for h in beyond]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Liquid flows towards the lower level."""
-        return bool(np.all(term * (variables["level"] - values["h_0"]) <= 0.0))
 
     def examples(self) -> list[Example]:
         return [tank_example()]

@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -69,11 +66,6 @@ class BoucWen(Effect):
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
         """Not without a γ of its own."""
         return abs(general["gamma"]) > 2.0 * std["gamma"]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Never more than A/(β + γ), where it saturates at all."""
-        lost = values["beta"] + values["gamma"]
-        return bool(np.all(np.abs(term) <= values["A"] / lost * (1 + 1e-6))) if lost > 0.0 else True
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

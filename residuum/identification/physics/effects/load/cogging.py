@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Parameter, Scene, Site
 from residuum.identification.physics.effects.load.tooth_ripple import ToothRipple
 
 
@@ -48,8 +48,3 @@ class Cogging(ToothRipple):
     def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
         """Not without a harmonic."""
         return any(abs(general[name]) > 2.0 * std[name] for name in ("a2", "b2"))
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Bounded by its amplitudes."""
-        largest = np.hypot(values["a"], values["b"]) + np.hypot(values["a2"], values["b2"])
-        return bool(np.all(np.abs(term) <= largest * (1 + 1e-12)))

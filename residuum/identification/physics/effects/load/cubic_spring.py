@@ -1,10 +1,6 @@
 """A spring that hardens (or softens) with the cube of its deflection."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
 
@@ -39,11 +35,6 @@ class CubicSpring(Effect):
         size = 0.1 * conditions.magnitude / (0.5 * conditions.span("position")) ** 3
         middle = 0.5 * float(position.min() + position.max())
         return [{"k_3": size, "k_2": 0.0, "q_0": 0.0}, {"k_3": size, "k_2": 0.0, "q_0": middle}]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Without asymmetry it pulls towards its rest position when hardening, away when softening."""
-        d = variables["position"] - values["q_0"]
-        return bool(np.all((term + values["k_2"] * d**2) * np.sign(values["k_3"]) * d <= 0.0))
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

@@ -1,10 +1,6 @@
 """A spring against a reference position."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
 
 
@@ -33,11 +29,6 @@ class LinearSpring(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"k": 0.1 * conditions.magnitude / conditions.span("position"), "tau_0": 0.0}]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Pulls back towards its rest position."""
-        rest = -values["tau_0"] / values["k"] if values["k"] else 0.0
-        return bool(np.all(term * (variables["position"] - rest) <= 1e-9 * np.max(np.abs(term))))
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

@@ -6,7 +6,6 @@ import numpy as np
 
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -56,10 +55,6 @@ class PositionLoad(Effect):
         """Waves that have the spring's stiffness at q = 0: of about half a period, and of one a radian (an arm's own weight)."""
         waves = (1.0, 2.0 / conditions.span("position"))
         return [{"a": special["k"] / kappa, "b": special["tau_0"], "kappa": kappa} for kappa in waves]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Bounded by its amplitude."""
-        return bool(np.all(np.abs(term) <= np.hypot(values["a"], values["b"]) * (1 + 1e-12)))
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

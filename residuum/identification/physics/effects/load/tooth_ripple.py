@@ -113,9 +113,5 @@ class ToothRipple(Effect):
         long = general["n"] * conditions.span("position") < 2.0 * np.pi * _MANY
         return {"a": general["a"], "b": general["b"], "kappa": general["n"]} if long else {}
 
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Bounded by its amplitude."""
-        return bool(np.all(np.abs(term) <= np.hypot(values["a"], values["b"]) * (1 + 1e-12)))
-
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

@@ -34,8 +34,8 @@ class OutputLag(Effect):
         return [{"tau": steps * conditions.sample_time} for steps in (0.2, 1.0, 5.0, 25.0)]
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the sensor comes near what it measures within the record: one that begins anywhere and hardly moves makes of
-        what it measures a load, and of a speed its friction.
+        """Whether the sensor comes near what it measures within the record. One that begins anywhere and hardly moves would
+        make a load of what it measures, and friction of a speed.
         """
         return 2.0 * values["tau"] < conditions.duration
 

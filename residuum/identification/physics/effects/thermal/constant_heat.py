@@ -1,10 +1,6 @@
 """Heat that comes or goes all the time."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from residuum.identification.physics.effects.base import Array, Conditions, Contribution, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Contribution, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import oven_example
 
 
@@ -30,10 +26,6 @@ class ConstantHeat(Effect):
 
     def starts(self, conditions: Conditions) -> list[dict[str, float]]:
         return [{"q_0": 0.1 * conditions.magnitude}]
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """The same at every sample."""
-        return bool(np.ptp(term) == 0.0)
 
     def examples(self) -> list[Example]:
         return [oven_example()]

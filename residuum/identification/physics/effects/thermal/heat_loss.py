@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from residuum.identification.physics.compile import symbolic as sp
-from residuum.identification.physics.effects.base import Array, Conditions, Effect, Example, Parameter, Scene, Site
+from residuum.identification.physics.effects.base import Conditions, Effect, Example, Parameter, Scene, Site
 from residuum.identification.physics.effects.example_models import oven_example
 
 
@@ -33,11 +31,6 @@ class HeatLoss(Effect):
         if "ambient" in conditions.variables:
             return {}
         return {"T_a": float(np.min(conditions.variables["temperature"]))}
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Heat flows from the hotter to the colder side."""
-        surroundings = variables["ambient"] if "ambient" in variables else values["T_a"]
-        return bool(np.all(term * (variables["temperature"] - surroundings) <= 0.0))
 
     def examples(self) -> list[Example]:
         return [oven_example()]

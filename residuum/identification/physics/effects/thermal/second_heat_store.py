@@ -2,10 +2,7 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from residuum.identification.physics.effects.base import (
-    Array,
     Conditions,
     Contribution,
     Effect,
@@ -52,10 +49,6 @@ class SecondHeatStore(Effect):
             C_2 = share * conditions.storage
             found.append({"C_2": C_2, "G": C_2 / (fraction * conditions.duration)})
         return found
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Heat flows towards the colder of the two."""
-        return bool(np.all(term * (variables["temperature"] - variables["T_2"]) <= 0.0))
 
     def examples(self) -> list[Example]:
         return [oven_example()]

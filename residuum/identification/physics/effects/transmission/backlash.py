@@ -17,9 +17,8 @@ _SOFT = (10.0, 30.0)
 
 
 class Backlash(TwoBodies):
-    """A share r of the inertia is driven through a contact with play: nothing is transmitted while |φ| < gap/2, beyond it
-    a stiff,
-    damped contact k·(φ ∓ gap/2) + d·(v − w) is.
+    """A share r of the inertia is driven through a contact with play. Nothing is transmitted while |φ| < gap/2. Beyond it acts
+    a stiff, damped contact, k·(φ ∓ gap/2) + d·(v − w).
 
     `gap` [position unit] ≥ 0, `k`, `d`, `share` as in the elastic transmission. Only motion that reverses, or torque that
     does, shows it.

@@ -12,8 +12,8 @@ from residuum.identification.physics.effects.transmission.two_bodies import TwoB
 
 
 class ElasticTransmission(TwoBodies):
-    """A share r of the inertia J is driven through a stiffness with damping; with twist φ and its own velocity w:
-    φ' = v − w, r·J·w' = k·φ + d·(v − w), and the drive side keeps (1 − r)·J and feels −k·φ − d·(v − w).
+    """A share r of the inertia J is driven through a stiffness with damping. With twist φ and its own velocity w, φ' = v − w
+    and r·J·w' = k·φ + d·(v − w). The drive side keeps (1 − r)·J and feels −k·φ − d·(v − w).
 
     `k` [balance unit / position unit] > 0, `d` [balance unit / velocity unit] ≥ 0, `share` r [1] in 0.01 … 0.99. The
     resonance is at

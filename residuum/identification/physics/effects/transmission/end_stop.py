@@ -27,7 +27,8 @@ def _bend(position: Array, force: Array) -> float:
 
 
 class EndStop(Effect):
-    """Pushes back beyond either end, as a spring with a damper that never pulls: −max(k·(q − q_max) + d·v, 0) above q_max,
+    """Pushes back beyond either end, as a spring with a damper that never pulls. It adds −max(k·(q − q_max) + d·v, 0) above
+    q_max,
     max(k·(q_min − q) − d·v, 0) below q_min.
 
     `k` [balance unit / position unit] ≥ 0, `d` [balance unit / velocity unit] ≥ 0; `q_max`, `q_min` [position unit].
@@ -86,12 +87,6 @@ class EndStop(Effect):
         """Whether the machine leaves a stop within the record: one that it always touches is a spring, a load and a damping."""
         q = conditions.variables["position"]
         return bool(np.any((q <= values["q_max"]) & (q >= values["q_min"])))
-
-    def obeys_physics(self, term: Array, variables: Mapping[str, Array], values: Mapping[str, float]) -> bool:
-        """Pushes inwards beyond the ends, does nothing between them."""
-        q = variables["position"]
-        inwards = np.all(term[q > values["q_max"]] <= 0.0) and np.all(term[q < values["q_min"]] >= 0.0)
-        return bool(inwards and np.all(term[(q < values["q_max"]) & (q > values["q_min"])] == 0.0))
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]

@@ -13,8 +13,8 @@ from residuum.identification.physics.effects.example_models import axis_example,
 
 
 class TwoBodies(Effect):
-    """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ transmits:
-    φ' = v − w, r·J·w' = transmitted; the drive side keeps (1 − r)·J and feels −transmitted.
+    """A share r of the inertia J has a velocity w of its own and is driven through what the twist φ transmits. φ' = v − w and
+    r·J·w' = transmitted. The drive side keeps (1 − r)·J and feels −transmitted.
 
     A record, or a window of one, may begin while the contact is twisted or the far body still swings: where is estimated.
     """
@@ -41,7 +41,7 @@ class TwoBodies(Effect):
         )
 
     def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
-        """Whether the bodies swing against each other once at least, or come to rest as fast: a far body that begins anywhere on
+        """Whether the bodies swing against each other once at least, or come to rest as fast. A far body that begins anywhere on
         a softer spring, or creeps back, is a load and its slope.
         """
         reduced = values["share"] * conditions.storage  # the storage is what stays on this side of the spring

@@ -2,6 +2,7 @@
 
 import { apiKey } from "./lib/api.js";
 import { h, notify, refresh, reveal, show } from "./lib/dom.js";
+import { readEffectTitles } from "./lib/effect_titles.js";
 import { assetTitle } from "./lib/format.js";
 import { Live } from "./lib/live.js";
 import { plant, readAll, readStatus, subscribe, take } from "./lib/plant_state.js";
@@ -132,7 +133,7 @@ async function start() {
     asked = true;
   });
   try {
-    await readAll();
+    await Promise.all([readAll(), readEffectTitles()]);
   } catch (problem) {
     if (problem.status === 401) return;
     notify(problem.message);

@@ -1,6 +1,7 @@
 // A missing term or residual against a signal: thinned points, mean with band, and curves of candidates over it.
 
 import { h } from "../lib/dom.js";
+import { effectTitle } from "../lib/effect_titles.js";
 import { inBrackets } from "../lib/format.js";
 import { draw, literal, series, tones } from "./charts.js";
 
@@ -55,7 +56,7 @@ export async function drawCloud(chart, view, of, axisName, { curves = [], interv
       mode: "lines",
       x: curve.at,
       y: curve.value,
-      name: curve.effect,
+      name: effectTitle(curve.effect),
       line: { color: [green, purple, tones().limit][index % 3], width: 2.4, dash: dashes[index % 5] },
       hovertemplate: "%{y:.4~g}<extra></extra>",
     });

@@ -35,7 +35,10 @@ export async function call(path, { method = "GET", body, file, signal } = {}) {
     if (error.name === "AbortError") throw error;
     return null;
   });
-  if (response.ok) return content;
+  if (response.ok) {
+    if (method !== "GET") document.dispatchEvent(new CustomEvent("succeeded"));
+    return content;
+  }
   if (response.status === 401) document.dispatchEvent(new CustomEvent("key-needed"));
   throw new Problem(response.status, content?.detail ?? `The service answered ${response.status}.`);
 }

@@ -96,6 +96,9 @@ export function panel(title, aside, ...body) {
   );
 }
 
+// A message says what failed; once something that was asked for has succeeded it is out of date.
+document.addEventListener("succeeded", () => document.getElementById("notices").replaceChildren());
+
 export function notify(text) {
   const notices = document.getElementById("notices");
   for (const same of [...notices.children].filter((each) => each.dataset.says === text)) same.remove();

@@ -74,4 +74,4 @@ export function span(seconds) {
 
 export const title = (name) => name.replaceAll(/[-_]/g, " ");
 export const assetTitle = (asset) => (asset.title && asset.title !== asset.id ? asset.title : capital(title(asset.id)));
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+export const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);

@@ -1,7 +1,8 @@
 // Small parts that several pages show: badges, indicators against thresholds, sparklines.
 
 import { h } from "./dom.js";
-import { localised, number, quantity, title, unitsIn } from "./format.js";
+import { effectTitle } from "./effect_titles.js";
+import { capital, localised, number, quantity, title, unitsIn } from "./format.js";
 import { meaning } from "./indicator_meaning.js";
 
 const STATES = {
@@ -138,7 +139,7 @@ export function sparkline(ratios) {
 export function methodsSay(finding) {
   const { method, source_method: source, default_method: ours } = finding?.evidence ?? {};
   if (!source || !ours) return [];
-  const result = (one) => (one.class ? title(one.class) : one.verdict ? stateName(one.verdict) : (one.reason ?? "–"));
+  const result = (one) => (one.class ? effectTitle(one.class) : one.verdict ? stateName(one.verdict) : (one.reason ?? "–"));
   return [
     { id: "default", name: "Default method", says: result(ours), decides: method === "default", reason: ours.reason },
     { id: "source", name: "Source's method", says: result(source), decides: method === "source", reason: source.reason },
@@ -155,13 +156,13 @@ export const worst = (finding) => ranked(finding)[0]?.ratio ?? null;
 
 // An effect at its place in words, where a parameter's full name does not go on after it.
 export const placed = (text) =>
-  text.replaceAll(/\b([a-z]+(?:-[a-z]+)*)@([\w-]+)\b(?!\.\w)/g, (_, effect, place) => `${title(effect)} of the ${place}`);
+  text.replaceAll(/\b([a-z]+(?:-[a-z]+)*)@([\w-]+)\b(?!\.\w)/g, (_, effect, place) => `${effectTitle(effect)} of the ${place}`);
 
 // A line that the service wrote as a sentence: an indicator's name in words, decimals of the browser's language, a capital, a
 // full stop.
 export function said(line) {
   const text = unitsIn(placed(localised(line.replace(/^[a-z0-9]+(?:_[a-z0-9]+)+/, title))));
-  return `${text.charAt(0).toUpperCase()}${text.slice(1)}${/[.!?…]$/.test(text) ? "" : "."}`;
+  return `${capital(text)}${/[.!?…]$/.test(text) ? "" : "."}`;
 }
 
 // What is said of a machine: its finding, or how it comes to a baseline.
@@ -174,7 +175,7 @@ export function sentence(finding) {
   if (!finding) return "Waiting for the first window.";
   if (finding.reason) return said(finding.reason);
   const closest = ranked(finding)[0];
-  const what = finding.class ? `${title(finding.class)} found` : stateName(finding.verdict);
+  const what = finding.class ? `${capital(effectTitle(finding.class))} found` : stateName(finding.verdict);
   if (!closest || closest.ratio === null) return `${what}.`;
   return (
     `${what}: ${title(closest.name)} is ${quantity(closest.value, closest.unit)}, ${number(closest.ratio)} times ` +

@@ -3,12 +3,14 @@
 import { draw, forget, series } from "../charts/charts.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
-import { percent, title } from "../lib/format.js";
+import { effectTitle } from "../lib/effect_titles.js";
+import { capital, percent } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { placed, said, sentence } from "../lib/parts.js";
 import { whyAddress } from "./why_address.js";
 
 const MOST = 6;
+const LEAST = 5e-4; // what is below is no cause: rounded it reads 0 %
 
 export function causesPanel(asset) {
   const list = h("div");
@@ -20,7 +22,7 @@ export function causesPanel(asset) {
   function update(finding) {
     if (finding === shown) return;
     shown = finding;
-    const causes = finding?.evidence?.causes ?? [];
+    const causes = likely(finding?.evidence?.causes);
     element.hidden = !finding?.evidence?.parameters && !finding?.evidence?.second_opinion;
     const look = () =>
       runIn(
@@ -67,20 +69,29 @@ function nothing(finding) {
   return `Window ${finding.window} shows nothing that needs a cause.`;
 }
 
+const likely = (causes) => (causes ?? []).filter((each) => each.probability >= LEAST);
+
 function cause(each) {
   const place = each.place ? ` of ${each.place}` : "";
   const alike = each.indistinguishable_from.length
     ? ` This window cannot tell it from ${each.indistinguishable_from.map(placed).join(", ")}.`
     : "";
-  const beside = each.beside?.length ? ` Beside it: ${each.beside.map(title).join(", ")}.` : "";
-  return h("li", {}, h("b", {}, `${percent(each.probability)}: ${title(each.name)}${place}. `), said(each.says), alike, beside);
+  const beside = each.beside?.length ? ` Beside it: ${each.beside.map(effectTitle).join(", ")}.` : "";
+  return h(
+    "li",
+    {},
+    h("b", {}, `${percent(each.probability)}: ${capital(effectTitle(each.name))}${place}. `),
+    said(each.says),
+    alike,
+    beside,
+  );
 }
 
 // Physics that healthy windows show too is no fault: just these windows lead to the workbench.
 function missingPhysics(asset, finding) {
   const missing = finding?.evidence?.missing_physics ?? [];
   if (!missing.length) return null;
-  const names = missing.map((each) => `${title(each.effect)} of ${each.place}`).join(" and ");
+  const names = missing.map((each) => `${effectTitle(each.effect)} of ${each.place}`).join(" and ");
   const lead = once(async () => {
     try {
       const healthy = await call(`${path("assets", asset, "findings")}?verdict=healthy&limit=3`);
@@ -112,6 +123,7 @@ function missingPhysics(asset, finding) {
 function secondOpinion(finding) {
   const second = finding?.evidence?.second_opinion;
   if (!second) return null;
+  const causes = likely(second.causes);
   const agree = second.verdict === finding.verdict;
   const word = agree
     ? "It agrees"
@@ -121,7 +133,7 @@ function secondOpinion(finding) {
     { class: "stack" },
     h("h3", {}, `Second opinion by ${second.diagnoser}`),
     h("p", {}, `${word}. ${second.reason ? said(second.reason) : ""}`),
-    second.causes?.length ? h("ul", { class: "plain" }, second.causes.slice(0, 3).map(cause)) : null,
+    causes.length ? h("ul", { class: "plain" }, causes.slice(0, 3).map(cause)) : null,
   );
 }
 

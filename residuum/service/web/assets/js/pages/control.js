@@ -5,8 +5,10 @@ import { drawConstraints, drawFront, drawLoop, drawSteps } from "../charts/contr
 import { keptAddress } from "../lib/address.js";
 import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
-import { number, percent, quantity, unitText } from "../lib/format.js";
+import { capital, number, percent, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
+import { modelName } from "../lib/model_name.js";
+import { offer, PROCESS, simulateIn } from "../steps/example.js";
 import { WEIGHT, weightDetails, weightFields, weightParameters } from "../steps/weight_form.js";
 import { exportPanel } from "./control_export.js";
 
@@ -42,6 +44,10 @@ const DEFAULTS = {
   upper: "",
   ...WEIGHT,
 };
+
+const HINT =
+  "Choose an identified model and press Design, or try a simulated process that is identified first. " +
+  "The design shows what is possible, what is promised, and code to download.";
 
 export function controlPage(place, query) {
   document.title = "Control · Residuum";
@@ -233,12 +239,7 @@ export function controlPage(place, query) {
   async function take(files) {
     try {
       for (const file of files) {
-        const name =
-          file.name
-            .replace(/\.[^.]*$/, "")
-            .replace(/[^A-Za-z0-9._-]+/g, "-")
-            .replace(/^[^A-Za-z0-9]+/, "")
-            .slice(0, 64) || "identified";
+        const name = modelName(file.name);
         const version = await call(
           `/models?${new URLSearchParams({ name, kind: "identified", note: `from ${file.name}`.slice(0, 2000) })}`,
           { method: "POST", file },
@@ -251,15 +252,35 @@ export function controlPage(place, query) {
     } catch (problem) {
       notify(problem.message);
     }
+    await readStored();
+  }
+
+  async function readStored() {
     stored = (await call("/models?kind=identified&limit=200")).items;
     drawForm();
   }
 
+  // A model of a simulated process first, as the page Identify makes it; then the design with the page's own wishes.
+  const tryExample = () => simulateIn(result, PROCESS, identifyExample, leaving);
+  const identifyExample = (record) =>
+    runIn(
+      result,
+      "Identifying the simulated process",
+      "/identify",
+      { records: [record.id], input: "u", output: "y", save_as: "example" },
+      async (model) => {
+        asked.models = `${model.stored.model}@${model.stored.version}`;
+        await readStored();
+        begin({ again: true });
+      },
+      leaving,
+    );
+
   let stored = [];
   const start = async () => {
-    stored = (await call("/models?kind=identified&limit=200")).items;
-    drawForm();
+    await readStored();
     if (query && asked.models && form.isConnected) begin();
+    else if (form.isConnected) show(result, offer(HINT, "Try the example", tryExample));
   };
   start().catch((problem) => notify(problem.message));
   return () => {
@@ -490,5 +511,3 @@ function parameterUnit(view, name) {
   if (name === "k_d") return gain ? `${gain}·s` : "s";
   return name === "k_p" || name === "k" || name.startsWith("b_") ? gain : "";
 }
-
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);

@@ -2,6 +2,7 @@
 
 import { h, panel } from "../lib/dom.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
 
 const LANGUAGES = { c: ["C", "controller.c", "text/x-c"], st: ["structured text (IEC 61131-3)", "controller.st", "text/plain"] };
 const lag = (index) => (index ? `k − ${index}` : "k");
@@ -51,17 +52,7 @@ export function exportPanel(view, point) {
         h(
           "table",
           { class: "reflow" },
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              ["Sample", "b, of the error e", "a, of the output u"].map((text, index) =>
-                h("th", { scope: "col", class: index ? "number" : null }, text),
-              ),
-            ),
-          ),
+          tableHead(["Sample", "b, of the error e", "a, of the output u"], [1, 2]),
           h(
             "tbody",
             {},

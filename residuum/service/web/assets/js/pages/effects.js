@@ -5,6 +5,9 @@ import { call } from "../lib/api.js";
 import { h, notify, show } from "../lib/dom.js";
 import { number, quantity, unitText } from "../lib/format.js";
 
+const FEW = 4; // so many are shown in full on a phone, where all of them would be twenty screens
+const wide = matchMedia("(min-width: 621px)");
+
 export function effectsPage(place) {
   document.title = "Effects · Residuum";
   const list = h("div", { class: "catalogue" });
@@ -35,10 +38,12 @@ export function effectsPage(place) {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     const shown = effects.filter((effect) => words.every((word) => JSON.stringify(effect).toLowerCase().includes(word)));
     tally.textContent = `${shown.length} of ${effects.length}`;
+    const unfolded = new Set([...list.querySelectorAll("[open]")].map((each) => each.dataset.key));
+    const open = ({ effect }) => wide.matches || shown.length <= FEW || unfolded.has(effect);
     show(
       list,
       shown.length
-        ? shown.map((effect) => card(effect, signatures.get(effect.effect), uses.get(effect.effect) ?? []))
+        ? shown.map((effect) => card(effect, signatures.get(effect.effect), uses.get(effect.effect) ?? [], open(effect)))
         : h("p", { class: "empty" }, "No effect has these words."),
     );
   }
@@ -55,11 +60,11 @@ export function effectsPage(place) {
   return () => {};
 }
 
-function card(effect, drawn, uses) {
+function card(effect, drawn, uses, open) {
   return h(
-    "article",
-    { class: "panel effect" },
-    h("h2", {}, effect.title),
+    "details",
+    { class: "panel effect", "data-key": effect.effect, open },
+    h("summary", {}, h("h2", {}, effect.title)),
     h(
       "p",
       { class: "equation" },

@@ -6,6 +6,7 @@ import { call, path } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
 import { number, percent, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
+import { offer, PROCESS, simulateIn } from "../steps/example.js";
 import { uploadedRecords } from "../steps/record_step.js";
 import { trustPanels } from "./trust.js";
 
@@ -29,6 +30,10 @@ const UNCERTAINTIES = {
   "stochastic-embedding": "stochastic embedding",
 };
 const KEPT = ["record", "input", "output", "method", "order", "uncertainty", "bound", "name", "watch", "offset"];
+
+const HINT =
+  "Choose a record's input and output and press Identify, or try a simulated process. " +
+  "The model comes with its uncertainty; Control designs a controller from it.";
 
 export function identifyPage(place, query) {
   document.title = "Identify · Residuum";
@@ -170,10 +175,24 @@ export function identifyPage(place, query) {
     );
   }
 
+  const tryExample = () =>
+    simulateIn(
+      result,
+      PROCESS,
+      (record) => {
+        bench.records.unshift(record);
+        Object.assign(asked, { record: String(record.id), input: "u", output: "y", name: "example" });
+        drawForm();
+        begin();
+      },
+      leaving,
+    );
+
   const start = async () => {
     bench.records = await uploadedRecords();
     drawForm();
     if (query && asked.record && form.isConnected) begin();
+    else if (form.isConnected) show(result, offer(HINT, "Try the example", tryExample));
   };
   start().catch((problem) => notify(problem.message));
   return () => {

@@ -1,9 +1,11 @@
 // One machine: the finding in words, indicators against thresholds over time, windows with signal and spectrum, alarms.
 
 import { h, panel, refresh, show } from "../lib/dom.js";
+import { effectTitle } from "../lib/effect_titles.js";
 import { ago, assetTitle, count, moment, number, quantity, title } from "../lib/format.js";
 import { badge, meter, methodsSay, ranked, saidOf, sentence } from "../lib/parts.js";
 import { hasView, named, plant, subscribe } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 import { activeModel } from "../steps/acceptance.js";
 import { methodChoice } from "../steps/deciding_method.js";
 import { alarmList } from "./alarms.js";
@@ -123,7 +125,7 @@ function head(name, asset, machine) {
       "div",
       { class: "title" },
       h("h1", {}, assetTitle(asset ?? { id: name })),
-      badge(state, finding?.class && state === "faulty" ? `Faulty: ${title(finding.class)}` : undefined),
+      badge(state, finding?.class && state === "faulty" ? `Faulty: ${effectTitle(finding.class)}` : undefined),
     ),
     busy ? progress(machine) : null,
     h("p", { class: "says-large" }, saidOf(finding, machine)),
@@ -159,18 +161,7 @@ function indicatorTable(finding) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          h("th", { scope: "col" }, "Indicator"),
-          h("th", { scope: "col", class: "number" }, "Value"),
-          h("th", { scope: "col", class: "number" }, "Threshold"),
-          h("th", { scope: "col" }, "Value ÷ threshold"),
-        ),
-      ),
+      tableHead(["Indicator", "Value", "Threshold", "Value ÷ threshold"], [1, 2]),
       h(
         "tbody",
         {},

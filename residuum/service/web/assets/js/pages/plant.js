@@ -61,7 +61,9 @@ function cards() {
       h("a", { href: "#/watch" }, "Watch a machine"),
       ", start the demo (",
       h("code", {}, "residuum serve --demo"),
-      "), or send a window over HTTP.",
+      "), or send a window over HTTP. Without a machine at hand, ",
+      h("a", { href: "#/workbench" }, "try the workbench's example"),
+      ".",
     );
   return [...names]
     .map((name) => [

@@ -4,6 +4,7 @@ import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
 import { title } from "../lib/format.js";
 import { plant } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 
 const SAYS = { red: "calls for a redesign", yellow: "tolerable", green: "acceptable" };
 const HEADS = ["Component", "Failure", "Cause", "Effect", "Criticality", "Watched by"];
@@ -49,16 +50,7 @@ function matrix({ probabilities, severities, cells }) {
     h(
       "table",
       { class: "matrix reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          h("td"),
-          Object.entries(probabilities).map(([key, text]) => h("th", { scope: "col" }, `${key} – ${text}`)),
-        ),
-      ),
+      tableHead(["", ...Object.entries(probabilities).map(([key, text]) => `${key} – ${text}`)]),
       h(
         "tbody",
         {},
@@ -93,24 +85,7 @@ function modes({ items }) {
         h("div", {}, watched(mode)),
       ].map((content, index) => h("td", { "data-label": HEADS[index] }, content)),
     );
-  return h(
-    "div",
-    { class: "scroll" },
-    h(
-      "table",
-      { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          HEADS.map((text) => h("th", { scope: "col" }, text)),
-        ),
-      ),
-      h("tbody", {}, items.map(row)),
-    ),
-  );
+  return h("div", { class: "scroll" }, h("table", { class: "reflow" }, tableHead(HEADS), h("tbody", {}, items.map(row))));
 }
 
 // The machines that this diagnoser judges.

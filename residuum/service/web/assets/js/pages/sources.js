@@ -4,26 +4,20 @@ import { h } from "../lib/dom.js";
 import { count, span, title } from "../lib/format.js";
 import { badge } from "../lib/parts.js";
 import { named } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
+
+const HEADS = ["Source", "Quality", "Frames/s", "Samples/s", "Last seen", "Lost or refused"];
 
 export function sourceTable(sources) {
   const rows = named(sources);
   if (!rows.length) return h("p", { class: "empty" }, "No bus is read. Windows can be sent over HTTP.");
-  const heads = [["Source"], ["Quality"], ["Frames/s", true], ["Samples/s", true], ["Last seen", true], ["Lost or refused"]];
   return h(
     "div",
     { class: "scroll" },
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map(([head, right]) => h("th", { scope: "col", class: right ? "number" : null }, head)),
-        ),
-      ),
+      tableHead(HEADS, [2, 3, 4]),
       h(
         "tbody",
         {},

@@ -3,7 +3,7 @@
 import { draw, series, tones } from "../charts/charts.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, show } from "../lib/dom.js";
-import { inBrackets, number, quantity, unitText } from "../lib/format.js";
+import { capital, inBrackets, number, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { WEIGHT, weightFields, weightParameters } from "../steps/weight_form.js";
 
@@ -13,7 +13,6 @@ const FORMS = {
   "inverse-multiplicative": "inverse multiplicative, |Ĝ₀/G − 1|",
 };
 const LEGEND = { showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 } };
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const chart = (label, kind = "chart tall") => h("div", { class: kind, role: "img", "aria-label": label });
 const part = (span, title, aside, ...body) =>
   h(

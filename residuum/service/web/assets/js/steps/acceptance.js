@@ -5,6 +5,7 @@ import { h, notify, once, panel, show } from "../lib/dom.js";
 import { assetTitle, moment, quantity, title } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { plant } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 
 const HEADS = ["What", "Old", "New"];
 
@@ -113,15 +114,7 @@ function thresholdTable(found) {
   return h(
     "table",
     { class: "reflow" },
-    h(
-      "thead",
-      {},
-      h(
-        "tr",
-        {},
-        HEADS.map((text, index) => h("th", { scope: "col", class: index ? "number" : null }, text)),
-      ),
-    ),
+    tableHead(HEADS, [1, 2]),
     h(
       "tbody",
       {},

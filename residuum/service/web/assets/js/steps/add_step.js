@@ -4,10 +4,12 @@ import { draw, series } from "../charts/charts.js";
 import { overlay } from "../charts/overlay.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
+import { effectTitle } from "../lib/effect_titles.js";
 import { percent, quantity } from "../lib/format.js";
 import { run, runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
 import { acceptancePanel } from "./acceptance.js";
 import { structured } from "./compare_step.js";
 import { describe, modelTitle } from "./models.js";
@@ -41,7 +43,7 @@ export async function addStep(place, bench) {
     if (add)
       runIn(
         body,
-        `Adding ${add.effect} to ${add.balance}, and estimating all parameters`,
+        `Adding ${effectTitle(add.effect)} to ${add.balance}, and estimating all parameters`,
         bench.address("effects"),
         { ...asked, add },
         done,
@@ -59,7 +61,7 @@ export async function addStep(place, bench) {
   };
   const says = add
     ? [
-        h("b", {}, add.effect),
+        h("b", {}, effectTitle(add.effect)),
         ` is added to ${add.balance} of ${modelTitle(bench.model, bench.version)}. All free parameters are estimated ` +
           `again from the first 70 % of each record; the error is told on the rest.`,
       ]
@@ -230,7 +232,7 @@ function stages({ provenance: of }) {
 }
 
 function steps(made) {
-  return [...stages(made[0]).first, ...made.map((effect) => [`+ ${effect.effect}`, stages(effect).after])];
+  return [...stages(made[0]).first, ...made.map((effect) => [`+ ${effectTitle(effect.effect)}`, stages(effect).after])];
 }
 
 // Outputs whose error is known at the first and at the last step.
@@ -346,15 +348,7 @@ function effectTable(effects) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map((text) => h("th", { scope: "col" }, text)),
-        ),
-      ),
+      tableHead(heads),
       h(
         "tbody",
         {},

@@ -5,6 +5,7 @@ import { h, panel, show } from "../lib/dom.js";
 import { number, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
+import { tableHead } from "../lib/table_head.js";
 
 // " (p = 0.03)", without digits that mean nothing.
 const chance = (p) => (p < 1e-4 ? " (p < 0.0001)" : ` (p = ${number(p)})`);
@@ -130,15 +131,7 @@ function errorTable(comparison) {
       h(
         "table",
         { class: "reflow" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            heads.map((text, index) => h("th", { scope: "col", class: index > 0 && index < 5 ? "number" : null }, text)),
-          ),
-        ),
+        tableHead(heads, [1, 2, 3, 4]),
         h("tbody", {}, Object.entries(comparison.outputs).map(row)),
       ),
     ),

@@ -3,6 +3,7 @@
 import { call, path } from "../lib/api.js";
 import { h, notify, once } from "../lib/dom.js";
 import { unitText } from "../lib/format.js";
+import { tableHead } from "../lib/table_head.js";
 
 const HEADS = ["Parameter", "Value", "Lower", "Upper", "Unit", "Fixed"];
 
@@ -79,20 +80,7 @@ export function parameterForm(description, saveAs, stored) {
     h(
       "div",
       { class: "scroll" },
-      h(
-        "table",
-        { class: "reflow parameters" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            HEADS.map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
-        h("tbody", {}, description.parameters.map(row)),
-      ),
+      h("table", { class: "reflow parameters" }, tableHead(HEADS), h("tbody", {}, description.parameters.map(row))),
     ),
     h("p", { class: "controls next" }, h("label", {}, "as", name), button),
   );

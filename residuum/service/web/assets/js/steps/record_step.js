@@ -4,7 +4,10 @@ import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
 import { count, span, unitText } from "../lib/format.js";
+import { modelName } from "../lib/model_name.js";
 import { download } from "../lib/report_file.js";
+import { tableHead } from "../lib/table_head.js";
+import { DRIVE, offer, simulateIn } from "./example.js";
 import { describe, modelTitle } from "./models.js";
 import { parameterForm } from "./parameter_form.js";
 
@@ -46,9 +49,10 @@ export async function uploadedRecords() {
 }
 
 export async function recordStep(place, bench) {
-  const parts = { record: h("div"), model: h("div"), map: h("div"), equations: h("div") };
+  const parts = { example: h("div"), record: h("div"), model: h("div"), map: h("div"), equations: h("div") };
   show(
     place,
+    parts.example,
     h(
       "div",
       { class: "columns" },
@@ -70,6 +74,7 @@ export async function recordStep(place, bench) {
     const mine = ++drawing; // a model described more slowly than the one chosen after it must not be drawn
     bench.save();
     bench.refresh();
+    drawExample(parts.example, bench, known, redraw);
     drawRecord(parts.record, bench, known, redraw);
     drawModel(parts.model, bench, known, redraw);
     await drawMap(parts, bench, known, redraw, () => mine === drawing && parts.map.isConnected).catch((problem) =>
@@ -77,6 +82,25 @@ export async function recordStep(place, bench) {
     );
   };
   await redraw();
+}
+
+// Until there is a record and a model: one click gives both.
+function drawExample(place, bench, known, redraw) {
+  const begin = () =>
+    simulateIn(
+      place,
+      DRIVE,
+      (record) => {
+        known.records.unshift(record);
+        Object.assign(bench, { records: [record.id], model: DRIVE.machine, version: null, base: null, map: {} });
+        return redraw();
+      },
+      bench.leaving,
+    );
+  const says =
+    "Drop a record of your machine and choose its model, or try a simulated drive with friction that its model lacks. " +
+    "Then press Compare; each step leads to the next.";
+  show(place, bench.ready ? null : offer(says, "Try the example", begin));
 }
 
 function drawRecord(place, bench, known, redraw) {
@@ -108,6 +132,7 @@ function drawRecord(place, bench, known, redraw) {
   });
 
   async function take(files) {
+    const refusals = [];
     for (const file of files) {
       drop.setAttribute("aria-busy", "true");
       try {
@@ -117,9 +142,10 @@ function drawRecord(place, bench, known, redraw) {
         bench.records = file === files[0] ? [record.id] : [...bench.records, record.id];
         bench.map = {};
       } catch (problem) {
-        notify(problem.message);
+        refusals.push(problem.message);
       }
     }
+    for (const text of refusals) notify(text); // last: a file that is taken clears the messages before it
     redraw();
   }
 
@@ -282,6 +308,7 @@ function editor(bench, known, redraw) {
     "aria-label": "Upload a model file",
     onchange: async () => {
       text.value = await file.files[0].text();
+      name.value = modelName(file.files[0].name);
     },
   });
   const store = once(async () => {
@@ -393,15 +420,7 @@ async function drawMap(parts, bench, known, redraw, current) {
       h(
         "table",
         { class: "reflow" },
-        h(
-          "thead",
-          {},
-          h(
-            "tr",
-            {},
-            ["Signal of the model", "Role", "Column of the record"].map((text) => h("th", { scope: "col" }, text)),
-          ),
-        ),
+        tableHead(["Signal of the model", "Role", "Column of the record"]),
         h("tbody", {}, signals.map(row)),
       ),
       h(

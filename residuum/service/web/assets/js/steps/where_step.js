@@ -3,8 +3,9 @@
 import { draw, series } from "../charts/charts.js";
 import { cloudChart, drawCloud } from "../charts/cloud.js";
 import { h, show } from "../lib/dom.js";
-import { inBrackets, localised, percent, quantity } from "../lib/format.js";
+import { capital, inBrackets, localised, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
+import { tableHead } from "../lib/table_head.js";
 
 export function whereStep(place, bench) {
   const body = h("div", { class: "stack" });
@@ -224,16 +225,7 @@ function phaseMap(view, bench, of) {
         h(
           "table",
           { class: "heat" },
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              h("td"),
-              map.directions.map((direction) => h("th", { scope: "col" }, capital(direction))),
-            ),
-          ),
+          tableHead(["", ...map.directions.map(capital)]),
           h(
             "tbody",
             {},
@@ -257,8 +249,6 @@ function phaseMap(view, bench, of) {
     ),
   );
 }
-
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 // Record and time of the region's largest error.
 function strongest(view, region) {

@@ -4,9 +4,11 @@ import { blockErrorsChart, drawBlockErrors } from "../charts/block_errors.js";
 import { cloudChart, drawCloud } from "../charts/cloud.js";
 import { call } from "../lib/api.js";
 import { h, notify, panel, show } from "../lib/dom.js";
-import { localised, number, percent, quantity, unitText } from "../lib/format.js";
+import { effectTitle } from "../lib/effect_titles.js";
+import { capital, localised, number, percent, quantity, unitText } from "../lib/format.js";
 import { run, runIn } from "../lib/jobs.js";
-import { badge } from "../lib/parts.js";
+import { badge, placed } from "../lib/parts.js";
+import { tableHead } from "../lib/table_head.js";
 import { naturalAxis } from "./where_step.js";
 
 const LISTED = 8;
@@ -184,7 +186,11 @@ function ranking(candidates, effects, bench) {
           h("b", {}, effects.get(candidate.effect)?.title ?? candidate.effect),
           h("div", { class: "muted small" }, `in ${candidate.balance}: ${effects.get(candidate.effect)?.equation ?? ""}`),
           candidate.indistinguishable_from.length
-            ? h("div", { class: "small" }, `This record cannot tell it from ${candidate.indistinguishable_from.join(", ")}.`)
+            ? h(
+                "div",
+                { class: "small" },
+                `This record cannot tell it from ${candidate.indistinguishable_from.map(placed).join(", ")}.`,
+              )
             : null,
           candidate.within_bounds ? null : h("div", { class: "small" }, "At a physical bound."),
         ),
@@ -238,7 +244,7 @@ function ranking(candidates, effects, bench) {
             type: "button",
             class: index ? "quiet" : null,
             "data-key": `add-${index}`,
-            "aria-label": `Add ${candidate.effect} to ${candidate.balance}`,
+            "aria-label": `Add ${effectTitle(candidate.effect)} to ${candidate.balance}`,
             onclick: () =>
               bench.go("add", {
                 shown: {
@@ -263,21 +269,7 @@ function ranking(candidates, effects, bench) {
     h(
       "table",
       { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          heads.map((text, index) =>
-            h(
-              "th",
-              { scope: "col", class: index === 1 ? "number" : null },
-              text || h("span", { class: "visually-hidden" }, "Action"),
-            ),
-          ),
-        ),
-      ),
+      tableHead([...heads.slice(0, 4), h("span", { class: "visually-hidden" }, "Action")], [1]),
       h("tbody", {}, candidates.map(row)),
     ),
   );
@@ -408,5 +400,3 @@ function visible({ smallest_visible: least, unit }) {
       : [quantity(least, unit)];
   return `below ${sizes.join(", ")} it would not show.`;
 }
-
-const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);

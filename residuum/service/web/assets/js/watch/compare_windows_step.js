@@ -2,9 +2,11 @@
 
 import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
-import { number, percent, quantity, title } from "../lib/format.js";
+import { effectTitle } from "../lib/effect_titles.js";
+import { number, percent, quantity } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { badge } from "../lib/parts.js";
+import { tableHead } from "../lib/table_head.js";
 import { structured } from "../steps/compare_step.js";
 
 const MOST = 2;
@@ -54,9 +56,6 @@ function drawComparison(place, improved, way, found) {
       h("td", { "data-label": "Fit", class: "number" }, output.fit_percent === null ? "–" : percent(output.fit_percent / 100)),
     ),
   );
-  const heads = ["Output", "RMS error", "Noise", "Fit"].map((text, index) =>
-    h("th", { scope: "col", class: index ? "number" : null }, text),
-  );
   const { model } = way.settings;
   const improve = () =>
     runIn(
@@ -72,7 +71,7 @@ function drawComparison(place, improved, way, found) {
   show(
     place,
     h("div", { class: "verdict" }, badge(tone, word), h("p", {}, sentence)),
-    h("table", { class: "reflow" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows)),
+    h("table", { class: "reflow" }, tableHead(["Output", "RMS error", "Noise", "Fit"], [1, 2, 3]), h("tbody", {}, rows)),
     h(
       "p",
       { class: "controls" },
@@ -90,7 +89,7 @@ function drawImproved(place, way, found) {
     h(
       "li",
       {},
-      each.added ? `${title(each.added)} added: ` : "at first: ",
+      each.added ? `${effectTitle(each.added)} added: ` : "at first: ",
       `error ${each.error === null ? "–" : quantity(each.error, found.error_unit)}`,
     );
   const use = once(async () => {

@@ -3,6 +3,8 @@
 import { call } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { unitText } from "../lib/format.js";
+import { modelName } from "../lib/model_name.js";
+import { tableHead } from "../lib/table_head.js";
 
 const TEMPLATE = `name: my-machine
 inputs:      {voltage: V}
@@ -63,7 +65,7 @@ function editor(way, made) {
     "data-key": "model-file",
     onchange: async () => {
       text.value = await file.files[0].text();
-      name.value = file.files[0].name.replace(/\.[^.]*$/, "").replaceAll(/[^A-Za-z0-9._-]/g, "-");
+      name.value = modelName(file.files[0].name);
     },
   });
   const name = h("input", {
@@ -143,13 +145,17 @@ async function drawMapping(place, way, model) {
     }
     return undefined;
   });
-  const heads = ["Signal of the model", "Role", "Signal of the bus"].map((text) => h("th", { scope: "col" }, text));
   show(
     place,
     panel(
       "Which signal is which?",
       "guessed by name and unit",
-      h("table", { class: "reflow" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, signals.map(row))),
+      h(
+        "table",
+        { class: "reflow" },
+        tableHead(["Signal of the model", "Role", "Signal of the bus"]),
+        h("tbody", {}, signals.map(row)),
+      ),
       h(
         "p",
         { class: "controls next" },

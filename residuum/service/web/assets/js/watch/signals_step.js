@@ -4,6 +4,7 @@ import { call } from "../lib/api.js";
 import { h, panel, show } from "../lib/dom.js";
 import { quantity } from "../lib/format.js";
 import { plant } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 
 const HEADS = ["Signal", "Now", "Last half minute"];
 
@@ -65,24 +66,7 @@ function tableOf(rows) {
       h("td", { "data-label": HEADS[1], class: "number" }, quantity(signal.value, signal.unit)),
       h("td", { "data-label": HEADS[2] }, sparkline(signal.history)),
     );
-  return h(
-    "div",
-    { class: "scroll" },
-    h(
-      "table",
-      { class: "reflow" },
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          HEADS.map((text, index) => h("th", { scope: "col", class: index === 1 ? "number" : null }, text)),
-        ),
-      ),
-      h("tbody", {}, rows.map(row)),
-    ),
-  );
+  return h("div", { class: "scroll" }, h("table", { class: "reflow" }, tableHead(HEADS, [1]), h("tbody", {}, rows.map(row))));
 }
 
 function sparkline({ seconds, values }) {

@@ -4,12 +4,16 @@ import { call } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { quantity, unitText } from "../lib/format.js";
 import { diagnoserWith } from "../lib/plant_state.js";
+import { tableHead } from "../lib/table_head.js";
 
 const KINDS = {
   can: { title: "CAN bus", maps: { dbc: "DBC file" } },
   modbus: { title: "Modbus TCP", maps: { table: "table of registers", registers: "register map (YAML)" } },
 };
 const EXAMPLE = "name;register;type;unit;scale\nspeed;40001;uint16;rpm;0.1\n";
+
+const HINT =
+  "Say how the machine is reached, and choose the file that describes its bus. The next step shows what its signals read now.";
 
 export function sourceStep(place, way) {
   const before = way.settings?.sources[0];
@@ -112,6 +116,7 @@ export function sourceStep(place, way) {
     panel(
       "Where do the signals come from?",
       null,
+      before ? null : h("p", { class: "muted" }, HINT),
       h(
         "form",
         { class: "editor-form", onsubmit: watch },
@@ -141,13 +146,14 @@ function signalTable(description) {
       ),
     ),
   );
-  const heads = ["Signal", "Unit", "Every"].map((text) =>
-    h("th", { scope: "col", class: text === "Every" ? "number" : null }, text),
-  );
   return panel(
     `${description.name} describes`,
     null,
-    h("div", { class: "scroll" }, h("table", { class: "reflow" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows))),
+    h(
+      "div",
+      { class: "scroll" },
+      h("table", { class: "reflow" }, tableHead(["Signal", "Unit", "Every"], [2]), h("tbody", {}, rows)),
+    ),
     description.remarks.map((remark) => h("p", { class: "muted small" }, `${remark}.`)),
   );
 }

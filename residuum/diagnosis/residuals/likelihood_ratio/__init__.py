@@ -1,0 +1,1 @@
+"""Generalised likelihood ratio over windows of a residual."""

@@ -1,0 +1,1 @@
+"""Residuals of plants with several inputs and outputs."""

@@ -1,0 +1,258 @@
+"""Residual of a plant with several inputs and outputs: r = Q (y − G u), blind to unknown inputs where asked, then whitened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from residuum.diagnosis.learning.stored import load_stored, save_stored
+from residuum.diagnosis.residuals.multivariable.unknown_input_decoupling import unknown_input_decoupling
+from residuum.diagnosis.residuals.multivariable.vector_whitener import VectorWhitener, fit_whitener
+from residuum.diagnosis.residuals.residual_design import ROBUST, refuse_other_rate
+from residuum.diagnosis.systems.settling import settled_length
+from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.kernel_based.multivariable import MultivariableModel
+from residuum.identification.kernel_based.multivariable_file import multivariable_from, multivariable_text
+from residuum.identification.linear_models.state_space import StateSpace
+from residuum.identification.record import Record
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+KIND, VERSION = "multivariable-residual-design", 1
+UNKNOWN_INPUT = "unknown-input-observer"
+METHODS = (ROBUST, UNKNOWN_INPUT)
+
+
+class VectorResidual(NamedTuple):
+    """Of a record: whitened residual s, (n, r), zero where it is not `valid`, (n,), and u about its mean, (n, q)."""
+
+    scores: FloatArray
+    valid: BoolArray
+    inputs: FloatArray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MultivariableResidual:
+    """The residual generator of a multivariable plant, with all that its judgement needs.
+
+    With known inputs u and unknown inputs d the plant is y = G_u u + G_d d + noise. The primary residual e = y − G_u u is free of
+    u; Q, the unknown input observer's own path from y, takes d away too (identity where nothing is unknown), and the whitener
+    makes r = Q e independent standard normals. A sensor fault f in output i shows as W Q e_i f, an actuator fault in input
+    j as W Q G_j f.
+
+    Parameters
+    ----------
+    model : MultivariableModel
+        With the joint covariance of each output's impulse responses.
+    unknown : tuple of str
+        Inputs of the model that are not measured while the plant is watched.
+    Q : StateSpace
+        p outputs of the plant → r residuals; r = p minus the number of unknown inputs.
+    whitener : VectorWhitener
+    input_mean, output_mean : arrays, shapes (q,), (p,)
+        Operating point, of the known inputs and the outputs.
+    """
+
+    model: MultivariableModel
+    unknown: tuple[str, ...] = ()
+    Q: StateSpace
+    whitener: VectorWhitener
+    input_mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    output_mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def method(self) -> str:
+        """`unknown-input-observer` where inputs are unknown, else `robust`."""
+        return UNKNOWN_INPUT if self.unknown else ROBUST
+
+    @property
+    def known(self) -> tuple[int, ...]:
+        """Indices of the known inputs."""
+        return tuple(j for j, name in enumerate(self.model.inputs) if name not in self.unknown)
+
+    @property
+    def sample_time(self) -> float:
+        """Sample time [s]."""
+        return self.model.models[0][0].sample_time
+
+    @cached_property
+    def filter(self) -> FloatArray:
+        """Impulse response of whitener and Q together, shape (length, r, p)."""
+        return self.whitener.after(self.Q.impulse_response(settled_length(self.Q)))
+
+    @property
+    def warm_up(self) -> int:
+        """Samples after a start or a gap that are not judged: the memory of the model and of the filters."""
+        return max(path.delay + path.order for row in self.model.models for path in row) + len(self.filter)
+
+    def residual(self, record: Record) -> VectorResidual:
+        """The whitened residual of a record.
+
+        Raises
+        ------
+        BadRecord
+            A channel is absent, or the record has another sample time.
+        BadUnit
+            A channel's unit cannot be converted.
+        """
+        u, y = self.signals_of(record)
+        missing = _any_missing(u) | _any_missing(y)
+        du, dy = np.nan_to_num(u - self.input_mean), np.nan_to_num(y - self.output_mean)
+        scores = filtered(self.filter, dy - _response(self.model, self.known, du))
+        since = np.arange(len(missing)) - np.maximum.accumulate(np.where(missing, np.arange(len(missing)), -1))
+        valid = since > self.warm_up
+        return VectorResidual(np.where(valid[:, None], scores, 0.0), valid, du)
+
+    def signals_of(self, record: Record) -> tuple[FloatArray, FloatArray]:
+        """Known inputs and outputs in the model's units, shapes (n, q), (n, p)."""
+        refuse_other_rate(record, self.sample_time)
+        first = self.model.models[0]
+        u = [record.in_unit(first[j].input_name, first[j].input_unit) for j in self.known]
+        y = [record.in_unit(row[0].output_name, row[0].output_unit) for row in self.model.models]
+        return np.stack(u, axis=1) if u else np.zeros((record.n, 0)), np.stack(y, axis=1)
+
+    def save(self, path: str | Path) -> None:
+        """Store the design (JSON and arrays in a zip)."""
+        arrays = {f"Q-{name}": getattr(self.Q, name) for name in "ABCD"}
+        arrays |= {"whitener-past": self.whitener.past, "whitener-root": self.whitener.root}
+        arrays |= {"input-mean": self.input_mean, "output-mean": self.output_mean}
+        meta = {"model": multivariable_text(self.model), "unknown": list(self.unknown), "healthy": self.whitener.n}
+        save_stored(path, KIND, VERSION, meta, arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> MultivariableResidual:
+        """The design stored by `save`; BadInput when the file is not one."""
+        stored = load_stored(path, KIND)
+        try:
+            model = multivariable_from(json.loads(stored.meta["model"]), Path(path))
+            A, B, C, D = (stored.arrays[f"Q-{name}"] for name in "ABCD")
+            whitener = VectorWhitener(stored.arrays["whitener-past"], stored.arrays["whitener-root"], stored.meta["healthy"])
+            return cls(
+                model=model,
+                unknown=tuple(stored.meta["unknown"]),
+                Q=StateSpace(A, B, C, D, model.models[0][0].sample_time),
+                whitener=whitener,
+                input_mean=stored.arrays["input-mean"],
+                output_mean=stored.arrays["output-mean"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: is not a residual design, as `residuum residual design` writes one: {error}") from None
+
+
+def design_multivariable_residual(
+    model: MultivariableModel, healthy: Sequence[Record], *, method: str = ROBUST, unknown: Sequence[str] = ()
+) -> MultivariableResidual:
+    """The residual generator of a multivariable model; operating point and noise come from healthy records.
+
+    Parameters
+    ----------
+    healthy : sequence of Record
+        They may lack the unknown inputs.
+    method : str
+        `robust`, or `unknown-input-observer` with inputs in `unknown`.
+    unknown : sequence of str
+        Inputs of the model that will not be measured.
+
+    Raises
+    ------
+    BadInput
+        Another method, an unknown input that the model does not have, no healthy record.
+    BadModel
+        As many unknown inputs as outputs, or inputs that no observer can tell apart.
+    BadRecord, BadUnit
+        As in `MultivariableResidual.residual`.
+    """
+    _check(model, healthy, method, unknown)
+    p, step = len(model.models), model.models[0][0].sample_time
+    Q = unknown_input_decoupling(model, unknown) if unknown else StateSpace.gain(np.eye(p), step)
+    blank = MultivariableResidual(model=model, unknown=tuple(unknown), Q=Q, whitener=VectorWhitener.none(Q.D.shape[0]))
+    pairs = [blank.signals_of(record) for record in healthy]
+    input_mean = np.nanmean(np.concatenate([u for u, _ in pairs]), axis=0)
+    memory = max(path.delay + path.order for row in model.models for path in row)
+    errors = [y - _response(model, blank.known, np.nan_to_num(u - input_mean)) for u, y in pairs]
+    bad = [_any_missing(u) for u, _ in pairs]
+    usable = [np.where((_dilated(gone, memory))[:, None], np.nan, error) for error, gone in zip(errors, bad, strict=True)]
+    if not any(np.isfinite(error).all(axis=1).any() for error in usable):
+        raise BadRecord(f"healthy records: none is longer than the model's memory, {memory} samples, without a gap")
+    output_mean = np.nanmean(np.concatenate(usable), axis=0)
+    settled = settled_length(Q)
+    impulse = Q.impulse_response(settled)
+    residuals = []
+    for error in usable:
+        gone = _dilated(_any_missing(error), settled)
+        residuals.append(np.where(gone[:, None], np.nan, filtered(impulse, np.nan_to_num(error - output_mean))))
+    return MultivariableResidual(
+        model=model,
+        unknown=tuple(unknown),
+        Q=Q,
+        whitener=fit_whitener(residuals),
+        input_mean=input_mean,
+        output_mean=output_mean,
+    )
+
+
+def _check(model: MultivariableModel, healthy: Sequence[Record], method: str, unknown: Sequence[str]) -> None:
+    if method not in METHODS:
+        raise BadInput(f"residual method {method!r}: of a model with several inputs or outputs it must be {' or '.join(METHODS)}")
+    if (method == UNKNOWN_INPUT) != bool(unknown):
+        raise BadInput(f"residual method {method!r}: unknown inputs belong to {UNKNOWN_INPUT}, which needs at least one")
+    for name in unknown:
+        if name not in model.inputs:
+            raise BadInput(f"unknown input {name!r}: the model has {', '.join(model.inputs)}")
+    if not healthy:
+        raise BadInput("multivariable residual: needs healthy records, for its operating point and its noise")
+
+
+def filtered(impulse: FloatArray, v: FloatArray) -> FloatArray:
+    """Output, shape (n, r), of a filter with this impulse response, shape (length, r, p), to v, shape (n, p), from rest."""
+    columns = [
+        sum(signal.oaconvolve(v[:, i], impulse[:, k, i])[: len(v)] for i in range(v.shape[1])) for k in range(impulse.shape[1])
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _response(model: MultivariableModel, known: Sequence[int], u: FloatArray) -> FloatArray:
+    """G_u u, shape (n, p), from rest; u of shape (n, q)."""
+    response = np.zeros((len(u), len(model.models)))
+    for i, row in enumerate(model.models):
+        for column, j in enumerate(known):
+            taps = np.r_[np.zeros(row[j].delay), row[j].impulse_response]
+            response[:, i] += signal.oaconvolve(u[:, column], taps)[: len(u)]
+    return response
+
+
+def _any_missing(values: FloatArray) -> BoolArray:
+    return np.asarray(np.isnan(values).any(axis=1))
+
+
+def _dilated(gone: BoolArray, memory: int) -> BoolArray:
+    """Samples of which one of the last `memory` is gone, or lies before the start."""
+    n = len(gone)
+    last = np.maximum.accumulate(np.where(gone, np.arange(n), -1))
+    return np.asarray(np.arange(n) - last <= memory)
+
+
+def static_gain(model: MultivariableModel) -> FloatArray:
+    """G(1), shape (p, q)."""
+    return np.array([[float(np.sum(path.impulse_response)) for path in row] for row in model.models])
+
+
+def own_response(design: MultivariableResidual, place: int, actuator: bool, length: int) -> FloatArray:
+    """What a unit step of a sensor's or an actuator's fault does to the scores from its onset on, shape (length, r)."""
+    p = len(design.model.models)
+    step = np.zeros((length, p))
+    if actuator:
+        for i, row in enumerate(design.model.models):
+            response = np.cumsum(np.r_[np.zeros(row[place].delay), row[place].impulse_response])
+            step[:, i] = np.r_[response, np.full(length, response[-1])][:length]
+    else:
+        step[:, place] = 1.0
+    return filtered(design.filter, step)

@@ -1,0 +1,1 @@
+"""Rolling bearings: their frequencies, and whether a fault's lines stand out."""

@@ -1,0 +1,1 @@
+"""What turns with the shaft: speed, angle, rounds, and clocks brought together."""

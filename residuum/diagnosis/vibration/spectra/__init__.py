@@ -1,0 +1,1 @@
+"""Spectra, bands and envelopes of a vibration."""

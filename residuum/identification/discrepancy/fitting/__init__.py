@@ -1,0 +1,1 @@
+"""Structures: a model with some effects, its likelihood, its estimate, and how two of them compare."""

@@ -1,0 +1,1 @@
+"""The steps of an improvement: effects join, data kept aside judge them, the last estimate."""

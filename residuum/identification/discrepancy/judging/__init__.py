@@ -1,0 +1,1 @@
+"""What is made of what a search tried: probabilities, verdict, what is left over."""

@@ -1,0 +1,1 @@
+"""The search: the likely effects estimated in full; one joins, others give way."""

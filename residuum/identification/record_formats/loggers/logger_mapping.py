@@ -1,0 +1,307 @@
+"""The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.even_time import even_columns, made_even, resampling, some_rounded_alike
+from residuum.identification.record_formats.loggers.logger_text import MISSING, cells_of, decoded, number
+from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
+from residuum.identification.record_formats.loggers.no_value import without_overloads
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.identification.yaml_text import short_text, what_is_wrong
+
+ENDING = ".mapping.yaml"
+_DUPLICATES = ("refuse", "first", "mean", "spread")
+_REORDERED = ("refuse", "sort")
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LoggerMapping:
+    """How to read one habit of writing files; columns and rows count from 1.
+
+    Parameters
+    ----------
+    encoding, delimiter, decimal : str
+        Of the text.
+    width : int
+        Cells of a row; rows of another width are refused.
+    first_row : int
+        File row of the first sample.
+    time : tuple of int
+        The time column, or the columns of date and of time of day; none where `sample_time` says how far apart the rows are.
+    time_form : str
+        One of `logger_time.FORMS`.
+    names, units : mapping of column to name and to unit
+        Of the channels.
+    missing : tuple of str
+        Cells (in lower case) that stand for no value.
+    duplicates, reordered : str
+        What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the next stamp) and of rows out of
+        order (`refuse`, `sort`).
+    suffixes : mapping of column to text
+        The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
+    sample_time : float or None
+        Seconds from row to row of a file without times.
+
+    Raises
+    ------
+    BadRecord
+        A field that is not of these kinds.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    width: int
+    first_row: int
+    time: tuple[int, ...]
+    time_form: str
+    names: Mapping[int, str]
+    units: Mapping[int, str]
+    missing: tuple[str, ...] = MISSING
+    duplicates: str = "refuse"
+    reordered: str = "refuse"
+    suffixes: Mapping[int, str] = field(default_factory=dict)
+    sample_time: float | None = None
+
+    def __post_init__(self) -> None:
+        rules = {
+            "delimiter": isinstance(self.delimiter, str) and len(self.delimiter) == 1,
+            "decimal": self.decimal in (".", ","),
+            "width": _is_count(self.width),
+            "first_row": _is_count(self.first_row),
+            "time_form": self.time_form in FORMS,
+            "duplicates": self.duplicates in _DUPLICATES,
+            "reordered": self.reordered in _REORDERED,
+            "sample_time": self.sample_time is None or _is_positive(self.sample_time),
+            "time": (self.sample_time is None) <= len(self.time) <= 2 and all(_is_count(column) for column in self.time),
+            "names": bool(self.names) and all(_is_count(column) and isinstance(name, str) for column, name in self.names.items()),
+            "suffixes": all(isinstance(unit, str) and unit for unit in self.suffixes.values()),
+            "units": all(isinstance(unit, str) for unit in self.units.values()) and set(self.units) <= set(self.names),
+        }
+        for name, holds in rules.items():
+            if not holds:
+                raise BadRecord(f"mapping, {name}: {getattr(self, name)!r} is not possible; see the one that inspect writes")
+        self._check_columns()
+
+    def _check_columns(self) -> None:
+        """Refuse a column that rows of this width do not have."""
+        if beyond := [column for column in (*self.time, *self.names) if column > self.width]:
+            near = ", ".join(f"{column} {name!r}" for column, name in self.names.items() if column <= self.width)
+            raise BadRecord(f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})")
+
+    def to_yaml(self) -> str:
+        """The mapping as YAML."""
+        plain = {**asdict(self), "time": list(self.time), "missing": list(self.missing)}
+        return yaml.safe_dump(plain, allow_unicode=True, sort_keys=False)
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
+
+
+def read_mapping(path: Path) -> LoggerMapping:
+    """The mapping of a YAML file; BadRecord names the file and the field."""
+    try:
+        found: Any = yaml.safe_load(short_text(path))
+    except OSError as error:
+        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise BadRecord(f"{path}: is not YAML: {what_is_wrong(error)}") from None
+    known = [part.name for part in fields(LoggerMapping)]
+    if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
+        what = repr(unknown[0]) if isinstance(found, dict) else "no table"
+        raise BadRecord(f"{path}: {what} is not part of a mapping; known are {', '.join(known)}")
+    if lacking := [name for name in known[:9] if name not in found]:
+        raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
+    try:
+        for name in ("time", "missing"):
+            if name in found:
+                found[name] = tuple(found[name])
+        found["names"], found["units"] = dict(found["names"]), dict(found["units"])
+        return LoggerMapping(**found)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise BadRecord(f"{path}: {error}") from None
+
+
+def table(text: str, mapping: LoggerMapping, source: str) -> tuple[npt.NDArray[np.int64], FloatArray, list[int]]:
+    """(times [ns] shape (n,), channels shape (c, n), file rows) as the file has them, holes as NaN."""
+    stamps: list[int] = []
+    values, rows = [], []
+    for row, cells in enumerate(cells_of(text, mapping.delimiter)[mapping.first_row - 1 :], start=mapping.first_row):
+        if not any(cells):
+            continue
+        if len(cells) != mapping.width:
+            raise BadRecord(f"{source}, row {row}: {len(cells)} cells; {mapping.width} are needed, mend or cut the row")
+        stamps.append(_stamp(cells, mapping, len(stamps), f"{source}, row {row}"))
+        where = f"{source}, row {row}, column"
+        values.append([_value(cells[k - 1], mapping, k, f"{where} {name!r}") for k, name in mapping.names.items()])
+        rows.append(row)
+    if len(rows) < 2:
+        raise BadRecord(f"{source}: has {len(rows)} data rows; at least 2 are needed")
+    if max(stamps) - min(stamps) >= 2**63 or max(map(abs, stamps)) >= 2**63:
+        raise BadRecord(f"{source}: time stamps beyond the years 1678 to 2262; check the time's form {mapping.time_form!r}")
+    times = np.array(stamps, dtype=np.int64)
+    if mapping.time_form == "clock" and len(mapping.time) == 1:
+        times = over_midnight(times)
+    return times, np.array(values).T, rows
+
+
+def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: str) -> int:
+    """The time [ns] of a row."""
+    if not mapping.time:
+        return round(1e9 * (mapping.sample_time or 0.0) * number_of_row)
+    stamp = " ".join(cells[column - 1] for column in mapping.time)
+    try:
+        return nanoseconds(stamp, mapping.time_form, mapping.decimal)
+    except (ValueError, OverflowError):
+        what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+        raise BadRecord(f"{where}: {what}; cut or mend the row") from None
+
+
+SAY_DUPLICATES = "set the mapping's `duplicates` to `spread` (even steps until the next stamp), `first` or `mean`"
+"""The way on where rows of one stamp differ."""
+
+
+def say_missing(cell: str) -> str:
+    """The command that says of a cell that it means no value."""
+    return f"`residuum inspect FILE --missing {cell[:40]!r} --out FILE{ENDING}` says so"
+
+
+def _value(cell: str, mapping: LoggerMapping, column: int, where: str) -> float:
+    if cell.lower() in mapping.missing:
+        return float("nan")
+    try:
+        value = number(cell.removesuffix(mapping.suffixes.get(column, "")).rstrip(), mapping.decimal)
+    except ValueError:
+        raise BadRecord(f"{where}: {cell[:40]!r} is not a number; if it means no value, {say_missing(cell)}") from None
+    return float("nan") if value in _marks(mapping.missing, mapping.decimal) else value
+
+
+@lru_cache(maxsize=16)
+def _marks(missing: tuple[str, ...], decimal: str) -> frozenset[float]:
+    """The numbers among the cells that mean no value: a file may write -999.90 for -999.9."""
+    found = set()
+    for cell in missing:
+        for sign in (decimal, "."):
+            with suppress(ValueError):
+                found.add(number(cell, sign))
+    return frozenset(found)
+
+
+def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+    """Read a logger's file by its mapping.
+
+    Rows of one stamp, rows out of order and uneven stamps are refused unless the mapping or `options.resample` says what to
+    do. What was done stands in the record's notes, with the error that resampling makes; no hole is filled without it.
+
+    Raises BadRecord with file and row.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
+    return without_overloads(parse_logger(content, str(path), mapping, options))
+
+
+def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
+    """Read the bytes of a logger's file (see `read_logger_file`); `source` names it in messages."""
+    stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
+    notes: list[str] = []
+    stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
+    time = (stamps - stamps[0]) / 1e9
+    try:
+        step, columns = even_columns(np.stack([time, *values]), source, resample=False, first_row=mapping.first_row)
+        signals = columns[1:]
+    except BadRecord:
+        if not options.resample:
+            raise
+        step, signals, told = made_even(time, values, source)
+        for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
+            notes.append(f"{name} {resampling(step, how, holes)}")
+    options.settle_sample_time(step, source)
+    units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
+    channels = dict(zip(mapping.names.values(), signals, strict=True))
+    return Record(channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source)
+
+
+def _ordered(
+    stamps: npt.NDArray[np.int64], values: FloatArray, rows: list[int], mapping: LoggerMapping, notes: list[str], source: str
+) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    backward = np.diff(stamps) < 0
+    if backward.any():
+        if mapping.reordered == "refuse":
+            row = rows[int(np.argmax(backward)) + 1]
+            how = (
+                ""
+                if mapping.time_form in SINCE_START
+                else ", or set the mapping's `reordered: sort` where its rows are only shuffled"
+            )
+            raise BadRecord(f"{source}, row {row}: time goes back{_hour(stamps)}; cut the file there{how}")
+        order = np.argsort(stamps, kind="stable")
+        stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
+        notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
+    same = np.diff(stamps) == 0
+    if not same.any():
+        return stamps, values
+    if mapping.duplicates == "refuse":
+        row = rows[int(np.argmax(same)) + 1]
+        raise BadRecord(
+            f"{source}, row {row}: time stamp stands twice; {SAY_DUPLICATES} "
+            f"(`residuum inspect FILE --out FILE{ENDING}` writes it)"
+        )
+    notes.append(f"{int(same.sum())} rows of a time stamp that stands twice: {mapping.duplicates}")
+    starts = np.flatnonzero(np.concatenate([[True], ~same]))
+    if mapping.duplicates == "spread":
+        return _spread(stamps, starts, rows, source), values
+    if mapping.duplicates == "first":
+        return stamps[starts], values[:, starts]
+    present = np.add.reduceat((~np.isnan(values)).astype(float), starts, axis=1)
+    total = np.add.reduceat(np.nan_to_num(values), starts, axis=1)
+    return stamps[starts], np.where(present > 0, total / np.maximum(present, 1), np.nan)
+
+
+def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: list[int], source: str) -> npt.NDArray[np.int64]:
+    """Rows of one stamp at even steps until the next one; the first stamp may lack its first rows, the last its last ones.
+
+    Even stamps that were rounded to too few digits stand once or twice: their step is that of the whole.
+    """
+    if some_rounded_alike((stamps - stamps[0]) / 1e9):
+        even: npt.NDArray[np.int64] = np.rint(np.linspace(stamps[0], stamps[-1], len(stamps))).astype(np.int64)
+        return even
+    counts = np.diff(np.append(starts, len(stamps)))
+    each, between = int(np.median(counts)), np.diff(stamps[starts])
+    inner = counts[1:-1]
+    if len(starts) < 3 or (inner != each).any() or counts[0] > each or counts[-1] > each:
+        wrong = 1 + int(np.argmax(inner != each)) if len(inner) else 0
+        raise BadRecord(
+            f"{source}, row {rows[starts[wrong]]}: a stamp stands {counts[wrong]} times, others {each} times; "
+            "they cannot be spread evenly, cut the file there"
+        )
+    step = int(np.median(between)) // each
+    place = np.concatenate([np.arange(count) for count in counts])
+    place[: counts[0]] += each - counts[0]
+    found: npt.NDArray[np.int64] = np.repeat(stamps[starts], counts) + step * place
+    return found
+
+
+def _hour(stamps: npt.NDArray[np.int64]) -> str:
+    """The remark that a clock went back by an hour, as at the end of summer time."""
+    steps = np.diff(stamps)
+    back, usual = int(steps[np.argmax(steps < 0)]), int(np.median(steps))
+    return " by an hour, as at the end of summer time" if abs(back + 3600 * 10**9 - usual) <= max(usual, 10**9) else ""

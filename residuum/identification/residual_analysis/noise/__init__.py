@@ -1,0 +1,1 @@
+"""Noise of a channel: its floor, its colour, its innovations."""

@@ -1,0 +1,144 @@
+"""Noise floor of a channel: how much of a model's error can be measurement noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.residual_analysis.noise.coloured_noise import longest_memory, pole_radius, stretches
+from residuum.identification.residual_analysis.policy.noise import (
+    COLOURS,
+    FEWEST_FOR_A_FLOOR,
+    FEWEST_QUIET_WINDOWS,
+    LOUDEST_QUIET,
+    LOWEST_FREQUENCY,
+    NOISE_THROUGHOUT,
+    QUIET_WINDOW,
+    QUIETEST,
+    SPECTRUM_SAMPLES,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: Sequence[float] = (LOWEST_FREQUENCY,)) -> float:
+    """RMS of the noise in a model's error, read from its fast part alone.
+
+    A model's error is slow against the sampling rate, noise is not: an AR(1) spectrum σ²(1 − ρ²)/|1 − ρ e^{−jω}|² is fitted
+    (Whittle's likelihood) to the periodogram above 2 % of the sampling rate and σ is given, its slow part included.
+
+    Parameters
+    ----------
+    residuals : sequence of arrays, shapes (n_r,)
+        Measured minus modelled, NaN where missing.
+    slowest : float
+        Largest ρ that is still called noise.
+    lowest : sequence of float
+        Where the fast part may begin, in parts of the sampling rate: the least σ is given.
+
+    Returns
+    -------
+    σ in the channel's unit, at most the RMS of the residuals; 0 for an error without a fast part; the RMS itself for
+    fewer than 64 samples in a row.
+
+    Notes
+    -----
+    Fast errors of the model (ripple, switching) count as noise. For noise slower than ρ ≈ 0.99 it is a lower bound.
+
+    References
+    ----------
+    P. Whittle, *Estimation and information in stationary time series*, Ark. Mat. 2 (1953).
+    """
+    parts = [part for residual in residuals for part in _whole_parts(residual)]
+    every = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
+    rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
+    if not parts:
+        return rms
+    length = min(SPECTRUM_SAMPLES, *(len(part) for part in parts))
+    spectra = [_spectra(_windows(part, length)).mean(axis=0) for part in parts]
+    weights = np.array([len(part) for part in parts], dtype=float)
+    power = np.average(spectra, axis=0, weights=weights)
+    colours, found = COLOURS[max(slowest, 0.0) >= COLOURS], []
+    for begin in lowest:
+        frequency, fast = _fast_frequencies(length, begin)
+        found.append(_whittle_variance(frequency[fast], power[fast], colours))
+    return min(rms, float(np.sqrt(min(found))))
+
+
+def fast_floor(residuals: Sequence[FloatArray]) -> float:
+    """`noise_floor` of noise that is no slower than the residuals can show; 0 if not measured."""
+    samples = sum(int(np.isfinite(residual).sum()) for residual in residuals)
+    memory = longest_memory(samples, max(map(len, residuals)))
+    return noise_floor(residuals, pole_radius(memory)) if samples else 0.0
+
+
+def times_the_noise(residuals: Sequence[FloatArray]) -> float:
+    """RMS of an output's residuals over its `fast_floor`; 0 if not measured."""
+    known, floor = np.concatenate([residual[np.isfinite(residual)] for residual in residuals]), fast_floor(residuals)
+    return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
+
+
+def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
+    """RMS of an output's error without single samples, over the noise of its quieter parts; 0 where those do not tell it.
+
+    An event (a sensor that sticks, a blow) is fast itself, and in the noise of the fast part of the whole error it hides. A noise
+    that is not there all the time (that of a quantised signal, which rests) says nothing of other times.
+    """
+    parts = [part for residual in residuals for part in _whole_parts(residual)]
+    windows = [_windows(part, QUIET_WINDOW) for part in parts if len(part) >= QUIET_WINDOW]
+    if sum(map(len, windows)) < FEWEST_QUIET_WINDOWS:
+        return 0.0
+    spectra = _spectra(np.concatenate(windows))
+    frequency, fast = _fast_frequencies(QUIET_WINDOW, LOWEST_FREQUENCY)
+    power = spectra[:, fast].mean(axis=1)
+    quietest, loud = np.quantile(power, (QUIETEST, LOUDEST_QUIET))
+    if quietest < NOISE_THROUGHOUT * loud:
+        return 0.0
+    floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), COLOURS)))
+    smooth = np.concatenate([_without_single_samples(part) for part in parts])
+    return float(np.sqrt(np.mean(smooth**2))) / floor if floor > 0 else 0.0
+
+
+def _whole_parts(residual: FloatArray) -> list[FloatArray]:
+    return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= FEWEST_FOR_A_FLOOR]
+
+
+def _windows(part: FloatArray, length: int) -> FloatArray:
+    """Stretches of this length, each half over the next; shape (windows, length)."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(part, length)[:: length - length // 2])
+
+
+def _spectra(windows: FloatArray) -> FloatArray:
+    """One-sided power of each window a unit of relative frequency: its straight line taken out, under a Hann window (Welch)."""
+    length = windows.shape[1]
+    slope = np.arange(length) - 0.5 * (length - 1)
+    line = np.stack([np.full(length, length**-0.5), slope / np.linalg.norm(slope)])
+    taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    rest = windows - windows @ line.T @ line
+    power = np.abs(np.fft.rfft(rest * taper, axis=1)) ** 2 / np.sum(taper**2)
+    power[:, 1 : (length + 1) // 2] *= 2.0
+    return np.asarray(power)
+
+
+def _fast_frequencies(length: int, lowest: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Relative frequencies of a window's spectrum, and which of them belong to an error's fast part."""
+    frequency = np.asarray(np.fft.rfftfreq(length), dtype=np.float64)
+    return frequency, (frequency >= lowest) & (frequency < 0.5)
+
+
+def _without_single_samples(part: FloatArray) -> FloatArray:
+    """Each sample the median of five, zeros beyond the ends."""
+    five = np.lib.stride_tricks.sliding_window_view(np.pad(part, 2), 5)
+    return np.asarray(np.partition(five, 2, axis=1)[:, 2])
+
+
+def _whittle_variance(frequency: FloatArray, power: FloatArray, colours: FloatArray) -> float:
+    """Variance of the AR(1) process whose spectrum fits best (one-sided `power` a unit of relative frequency)."""
+    shape = (1 - colours[:, None] ** 2) / np.abs(1 - colours[:, None] * np.exp(-2j * np.pi * frequency)) ** 2
+    variance = np.mean(power / shape, axis=1) / 2.0
+    if not np.all(variance > 0):
+        return 0.0
+    cost = np.mean(np.log(shape), axis=1) + np.log(variance)
+    return float(variance[int(np.argmin(cost))])

@@ -1,0 +1,1 @@
+"""Where a model errs: along which signal, and in which region of it."""

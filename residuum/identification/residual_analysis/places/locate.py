@@ -1,0 +1,243 @@
+"""Where does a model fail? Ranked regions of speed, position, time, … in which its error is large."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.residual_analysis.policy.answers import (
+    FEWEST_IN_A_BIN,
+    LOCATION_BINS,
+    LOCATION_SCORE,
+    ONE_WAY,
+    STANDSTILL_REGION,
+    WIDEST_REGION,
+)
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """A signal against which an error is shown.
+
+    `kind` is one of velocity, position, current, temperature, level, input, time, frequency, other; it only chooses the words.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    values: FloatArray
+
+    @cached_property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """Where the signal is there."""
+        return np.isfinite(self.values)
+
+    @cached_property
+    def bins(self) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+        """Edges of bins of the values that are there, and the bin of each: the same for every error that has no gaps."""
+        return _binned(self.values[self.known])
+
+
+@dataclass(frozen=True)
+class Region:
+    """A stretch of one axis on which the error is larger than elsewhere.
+
+    `times_noise` = RMS of the error there ÷ noise floor; `share` = part of the error's power that lies there;
+    `time_share` = part of the samples that lie there; `direction` is "forward" or "backward" when the region is seen in
+    one direction of movement only; `of` names the output or balance whose error it is.
+    """
+
+    axis: str
+    start: float
+    stop: float
+    unit: str
+    times_noise: float
+    share: float
+    time_share: float
+    direction: str | None
+    of: str
+    says: str
+    score: float
+
+
+def locate(
+    error: FloatArray,
+    axes: Sequence[Axis],
+    *,
+    noise_rms: float,
+    of: str,
+    direction: FloatArray | None = None,
+    correlation_samples: float = 1.0,
+) -> list[Region]:
+    """Rank the regions that hold more of an error's power than their share of time.
+
+    Along each axis every interval of 24 quantile bins is scored by the likelihood ratio of "one variance inside, another
+    outside" against "one variance everywhere" (Kulldorff's scan statistic for variances), with the number of
+    independent samples n / `correlation_samples`. A region whose error has four times the power in one direction of
+    movement is given for that direction only.
+
+    Parameters
+    ----------
+    error : array, shape (n,)
+        Output error or missing term, NaN where unknown.
+    axes : sequence of Axis, values of shape (n,)
+        Signals to look along.
+    noise_rms : float
+        The noise floor, in the unit of the error.
+    of : str
+        The output or balance the error belongs to.
+    direction : array, shape (n,), optional
+        Sign of the movement.
+    correlation_samples : float
+        Correlation length of the noise in samples (≥ 1).
+
+    Returns
+    -------
+    Regions, the most telling first, at most one an axis; empty when no axis beats chance.
+
+    References
+    ----------
+    M. Kulldorff, *A spatial scan statistic*, Commun. Stat. 26 (1997).
+    """
+    total = float(np.nansum(error**2))
+    found = []
+    for axis in axes:
+        interval = _scan(error, axis, correlation_samples)
+        if interval is not None:
+            found.append(_region(error, axis, interval, noise_rms, of, direction, total))
+    return sorted(found, key=lambda region: -region.score)
+
+
+@dataclass(frozen=True)
+class _Interval:
+    start: float
+    stop: float
+    lowest: float
+    highest: float
+    score: float
+
+
+def _scan(error: FloatArray, axis: Axis, correlation: float) -> _Interval | None:
+    known = np.isfinite(error) & axis.known
+    if known.sum() < 4 * FEWEST_IN_A_BIN:
+        return None
+    squares = error[known] ** 2
+    edges, index = axis.bins if np.array_equal(known, axis.known) else _binned(axis.values[known])
+    if len(edges) < 3:
+        return None
+    count = np.asarray(np.bincount(index, minlength=len(edges) - 1), dtype=np.float64)
+    power = np.asarray(np.bincount(index, weights=squares, minlength=len(edges) - 1), dtype=np.float64)
+    first, last, score = _best_interval(count, power, correlation)
+    if score < LOCATION_SCORE + 2.0 * np.log(len(count)):
+        return None
+    return _Interval(float(edges[first]), float(edges[last + 1]), float(edges[0]), float(edges[-1]), score)
+
+
+def _region(
+    error: FloatArray,
+    axis: Axis,
+    interval: _Interval,
+    noise_rms: float,
+    of: str,
+    direction: FloatArray | None,
+    total: float,
+) -> Region:
+    inside = np.isfinite(error) & (axis.values >= interval.start) & (axis.values <= interval.stop)
+    way = _one_way(error, inside, direction)
+    if way is not None and direction is not None:
+        inside &= (direction > 0) == (way == "forward")
+    power = float(np.sum(error[inside] ** 2))
+    times_noise = float(np.sqrt(power / max(inside.sum(), 1)) / noise_rms) if noise_rms > 0 else float("inf")
+    return Region(
+        axis=axis.name,
+        start=interval.start,
+        stop=interval.stop,
+        unit=axis.unit,
+        times_noise=times_noise,
+        share=power / total if total > 0 else 0.0,
+        time_share=float(inside.mean()),
+        direction=way,
+        of=of,
+        says=_words(axis, interval, way, times_noise),
+        score=interval.score,
+    )
+
+
+def _one_way(error: FloatArray, inside: npt.NDArray[np.bool_], direction: FloatArray | None) -> str | None:
+    """The direction of movement that holds nearly all of the error inside a region, if one does."""
+    if direction is None:
+        return None
+    ways = {"forward": inside & (direction > 0), "backward": inside & (direction < 0)}
+    if min(mask.sum() for mask in ways.values()) < FEWEST_IN_A_BIN:
+        return None
+    means = {name: float(np.mean(error[mask] ** 2)) for name, mask in ways.items()}
+    larger = max(means, key=lambda name: means[name])
+    return larger if means[larger] > ONE_WAY * min(means.values()) else None
+
+
+def _binned(values: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
+    """Edges of bins, and the bin of each value."""
+    edges = _bin_edges(np.sort(values))
+    return edges, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def _bin_edges(values: FloatArray) -> FloatArray:
+    """Half quantile, half even edges of sorted values: quantiles alone blur rare places, even bins alone starve the busy ones."""
+    low, high = float(values[0]), float(values[-1])
+    if not high > low:
+        return np.array([low])
+    quantiles = np.quantile(values, np.linspace(0, 1, LOCATION_BINS // 2 + 1))
+    edges = np.unique(np.concatenate([quantiles, np.linspace(low, high, LOCATION_BINS // 2 + 1)]))
+    kept = [edges[0]]
+    position = np.searchsorted(values, edges)
+    start = 0
+    for edge, place in zip(edges[1:-1], position[1:-1], strict=True):
+        if place - start >= FEWEST_IN_A_BIN and len(values) - place >= FEWEST_IN_A_BIN:
+            kept.append(edge)
+            start = place
+    return np.array([*kept, edges[-1]])
+
+
+def _best_interval(count: FloatArray, power: FloatArray, correlation: float) -> tuple[int, int, float]:
+    """(first bin, last bin, twice the log-likelihood ratio) of the interval with the largest variance contrast."""
+    n, total = count.sum(), power.sum()
+    cumulative_n, cumulative_p = np.r_[0.0, np.cumsum(count)], np.r_[0.0, np.cumsum(power)]
+    inside_n = cumulative_n[None, 1:] - cumulative_n[:-1, None]
+    inside_p = cumulative_p[None, 1:] - cumulative_p[:-1, None]
+    outside_n, outside_p = n - inside_n, total - inside_p
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = inside_n * np.log(inside_p / inside_n / (total / n)) + outside_n * np.log(outside_p / outside_n / (total / n))
+        higher = inside_p / inside_n > outside_p / outside_n
+    allowed = (np.triu(np.ones_like(inside_n)) > 0) & (inside_n > 0) & (outside_n > 0) & higher & (inside_n <= WIDEST_REGION * n)
+    score = np.where(allowed, -ratio, -np.inf) / max(correlation, 1.0)
+    first, last = np.unravel_index(int(np.argmax(score)), score.shape)
+    return int(first), int(last), float(score[first, last])
+
+
+_STANDSTILL: Mapping[str, str] = {"velocity": "near standstill", "current": "near zero current", "input": "near zero input"}
+
+
+def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: float) -> str:
+    start, stop, lowest, highest = interval.start, interval.stop, interval.lowest, interval.highest
+    near_zero = start <= 0 <= stop and max(abs(start), abs(stop)) < STANDSTILL_REGION * max(abs(lowest), abs(highest))
+    edge = 1e-9 * (highest - lowest)
+    unit = f" {axis.unit}" if axis.unit else ""
+    if near_zero and axis.kind in _STANDSTILL:
+        place = _STANDSTILL[axis.kind]
+    elif axis.kind == "time":
+        place = f"between {start:.3g} s and {stop:.3g} s"
+    elif start <= lowest + edge:
+        place = f"at {axis.name} below {stop:.3g}{unit}"
+    elif stop >= highest - edge:
+        place = f"at {axis.name} above {start:.3g}{unit}"
+    else:
+        place = f"at {axis.name} between {start:.3g} and {stop:.3g}{unit}"
+    only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(direction or "", "")
+    times = float(f"{times_noise:.2g}")
+    return f"the model fails {place}{only}: the error is {times:g} times the noise"

@@ -1,0 +1,25 @@
+"""YAML files that people write: read whole only while they are short, and one line on what is wrong with one."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import yaml
+
+LONGEST_TEXT = 1_000_000
+"""Bytes of a YAML file at most. PyYAML takes some 10 s and 80 MB of memory for each million; the longest map here has 40 000."""
+
+
+def short_text(path: Path) -> str:
+    """The UTF-8 text of a file; OSError, before anything is read, for one of more than `LONGEST_TEXT` bytes."""
+    if (size := path.stat().st_size) > LONGEST_TEXT:
+        raise OSError(errno.EFBIG, f"{size} bytes; a YAML file has at most {LONGEST_TEXT}")
+    return path.read_text(encoding="utf-8")
+
+
+def what_is_wrong(error: Exception) -> str:
+    """Line, column and what the parser says, in one line."""
+    if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark or error.context_mark):
+        return f"line {mark.line + 1}, column {mark.column + 1}: {error.problem}"
+    return " ".join(str(error).split())[:120]

@@ -1,0 +1,1 @@
+"""CAN: frames by a DBC file, from a bus or a log."""

@@ -1,0 +1,176 @@
+"""A record from a CAN log and the DBC file of its bus."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from residuum.identification.errors import BadRecord
+from residuum.identification.record import Record
+from residuum.identification.record_formats.even_time import resampled, resampling
+from residuum.identification.record_formats.options import ReadOptions
+from residuum.service.fieldbus.block import Samples
+from residuum.service.fieldbus.can.can_log import read_can_log
+from residuum.service.fieldbus.can.frame_layout import BusMessages, read_dbc
+from residuum.service.fieldbus.can.logged_messages import LoggedMessage, logged_messages
+from residuum.service.fieldbus.settings import map_file
+
+_MOST_SAMPLES = 100_000_000
+_MOST_TRIMMED = 0.01
+"""Of all instants."""
+_MOST_JITTER = 0.25
+"""Of a frame's time, where no counter says which place a frame has."""
+
+
+def read_can_record(path: str | Path, dbc: str | Path, options: ReadOptions = ReadOptions()) -> Record:
+    """The signals of all messages of a DBC file that a CAN log holds, on the even clock of the fastest one.
+
+    Lost frames, and signals that a frame does not carry, are missing; nothing is interpolated unless `options.resample` asks
+    for it. A slower message's samples stand at the nearest instants of the fastest one's clock, and are missing between. What
+    was seen on the way (losses, no counter, a cut file) are the record's notes.
+
+    `dbc` is a file, or the name of one that comes with Residuum.
+
+    Raises
+    ------
+    BadBusDescription
+        The log or the DBC file cannot be read.
+    BadRecord
+        No message of the DBC file is in the log; uneven frames without a counter where resampling is not allowed.
+    """
+    log, messages = read_can_log(path), read_dbc(map_file(str(dbc)))
+    found, others = logged_messages(log, messages)
+    if not found:
+        raise BadRecord(f"{log.name}: {_none_known(messages, others)}")
+    signals, step = _on_own_clocks(log.name, found, options)
+    begin = min(first for first, _, _ in signals.values())
+    n = 1 + max(round((first - begin) / step + (len(values) - 1) * own / step) for first, own, values in signals.values())
+    if n * len(signals) > _MOST_SAMPLES:
+        raise BadRecord(f"{log.name}: {n} instants of {len(signals)} channels are more than 1e8 samples; cut the log at its gaps")
+    channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
+    notes = _notes(log.remarks, messages, found, others, options.resample)
+    if options.resample:
+        channels, filled = _interpolated(channels, step, log.name)
+        begin, channels, cut = _trimmed(begin, channels, step)
+        notes += filled + cut
+    else:
+        notes += _missing(channels)
+    units = _units(found)
+    return Record(
+        channels,
+        {name: options.unit_of(name, units[name]) for name in channels},
+        options.settle_sample_time(step, log.name),
+        t0=begin - log.frames[0].time,
+        source=str(path),
+        notes=tuple(notes),
+    )
+
+
+def _on_own_clocks(
+    source: str, found: list[LoggedMessage], options: ReadOptions
+) -> tuple[dict[str, tuple[float, float, Samples]], float]:
+    """Each channel as the time of its first sample, its own sample time and its samples; and the shortest of these times."""
+    signals: dict[str, tuple[float, float, Samples]] = {}
+    names = _names(found)
+    for message in found:
+        _, channels = message.layout.decode(message.frames)
+        for name, values in channels.items():
+            own = names[message.layout.name, name]
+            if message.layout.counter_bits or message.jitter <= _MOST_JITTER:
+                signals[own] = (message.begin, message.sample_time, _with_holes(message, values))
+            elif options.resample:
+                at = np.repeat(message.time, message.layout.samples) - message.time[0]
+                step, (even,), _ = resampled(at, values[None, :], source)
+                signals[own] = (float(message.time[0]), step, even)
+            else:
+                raise BadRecord(
+                    f"{source}, message {message.layout.name}: has no counter, and its frames come up to {message.jitter:.2g} of "
+                    f"their time of {message.frame_time:.6g} s off; resample (--resample) to accept it"
+                )
+    return signals, min(own for _, own, _ in signals.values())
+
+
+def _with_holes(message: LoggedMessage, values: Samples) -> Samples:
+    """Samples on the message's clock, missing where a frame was lost."""
+    samples = message.layout.samples
+    whole = np.full((int(message.number[-1]) + 1, samples), np.nan)
+    whole[message.number] = values.reshape(-1, samples)
+    return whole.reshape(-1)
+
+
+def _placed(first: float, own: float, values: Samples, begin: float, step: float, n: int) -> Samples:
+    """Samples at the nearest instants of the common clock."""
+    placed = np.full(n, np.nan)
+    place = np.clip(np.rint((first - begin + own * np.arange(len(values))) / step).astype(np.int64), 0, n - 1)
+    held = ~np.isnan(values)
+    placed[place[held]] = values[held]
+    return placed
+
+
+def _interpolated(channels: dict[str, Samples], step: float, source: str) -> tuple[dict[str, Samples], list[str]]:
+    """Channels with straight lines between their own samples, longer holes missing; and what was done to each."""
+    n = len(next(iter(channels.values())))
+    _, filled, done = resampled(step * np.arange(n, dtype=np.float64), np.stack(list(channels.values())), source)
+    told = [f"{name}: {resampling(step, *each)}" for name, each in zip(channels, done, strict=True)]
+    return dict(zip(channels, filled, strict=True)), told
+
+
+def _trimmed(begin: float, channels: dict[str, Samples], step: float) -> tuple[float, dict[str, Samples], list[str]]:
+    """Without the first and last few instants that come before a page's first frame, or after its last; and what was cut."""
+    held = [np.flatnonzero(~np.isnan(values)) for values in channels.values() if not np.isnan(values).all()]
+    n = len(next(iter(channels.values())))
+    first, last = max((each[0] for each in held), default=0), min((each[-1] for each in held), default=n - 1)
+    if not 0 < first + n - 1 - last <= _MOST_TRIMMED * n or last <= first:
+        return begin, channels, []
+    cut = f"the first {first} and the last {n - 1 - last} instants are left out: not every channel has a value there"
+    return begin + step * float(first), {name: values[first : last + 1] for name, values in channels.items()}, [cut]
+
+
+def _missing(channels: dict[str, Samples]) -> list[str]:
+    """How much of each channel is missing."""
+    lacks = {name: int(np.isnan(values).sum()) for name, values in channels.items()}
+    return [f"{name}: {lacking} of {len(channels[name])} samples are missing" for name, lacking in lacks.items() if lacking]
+
+
+def _names(found: list[LoggedMessage]) -> dict[tuple[str, str], str]:
+    """Message and signal → name of the channel: the signal's, with its message's before it where two messages have it."""
+    times = Counter(name for message in found for name in message.layout.units)
+    return {
+        (message.layout.name, name): name if times[name] == 1 else f"{message.layout.name}.{name}"
+        for message in found
+        for name in message.layout.units
+    }
+
+
+def _units(found: list[LoggedMessage]) -> dict[str, str]:
+    names = _names(found)
+    return {names[each.layout.name, name]: unit for each in found for name, unit in each.layout.units.items()}
+
+
+def _notes(
+    remarks: Iterable[str], messages: BusMessages, found: list[LoggedMessage], others: dict[str, int], resample: bool
+) -> list[str]:
+    notes = [*remarks, *(remark for message in found for remark in message.remarks)]
+    if len(found) > 1:
+        fastest = min(found, key=lambda message: message.sample_time)
+        notes.append(
+            f"{len(found)} messages on the clock of {fastest.layout.name} ({fastest.sample_time:.6g} s); samples of others stand "
+            f"at its nearest instants and are {'interpolated' if resample else 'missing'} between"
+        )
+    notes += [f"not read: {why}" for why in messages.unusable.values()]
+    if others:
+        notes.append(f"{sum(others.values())} frames of {len(others)} identifiers are not used: {_some(others)}")
+    return notes
+
+
+def _none_known(messages: BusMessages, others: dict[str, int]) -> str:
+    unusable = f"; not usable: {'; '.join(messages.unusable.values())}" if messages.unusable else ""
+    return f"no message of {messages.where} is in it; it holds {_some(others)}{unusable}"
+
+
+def _some(others: dict[str, int]) -> str:
+    most = sorted(others.items(), key=lambda other: -other[1])
+    return ", ".join(f"{name} ({count} frames)" for name, count in most[:8]) + (", …" if len(most) > 8 else "")

@@ -1,0 +1,170 @@
+"""CanSource: streams of samples from a CAN bus, decoded in blocks after a DBC file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.block import Block, StreamFormat
+from residuum.service.fieldbus.can.arrival_order import ArrivalOrder
+from residuum.service.fieldbus.can.can_bus import CanBus, open_bus
+from residuum.service.fieldbus.can.frame_batch import FrameBatch
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
+from residuum.service.fieldbus.sequence import SequenceCounter
+from residuum.service.fieldbus.source import FaultsUnavailable, Sink, Source
+
+_POLL = 0.1
+_GATHER = 0.01
+"""How long frames wait in the bus's own buffer, so that they are decoded together [s]; some buses keep some hundred."""
+COMMAND, STATE = "FAULT_COMMAND", "FAULT_STATE"
+
+
+def streamed(layouts: Mapping[str, FrameLayout]) -> list[FrameLayout]:
+    """The messages that carry streams of samples, those with a counter first; BadBusDescription when there are none."""
+    found = [layout for layout in layouts.values() if not layout.why_no_stream and layout.name not in (COMMAND, STATE)]
+    if not found:
+        why = [f"message {layout.name} {layout.why_no_stream}" for layout in layouts.values() if layout.why_no_stream]
+        where = "bus"
+        if isinstance(layouts, BusMessages):
+            where, why = layouts.where, [*why, *layouts.unusable.values()]
+        raise BadBusDescription(f"{where}: has nothing to stream: {'; '.join(why) or 'no message has signals'}")
+    return sorted(found, key=lambda layout: layout.counter_bits == 0)
+
+
+class CanSource(Source):
+    """Streams from the CAN frames that a DBC file describes.
+
+    Parameters
+    ----------
+    channel : str
+        Bus address, see `can_bus.open_bus`.
+    layouts : mapping of message name to FrameLayout
+        Messages with a time between frames become streams, those with a counter first; `FAULT_COMMAND` and `FAULT_STATE`
+        switch the faults of simulated machines.
+    sink : callable
+
+    Raises
+    ------
+    BadBusDescription
+        No message can be streamed; each is named with the reason.
+    """
+
+    def __init__(self, channel: str, layouts: Mapping[str, FrameLayout], sink: Sink) -> None:
+        super().__init__(channel, sink)
+        self.channel = channel
+        self._layouts = {layout.bus_id: layout for layout in streamed(layouts)}
+        self.health.remarks = [f"message {layout.name}: {layout.remark}" for layout in self._layouts.values() if layout.remark]
+        self._command, self._state = layouts.get(COMMAND), layouts.get(STATE)
+        self._faults = {name: number for number, name in (self._state.choices["fault"] if self._state else {}).items()}
+        self._sizes: dict[str, float] = {}
+        self._places = {
+            frame_id: SequenceCounter(layout.counter_bits) if layout.counter_bits else ArrivalOrder()
+            for frame_id, layout in self._layouts.items()
+        }
+        self._last_seen: dict[int, float] = {}
+        self._was_empty = False
+        self._clock = time.monotonic
+        self._bus: CanBus | None = None
+
+    @property
+    def streams(self) -> Sequence[StreamFormat]:
+        """One stream a message with a time between frames."""
+        return [layout.format for layout in self._layouts.values()]
+
+    @property
+    def fault_ids(self) -> Sequence[str]:
+        """The faults that the DBC file names."""
+        return list(self._faults)
+
+    @property
+    def fault_sizes(self) -> Mapping[str, float]:
+        """Faults that the last `FAULT_STATE` frames said are on."""
+        return {fault: size for fault, size in self._sizes.items() if size}
+
+    def switch_fault(self, fault: str, size: float) -> None:
+        """Send a `FAULT_COMMAND` frame."""
+        if self._command is None or self._bus is None or fault not in self._faults:
+            raise FaultsUnavailable(f"{self.name}: cannot switch fault {fault!r}")
+        frame = self._command.encode([0], {"fault": [self._faults[fault]], "size": [size]})
+        try:
+            self._bus.send(self._command.bus_id, frame[0].tobytes())
+        except (OSError, can.CanError) as error:
+            raise FaultsUnavailable(f"{self.name}: cannot send the command: {error}") from error
+
+    def _run(self) -> None:
+        backoff, opened_before = Backoff(), False
+        while not self._stopped.is_set():
+            try:
+                self._bus = open_bus(self.channel)
+                if opened_before:
+                    self.health.count("reconnects")
+                opened_before = True
+                self._read_while_it_works(backoff)
+            except (OSError, can.CanError, ValueError) as error:
+                self.health.count("bus_errors", 1, f"{type(error).__name__}: {error}")
+                self._stopped.wait(backoff.next())
+            finally:
+                self._close()
+
+    def _close(self) -> None:
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
+
+    def _read_while_it_works(self, backoff: Backoff) -> None:
+        while not self._stopped.is_set() and self._bus is not None:
+            bus = self._bus
+            batch = bus.read(_POLL)
+            if batch.empty:
+                self._was_empty = True
+                continue
+            self._take(batch)
+            backoff.reset()
+            self._was_empty = False
+            self._stopped.wait(_GATHER)
+
+    def _take(self, batch: FrameBatch) -> None:
+        if batch.errors:
+            self.health.count("bus_errors", batch.errors, "error frame on the bus")
+        if batch.undecodable:
+            self.health.count("undecodable", batch.undecodable, "a frame that cannot be unpacked")
+        for frame_id, arrays in batch.frames.items():
+            for frames in arrays:
+                if frame_id in self._layouts:
+                    self._take_samples(self._layouts[frame_id], frames)
+                elif self._state is not None and frame_id == self._state.bus_id and self._state.fits(frames.shape[1]):
+                    self._take_state(self._state, frames)
+
+    def _take_samples(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
+        if not layout.fits(frames.shape[1]):
+            self.health.count("undecodable", len(frames), f"{layout.name}: {frames.shape[1]} bytes, not {layout.length}")
+            return
+        now = self._clock()
+        since = now - self._last_seen.get(layout.bus_id, now)
+        self._last_seen[layout.bus_id] = now
+        counter, channels = layout.decode(frames)
+        rate = 1.0 / (layout.sample_time * layout.samples)
+        counted = layout.counter_bits > 0  # a reader that was held up is no silence where the counter tells how many came
+        placed = self._places[layout.bus_id].place(counter, since if self._was_empty or not counted else 0.0, rate)
+        for name, times in (("lost", placed.lost), ("duplicated", placed.duplicated), ("reordered", placed.reordered)):
+            if times:
+                self.health.count(name, times, f"{layout.name}: frames {name}")
+        if placed.jumps and counted:
+            self.health.count("counter_jumps", placed.jumps, f"{layout.name}: the sequence counter jumped")
+        elif placed.jumps:
+            self.health.count("pauses", placed.jumps, f"{layout.name}: no frames for {since:.3g} s")
+        keep = np.repeat(placed.keep, layout.samples)
+        number = (placed.number[:, None] * layout.samples + np.arange(layout.samples)).reshape(-1)
+        block = Block(layout.name, number[keep], {name: values[keep] for name, values in channels.items()})
+        self._deliver(block, len(frames))
+
+    def _take_state(self, layout: FrameLayout, frames: npt.NDArray[np.uint8]) -> None:
+        _, values = layout.decode(frames)
+        for number, size in zip(values["fault"], values["size"], strict=True):
+            if fault := layout.choices["fault"].get(int(number)):
+                self._sizes[fault] = float(size)

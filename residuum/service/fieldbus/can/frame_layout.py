@@ -1,0 +1,258 @@
+"""FrameLayout: the channels of a CAN message, from a DBC file; decodes and encodes many frames at once with NumPy.
+
+A frame that carries samples has the message attribute `SampleTime` [s] or `GenMsgCycleTime` [ms], and best a sequence
+counter: the signal `counter`, else the only one that is called like an alive, rolling, message or sequence counter. Every
+other signal is a channel with one sample a frame, whatever its name; a multiplexed one is missing (NaN) in frames of other
+pages. Only where the message attribute `SamplesPerFrame` says so (more than 1) are signals named `x_00`, `x_01`, … successive
+samples of one channel `x`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from cantools.database import load_string
+from cantools.database.can.database import Database
+from cantools.database.errors import Error as DatabaseError
+
+from residuum.identification.errors import BadInput
+from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.can.dbc_text import usable_text
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.multiplexing import Multiplexing
+from residuum.service.fieldbus.can.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
+
+COUNTER = "counter"
+NO_COUNTER = "no counter: losses cannot be seen"
+SAMPLES_PER_FRAME = "SamplesPerFrame"
+_FRAME_TIMES = (("SampleTime", 1.0), ("GenMsgCycleTime", 1e-3))
+_COUNTER_LIKE = re.compile(r"(.*_)?(alive|rolling|message|msg|sequence|seq|frame)_?(counter|count|cnt)", re.IGNORECASE)
+_COUNTER_BITS = range(4, 33)
+_INDEXED = re.compile(r"^(?P<channel>.+)_(?P<index>\d{2,})$")
+_ENCODING = "cp1252"
+"""Of DBC files, whatever computer wrote them."""
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+
+
+class BadBusDescription(BadInput):
+    """A DBC file or register map cannot be used; the message names the file, the place and the rule."""
+
+
+class FrameLayout:
+    """Channels, counter, pages and units of one CAN message.
+
+    Parameters
+    ----------
+    message : cantools message
+    where : str
+        File name for messages.
+
+    Raises
+    ------
+    BadBusDescription
+        A signal of more than 64 bits, signals that overlap or do not fit into the message, numbered signals that are not as
+        many as the message says.
+    """
+
+    def __init__(self, message: Any, where: str) -> None:
+        self.name: str = message.name
+        self.frame_id: int = message.frame_id
+        self.is_extended: bool = message.is_extended_frame
+        self.is_fd: bool = message.length > 8
+        self.length: int = message.length
+        where = f"{where}, message {message.name}"
+        signals = list(message.signals)
+        _refuse_misplaced(message, signals, where)
+        self._names = [signal.name for signal in signals]
+        self._bits, self._multiplexing = SignalBits(signals), Multiplexing(signals)
+        self.choices: dict[str, dict[int, str]] = {
+            signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()} for signal in signals
+        }
+        self._counter, self.remark = self._find_counter(signals)
+        self.counter_bits: int = 0 if self._counter is None else signals[self._counter].length
+        self._channels, self.samples = self._group(message, where)
+        self.units = {name: signals[members[0]].unit or "" for name, members in self._channels.items()}
+        self.sample_time = _frame_time(message) / self.samples
+
+    def _find_counter(self, signals: Sequence[Any]) -> tuple[int | None, str]:
+        """Place of the signal that counts frames, None without one; and what is to be said of it."""
+        name = _counter_of(self._names)
+        if name is None:
+            return None, NO_COUNTER
+        place = self._names.index(name)
+        if place in self._multiplexing.paged:
+            return None, f"{NO_COUNTER} ({name!r} is on a page, which not every frame carries)"
+        if signals[place].length not in _COUNTER_BITS or signals[place].conversion.is_float:
+            return None, f"{NO_COUNTER} ({name!r} has {signals[place].length} bits; 4 to 32 are needed)"
+        return place, ""
+
+    def _group(self, message: Any, where: str) -> tuple[dict[str, npt.NDArray[np.intp]], int]:
+        """The places of each channel's samples, in their order, and how many a frame has."""
+        samples = int(_attribute(message, SAMPLES_PER_FRAME) or 1)
+        groups: dict[str, list[tuple[int, int]]] = {}
+        for k, name in enumerate(self._names):
+            if k == self._counter:
+                continue
+            indexed = _INDEXED.match(name) if samples > 1 else None
+            channel, index = (indexed["channel"], int(indexed["index"])) if indexed else (name, 0)
+            groups.setdefault(channel, []).append((index, k))
+        for channel, members in groups.items():
+            if len(members) != samples:
+                raise BadBusDescription(
+                    f"{where}: {SAMPLES_PER_FRAME} is {samples} and channel {channel!r} has {len(members)} signals; all must "
+                    f"have {samples}, named {channel}_00, {channel}_01, …"
+                )
+        return {name: np.array([k for _, k in sorted(members)], np.intp) for name, members in groups.items()}, samples
+
+    @property
+    def bus_id(self) -> int:
+        """The identifier with the bit that tells extended frames."""
+        return self.frame_id | EXTENDED if self.is_extended else self.frame_id
+
+    @property
+    def why_no_stream(self) -> str:
+        """Why frames of this message are no stream of samples; empty when they are one."""
+        if not self._channels:
+            return "carries no channel"
+        if not self.sample_time:
+            has = "has a counter and" if self.counter_bits else "has"
+            return f"{has} no time between frames; give it the attribute SampleTime [s] or GenMsgCycleTime [ms]"
+        return ""
+
+    @property
+    def format(self) -> StreamFormat:
+        """The stream that these frames carry; BadBusDescription for frames that carry none."""
+        if self.why_no_stream:
+            raise BadBusDescription(f"message {self.name}: {self.why_no_stream}")
+        return StreamFormat(self.name, self.sample_time, self.units)
+
+    def fits(self, length: int) -> bool:
+        """Whether a frame of so many bytes is one of these; CAN FD fills up to the next length that it knows."""
+        return length == self.length or (
+            self.is_fd and length == next((known for known in _FD_LENGTHS if known >= self.length), self.length)
+        )
+
+    def decode(self, frames: Bytes) -> tuple[npt.NDArray[np.int64], dict[str, Samples]]:
+        """Counter of each frame, shape (n,), and the samples of each channel, shape (n · samples,), in physical units.
+
+        `frames` has shape (n, length). What a frame does not carry is NaN; without a counter it is 0.
+        """
+        raw = self._bits.raw(frames)
+        values = self._bits.values(raw)
+        if self._multiplexing.paged:
+            values[~self._multiplexing.carried(values)] = np.nan
+        counter = np.zeros(len(frames), np.int64) if self._counter is None else raw[:, self._counter].astype(np.int64)
+        return counter, {name: values[:, members].reshape(-1) for name, members in self._channels.items()}
+
+    def encode(self, counter: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike]) -> Bytes:
+        """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and clipped to what fits.
+
+        Of a multiplexed message a frame carries the page that its multiplexer's value names, and nothing of the others.
+        """
+        counter = np.atleast_1d(np.asarray(counter, np.int64))
+        values = self._table(channels, len(counter))
+        raw = np.where(self._multiplexing.carried(values), self._bits.raw_of(values), np.uint64(0))
+        if self._counter is not None:
+            raw[:, self._counter] = counter.astype(np.uint64)
+        return self._bits.frames(raw, self.length)
+
+    def complete(self, channels: Mapping[str, npt.ArrayLike], n: int) -> npt.NDArray[np.bool_]:
+        """Of n frames those of which no value is missing that the frame would carry."""
+        values = self._table(channels, n)
+        lacking: npt.NDArray[np.bool_] = np.isnan(values) & self._multiplexing.carried(values)
+        return np.asarray(~lacking.any(axis=1))
+
+    def _table(self, channels: Mapping[str, npt.ArrayLike], n: int) -> Samples:
+        values = np.zeros((n, len(self._names)))
+        for name, members in self._channels.items():
+            values[:, members] = np.asarray(channels[name], float).reshape(n, len(members))
+        return values
+
+
+def _refuse_misplaced(message: Any, signals: Sequence[Any], where: str) -> None:
+    for signal in signals:
+        if not usable_bits(signal):
+            raise BadBusDescription(f"{where}: signal {signal.name!r} has {signal.length} bits; at most {MOST_BITS} are read")
+    try:
+        message.refresh(strict=True)
+    except DatabaseError as error:
+        raise BadBusDescription(
+            f"{where}: {' '.join(str(error).split())} Correct the file: signals of a page share no bits and lie in the message"
+        ) from None
+
+
+def _counter_of(names: Sequence[str]) -> str | None:
+    """The signal that counts frames."""
+    if COUNTER in names:
+        return COUNTER
+    alike = [name for name in names if _COUNTER_LIKE.fullmatch(name)]
+    return alike[0] if len(alike) == 1 else None
+
+
+def _attribute(message: Any, name: str) -> float | None:
+    attributes = message.dbc.attributes if message.dbc else {}
+    return float(attributes[name].value) if name in attributes else None
+
+
+def _frame_time(message: Any) -> float:
+    """Seconds from one frame to the next; 0 where the file does not say it."""
+    told = ((_attribute(message, name) or 0.0) * unit for name, unit in _FRAME_TIMES)
+    return next((seconds for seconds in told if seconds > 0), 0.0)
+
+
+class BusMessages(dict[str, FrameLayout]):
+    """The messages of a DBC file by name; `unusable` has, by name, what is wrong with each of the others.
+
+    Messages without signals are in neither: there is nothing to read in them.
+    """
+
+    def __init__(self, where: str = "DBC file") -> None:
+        super().__init__()
+        self.where = where
+        self.unusable: dict[str, str] = {}
+        self._names: dict[int, str] = {}
+
+    def add(self, message: Any) -> None:
+        """Take in one message of cantools."""
+        try:
+            layout = FrameLayout(message, self.where)
+        except BadBusDescription as error:
+            self.unusable[message.name] = str(error)
+            return
+        other = self._names.get(layout.bus_id, message.name if message.name in self else None)
+        if other is None:
+            self[message.name], self._names[layout.bus_id] = layout, message.name
+        else:
+            self.unusable[message.name] = f"{self.where}, message {message.name}: has the name or identifier of {other}; keep one"
+
+
+def read_dbc(path: str | Path) -> BusMessages:
+    """The messages of a DBC file by name; BadBusDescription when it is none.
+
+    A message that cannot be used costs that message: `unusable` says which and why.
+    """
+    where = Path(path).name
+    messages = BusMessages(where)
+    try:
+        text, left_out = usable_text(Path(path).read_bytes().decode(_ENCODING, errors="replace"))
+        messages.unusable |= {name: f"{where}, message {name}: {why}" for name, why in left_out.items()}
+        if left_out and not text.strip():
+            return messages
+        database = load_string(text, database_format="dbc", strict=False)
+    except OSError as error:
+        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
+    except DatabaseError as error:
+        raise BadBusDescription(
+            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the line that it names"
+        ) from None
+    if not isinstance(database, Database):
+        raise BadBusDescription(f"{where}: is no CAN database")
+    for message in database.messages:
+        if message.signals:
+            messages.add(message)
+    return messages

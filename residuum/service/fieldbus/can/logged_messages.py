@@ -1,0 +1,151 @@
+"""LoggedMessage: the frames of one message in a CAN log, each with its place on the message's own even clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.service.fieldbus.block import Numbers, Samples
+from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
+from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
+from residuum.service.fieldbus.can.signal_bits import Bytes
+
+_SAME_TIME = 0.01
+_LATE = 2.0
+"""Frames by which time stamps may be off what the counter says, beside a quarter of the time between two frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedMessage:
+    """Frames of one message, in their order and each once.
+
+    Parameters
+    ----------
+    layout : FrameLayout
+    time : float array, shape (n,)
+        When each was seen [s].
+    frames : uint8 array, shape (n, length)
+    number : int64 array, shape (n,)
+        Place on the message's clock; a hole is a loss.
+    frame_time : float
+        Seconds between two frames.
+    jitter : float
+        How far time stamps lie off the even clock at most, in frames.
+    remarks : sequence of str
+    """
+
+    layout: FrameLayout
+    time: Samples
+    frames: Bytes
+    number: Numbers
+    frame_time: float
+    jitter: float
+    remarks: Sequence[str]
+
+    @property
+    def lost(self) -> int | None:
+        """Frames that the counter says were sent and that are not in the log; None without a counter."""
+        return int(self.number[-1] - self.number[0] + 1 - len(self.number)) if self.layout.counter_bits else None
+
+    @property
+    def begin(self) -> float:
+        """Time of the first sample of the first frame on the even clock [s]."""
+        clock = self.time - self.frame_time * (self.number - self.number[0])
+        return float(np.median(clock)) - (self.layout.samples - 1) * self.sample_time
+
+    @property
+    def sample_time(self) -> float:
+        """Seconds between samples."""
+        return self.frame_time / self.layout.samples
+
+
+def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMessage], dict[str, int]]:
+    """The messages of a DBC file that a log holds at least twice, and how often each other identifier is there.
+
+    Raises BadBusDescription when a message is on several buses of the log: which one is meant is not guessed.
+    """
+    known = {layout.bus_id: layout for layout in messages.values()}
+    by_identifier: dict[int, list[TimedFrame]] = {}
+    for frame in log.frames:
+        by_identifier.setdefault(frame.frame_id, []).append(frame)
+    found, others = [], {}
+    for identifier, frames in by_identifier.items():
+        fitting = [frame for frame in frames if identifier in known and known[identifier].fits(len(frame.data))]
+        if len(fitting) > 1:
+            found.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
+        else:
+            others[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(frames)
+    return found, others
+
+
+def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfits: int) -> LoggedMessage:
+    where = f"{name}, message {layout.name}"
+    if len(buses := {frame.bus for frame in frames}) > 1:
+        raise BadBusDescription(f"{where}: is on the buses {', '.join(sorted(buses))} of the log; export one bus alone")
+    time = np.array([frame.time for frame in frames])
+    data = np.frombuffer(b"".join(frame.data[: layout.length] for frame in frames), np.uint8).reshape(len(frames), layout.length)
+    remarks = [f"{where}: {misfits} frames have another length than {layout.length} bytes, left out"] if misfits else []
+    if layout.counter_bits:
+        number, frame_time, jumps = _by_counter(layout, time, layout.decode(data)[0])
+        remarks += [f"{where}: the counter jumped {jumps} times, placed by time stamps there"] if jumps else []
+    else:
+        number, frame_time = _by_time(time)
+        remarks.append(f"{where}: {layout.remark}")
+    order = np.unique(number, return_index=True)[1]  # in order, the first of those that came twice
+    if len(order) < len(number):
+        remarks.append(f"{where}: {len(number) - len(order)} frames came twice, used once")
+    number, time, data = number[order] - number[order[0]], time[order], data[order]
+    frame_time, said = _settled(layout, frame_time)
+    off = (time - frame_time * number) / frame_time
+    remarks += [where + one for one in said]
+    if layout.counter_bits and (lost := int(number[-1]) + 1 - len(number)):
+        remarks.append(f"{where}: {lost} frames lost, their samples are missing")
+    jitter = float(np.ptp(off) / 2)
+    if layout.counter_bits and jitter > 1.0:
+        remarks.append(f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter gives the places")
+    return LoggedMessage(layout, time, data, number, frame_time, jitter, remarks)
+
+
+def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int64]) -> tuple[Numbers, float, int]:
+    """Places by the counter, unwrapped by the time stamps; time between frames; how often the counter jumped."""
+    modulus = 1 << layout.counter_bits
+    counted, elapsed = np.diff(counter) % modulus, np.diff(time)
+    following = elapsed[(counted == 1) & (elapsed > 0)]
+    frame_time = float(np.median(following)) if len(following) else _typical(time)
+    expected = elapsed / frame_time
+    step = counted + modulus * np.rint((expected - counted) / modulus).astype(np.int64)
+    jumped = np.abs(step - expected) > np.maximum(_LATE, 0.25 * modulus)
+    step = np.where(jumped, np.maximum(1, np.rint(expected)), step).astype(np.int64)
+    number = np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
+    return number, _slope(time, number, frame_time), int(jumped.sum())
+
+
+def _by_time(time: Samples) -> tuple[Numbers, float]:
+    """Places by the time stamps alone, and the time between frames."""
+    frame_time = _typical(time)
+    step = np.maximum(np.rint(np.diff(time) / frame_time), 0).astype(np.int64)
+    number = np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
+    return number, _slope(time, number, frame_time)
+
+
+def _typical(time: Samples) -> float:
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+
+
+def _slope(time: Samples, number: Numbers, otherwise: float) -> float:
+    """Seconds a place, over the whole log."""
+    span = number[-1] - number[0]
+    return float((time[-1] - time[0]) / span) if span > 0 and time[-1] > time[0] else otherwise
+
+
+def _settled(layout: FrameLayout, found: float) -> tuple[float, list[str]]:
+    """The time between frames: what the DBC file says where the log agrees to 1 %, else what the log shows."""
+    told = layout.sample_time * layout.samples
+    if told and abs(found - told) <= _SAME_TIME * told:
+        return told, []
+    return found, [f": a frame every {found:.6g} s, the DBC file says {told:.6g} s"] if told else []

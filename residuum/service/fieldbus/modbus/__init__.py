@@ -1,0 +1,1 @@
+"""Modbus TCP: registers by a register map, read from a device or served."""

@@ -1,0 +1,259 @@
+"""RegisterMap: what a Modbus device keeps in its registers, from a YAML file.
+
+A device of Residuum keeps each stream in a ring of *pages*, so that a reader that comes late loses nothing and can tell every
+wrong reply from a right one:
+
+    page = [page number, high word][low word][checksum][sample 0][sample 1] …
+
+The page number p counts from 0 since the device started; page p lies at `address + stride · (p mod count)`. The checksum is
+the low 16 bits of the CRC-32 (zlib) over the other registers of the page, big-endian. A sample is one or more registers,
+described by `channels`. Two registers at `newest` hold the number of the newest complete page + 1 (0: none yet). Pages that lie
+side by side (`stride` is the length of a page) are read several at once.
+
+A stream of a device that has no such pages is polled: plain registers and coils are read every `sample_time` seconds, on the
+reader's clock. `register` counts from the stream's `address`, and `address` from 0 as on the wire, or from 1 where the map says
+`address_base: 1`, as many manuals do; which of them is meant is never guessed. `channel_registers.py` says what a channel may
+have: types, orders of words and bytes, bit fields, scales, and what stands there when there is no value.
+
+```yaml
+streams:
+  machine:
+    sample_time: 0.001                # s
+    pages: {newest: 0, address: 1000, stride: 124, count: 256, samples: 30}      # or  poll: {address: 0}
+    channels:
+      speed: {register: 1, type: uint16, scale: 0.001, unit: rpm}
+      indicator: {register: 0, type: bit, bit: 0, unit: ""}
+  meter:
+    sample_time: 0.2
+    poll: {address: 0, function: input, gap: 4}          # function: holding (default), input, coils, discrete
+    channels:
+      power: {register: 0, type: float32, word_order: little, unit: W}
+      temperature: {register: 4, type: int16, scale: 0.1, missing: -32768, unit: °C}
+      state: {register: 12, type: bit, bit: 4, bits: 3}
+      running: {register: 7, type: bit, function: coils}
+faults: {command: 100, state: 110, ids: [plier-bearing]}
+```
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError, model_validator
+
+from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.map_text import read_map_text
+from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters, Function, Registers
+from residuum.service.fieldbus.strict_model import StrictModel
+
+PAGE_HEAD = 3
+"""Registers before the first sample of a page: number (2) and checksum."""
+MOST_REGISTERS = 125
+
+
+class Pages(StrictModel):
+    """A ring of pages, see the module."""
+
+    newest: int = Field(ge=0, le=65534)
+    address: int = Field(ge=0, le=65535)
+    stride: int = Field(ge=PAGE_HEAD + 1, le=MOST_REGISTERS + 3)
+    count: int = Field(ge=4, le=4096)
+    samples: int = Field(ge=1, le=MOST_REGISTERS)
+
+
+class Poll(StrictModel):
+    """Plain registers, read at the reader's own pace."""
+
+    address: int = Field(ge=0, le=465_536, description="First register, as `address_base` counts them.")
+    function: Function = Field(default="holding", description="Table of the channels that name none of their own.")
+    gap: int = Field(default=0, ge=0, le=124, description="Holes of up to so many registers may be read with their neighbours.")
+
+
+class StreamRegisters(StrictModel):
+    """One stream: its clock, its channels, and where it lies."""
+
+    sample_time: float = Field(gt=0)
+    pages: Pages | None = None
+    poll: Poll | None = None
+    channels: dict[str, ChannelRegisters] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _fits(self) -> StreamRegisters:
+        if (self.pages is None) == (self.poll is None):
+            raise ValueError("a stream needs either pages or poll")
+        _refuse_shared(self.channels, self.poll.function if self.poll else "holding")
+        if self.poll:
+            for channel in self.channels.values():
+                channel.refuse_other_than_bits(channel.function or self.poll.function)
+            return self
+        if paged := [
+            name for name, each in self.channels.items() if each.function not in (None, "holding") or each.scale_register
+        ]:
+            raise ValueError(f"channels.{paged[0]}: pages lie in holding registers, without scale registers; poll it instead")
+        if self.page_registers > MOST_REGISTERS:
+            raise ValueError(f"one read takes {self.page_registers} registers; Modbus allows {MOST_REGISTERS}")
+        if self.pages and self.page_registers > self.pages.stride:
+            raise ValueError(f"a page takes {self.page_registers} registers and the stride is {self.pages.stride}")
+        if self.pages and self.pages.address + self.pages.stride * self.pages.count > 65536:
+            raise ValueError("the pages go beyond register 65535")
+        return self
+
+    @property
+    def words(self) -> int:
+        """Registers of one sample."""
+        return max(channel.register_ + channel.width for channel in self.channels.values())
+
+    @property
+    def samples(self) -> int:
+        """Samples of one read."""
+        return self.pages.samples if self.pages else 1
+
+    @property
+    def page_registers(self) -> int:
+        """Registers of one read."""
+        return self.words * self.samples + (PAGE_HEAD if self.pages else 0)
+
+    def format(self, name: str) -> StreamFormat:
+        """The stream as windows are cut from it."""
+        return StreamFormat(name, self.sample_time, {channel: where.unit for channel, where in self.channels.items()})
+
+    def decode(self, registers: Registers) -> dict[str, Samples]:
+        """Samples of each channel, shape (n,), from their registers, shape (n · words,): those behind the heads of pages."""
+        table = registers.reshape(-1, self.words)
+        return {name: channel.decode(table) for name, channel in self.channels.items()}
+
+    def encode(self, channels: Mapping[str, npt.ArrayLike]) -> Registers:
+        """Registers of the samples, shape (n · words,)."""
+        n = len(np.asarray(next(iter(channels.values()))))
+        table = np.zeros((n, self.words), np.uint16)
+        for name, channel in self.channels.items():
+            channel.encode(channels[name], table)
+        return table.reshape(-1)
+
+
+def _refuse_shared(channels: Mapping[str, ChannelRegisters], default: Function) -> None:
+    """Refuse a register that two channels name, but for different bits of it."""
+    owners: dict[tuple[Function, int], list[tuple[str, ChannelRegisters]]] = {}
+    for name, channel in channels.items():
+        for register in range(channel.register_, channel.register_ + channel.width):
+            for other, its in owners.setdefault((channel.function or default, register), []):
+                if not _bits_apart(channel, its):
+                    raise ValueError(
+                        f"channels.{name}: register {register} belongs to {other} already ({its.type} at {its.register_}, "
+                        f"{its.width} registers); correct register or type of one of them"
+                    )
+            owners[channel.function or default, register].append((name, channel))
+
+
+def _bits_apart(one: ChannelRegisters, other: ChannelRegisters) -> bool:
+    return one.type == other.type == "bit" and (one.bit + one.bits <= other.bit or other.bit + other.bits <= one.bit)
+
+
+class FaultRegisters(StrictModel):
+    """Switching faults of a simulated device.
+
+    `command` is a block of three registers: number of the fault (from 1) and its size as float32 (0 clears it, negative:
+    default size).
+    `state` holds the size of each fault in turn as float32, 0 when it is off.
+    """
+
+    command: int = Field(ge=0, le=65532)
+    state: int = Field(ge=0, le=65400)
+    ids: list[str] = Field(min_length=1, max_length=60)
+
+
+class RegisterMap(StrictModel):
+    """The streams and faults of one device."""
+
+    unit_id: int = Field(default=1, ge=0, le=247)
+    address_base: Literal[0, 1] = Field(default=0, description="What the map calls the first register of a polled table.")
+    streams: dict[str, StreamRegisters] = Field(min_length=1)
+    faults: FaultRegisters | None = None
+
+    @model_validator(mode="after")
+    def _polled_from_the_base(self) -> RegisterMap:
+        for name, stream in self.streams.items():
+            if stream.poll and stream.poll.address < self.address_base:
+                raise ValueError(f"streams.{name}: address {stream.poll.address} lies before address_base {self.address_base}")
+            if stream.poll and (last := stream.poll.address - self.address_base + stream.words - 1) > 0xFFFF:
+                raise ValueError(
+                    f"streams.{name}: reaches register {last} on the wire; the last is 65535. Take off the digit by which the "
+                    "manual tells the table: 400001 is address 0 (address_base: 0), function holding"
+                )
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A page that was read and is whole."""
+
+    number: int
+    registers: Registers
+
+
+def read_page(registers: Registers) -> Page | None:
+    """The page in these registers, None when its checksum is wrong."""
+    if checksum(registers) != registers[2]:
+        return None
+    return Page(int(registers[0]) << 16 | int(registers[1]), registers[PAGE_HEAD:])
+
+
+def build_page(number: int, samples: npt.ArrayLike) -> Registers:
+    """The registers of page `number` with these sample registers."""
+    head = [number >> 16 & 0xFFFF, number & 0xFFFF, 0]
+    page = np.concatenate([np.array(head, np.uint16), np.asarray(samples, np.uint16)])
+    page[2] = checksum(page)
+    return page
+
+
+def checksum(page: Registers) -> int:
+    """Low 16 bits of the CRC-32 over a page without its checksum register."""
+    words = page.astype(">u2").tobytes()
+    return zlib.crc32(words[2 * PAGE_HEAD :], zlib.crc32(words[:4])) & 0xFFFF
+
+
+def float_registers(value: float) -> list[int]:
+    """A float32 as two registers, high word first.
+
+    >>> float_registers(1.0)
+    [16256, 0]
+    """
+    return [int(word) for word in np.array([value], ">f4").view(">u2")]
+
+
+def registers_float(high: int, low: int) -> float:
+    """The float32 in two registers, high word first."""
+    return float(np.array([high, low], ">u2").view(">f4")[0])
+
+
+def read_register_map(path: str | Path) -> RegisterMap:
+    """The register map in a YAML file; BadBusDescription names file, place and rule."""
+    where = Path(path).name
+    content = read_map_text(path)
+    try:
+        return RegisterMap.model_validate(content)
+    except ValidationError as error:
+        raise BadBusDescription(f"{where}, {first_error(error)}") from None
+
+
+def first_error(error: ValidationError) -> str:
+    """Place and rule of the first thing that is wrong, in one line."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"])) or "top level"
+    return f"{place}: {first['msg'].removeprefix('Value error, ')}{_known(first)}"
+
+
+def _known(error: Any) -> str:
+    """What could have been meant by a name that nothing has."""
+    if error["type"] != "extra_forbidden":
+        return ""
+    of = ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
+    names = [field.alias or name for name, field in of.model_fields.items()] if of else []
+    return f"; known are {', '.join(names)}" if names else ""

@@ -1,0 +1,335 @@
+"""OpcuaSource: streams of samples from the nodes of an OPC UA server, after a node map.
+
+Nodes are subscribed to with every change of value, status or source time stamp. A value whose status is not good is missing. A
+lost session or subscription is opened again, and what did not come in the meantime is counted from the stamps.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import re
+import time
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
+from datetime import UTC
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from asyncua import Client, ua
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+
+from residuum.identification.errors import in_one_line
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.block import StreamFormat
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.opcua.node_map import ChannelNode, NodeMap
+from residuum.service.fieldbus.source import Sink, Source
+from residuum.service.fieldbus.stamped_samples import StampedSamples
+from residuum.service.hidden_password import with_hidden_password
+
+logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # the counters say it
+
+_TICK = 0.05
+_PUBLISH = 100.0
+"""Milliseconds between two messages of a subscription."""
+_CHECK = 1.0
+_SILENT = 3.0
+"""Seconds without a value after which the session is asked whether it lives."""
+_QUEUE = 1000
+_NUMERIC = {
+    getattr(ua.VariantType, name)
+    for name in ("Boolean", "SByte", "Byte", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float", "Double")
+}
+_WAITING = 100_000
+_MOST_BROWSED = 5000
+
+
+class _Refused(Exception):
+    """The server cannot be read as the map says; the message says why."""
+
+
+class OpcuaSource(Source):
+    """Streams that a node map describes, read from one server.
+
+    Parameters
+    ----------
+    url : str
+        `opc.tcp://host:4840/path`.
+    nodes : NodeMap
+    sink : callable
+    timeout : float
+        For each request [s].
+    """
+
+    def __init__(self, url: str, nodes: NodeMap, sink: Sink, timeout: float = 2.0) -> None:
+        super().__init__(f"opcua:{with_hidden_password(url)}", sink)
+        self._url, self._map, self._timeout = url, nodes, timeout
+        self._samples = {name: StampedSamples(stream.format(name), self.health) for name, stream in nodes.streams.items()}
+        self._backoff = Backoff(first=0.1, longest=1.5)
+        self._heard = 0.0
+        self._broken = ""
+        self._asked: Any = None
+        self._places: dict[int, tuple[str, str, ChannelNode]] = {}
+
+    @property
+    def streams(self) -> Sequence[StreamFormat]:
+        """The streams of the node map."""
+        return [samples.format for samples in self._samples.values()]
+
+    def _run(self) -> None:
+        asyncio.run(self._keep_reading())
+
+    async def _keep_reading(self) -> None:
+        opened_before = False
+        while not self._stopped.is_set():
+            client = make_client(self._url, self._map, self._timeout)
+            try:
+                await asyncio.wait_for(enter(client, self._url, self._map, self._timeout), 4 * self._timeout)
+                if opened_before:
+                    self.health.count("reconnects")
+                    for samples in self._samples.values():
+                        samples.reopened()
+                opened_before = True
+                await self._read_while_it_works(client)
+            except Exception as error:  # whatever a server does must not end the source
+                self.health.count("bus_errors", 1, said(error))
+            await self._close(client)
+            self._hand_on()
+            await self._pause(self._backoff.next())
+
+    async def _close(self, client: Client) -> None:
+        try:
+            await asyncio.wait_for(client.disconnect(), self._timeout)
+        except Exception:  # it may be gone already
+            client.disconnect_socket()
+
+    async def _read_while_it_works(self, client: Client) -> None:
+        self._broken, self._asked, self._heard = "", None, time.monotonic()
+        wanted = ua.CreateSubscriptionParameters(_PUBLISH, 600, 20, 0, True, 0)
+        subscription = await client.create_subscription(wanted, self, queue_maxsize=_WAITING)
+        await self._watch_nodes(client, subscription)
+        check = time.monotonic() + _CHECK
+        while not self._stopped.is_set():
+            await asyncio.sleep(_TICK)
+            self._hand_on()
+            if self._broken:
+                raise _Refused(self._broken)
+            if time.monotonic() < check:
+                continue
+            check = time.monotonic() + _CHECK
+            await client.check_connection()
+            if time.monotonic() - self._heard > _SILENT:
+                await self._revive(client)
+
+    async def _revive(self, client: Client) -> None:
+        """No value for long: a server that answers, and whose values change, has let the subscription go."""
+        values = [client.get_node(each.node) for _, _, each, _ in self._channels()]
+        found = await asyncio.wait_for(asyncio.gather(*(n.read_data_value(False) for n in values)), self._timeout)
+        newest = max((v.SourceTimestamp for v in found if v.SourceTimestamp), default=None)
+        before, self._asked = self._asked, newest
+        if before is not None and newest is not None and newest != before:
+            raise _Refused("values change and the subscription is silent")
+
+    async def _watch_nodes(self, client: Client, subscription: Any) -> None:
+        self._places = {}
+        requests = []
+        for handle, (stream, name, each, every) in enumerate(self._channels(), start=1):
+            self._places[handle] = (stream, name, each)
+            requests.append(_request(client.get_node(each.node).nodeid, handle, 1e3 * every))
+        results = await subscription.create_monitored_items(requests)
+        for result, (_, name, each) in zip(results, self._places.values(), strict=True):
+            if isinstance(result, ua.StatusCode):
+                raise _Refused(await self._lacking(client, name, each, result))
+
+    def _channels(self) -> Iterable[tuple[str, str, ChannelNode, float]]:
+        for stream, nodes in self._map.streams.items():
+            for name, each in nodes.channels.items():
+                yield stream, name, each, nodes.sample_time
+
+    async def _lacking(self, client: Client, name: str, each: ChannelNode, status: ua.StatusCode) -> str:
+        if status.value != ua.StatusCodes.BadNodeIdUnknown:
+            return f"channel {name!r}, node {each.node!r}: {status.name}"
+        there = [node async for node, _ in variables(client, _MOST_BROWSED)]
+        near = get_close_matches(each.node, there, n=3, cutoff=0.0)
+        return f"channel {name!r}: the server has no node {each.node!r}; the nearest are {', '.join(near) or 'none'}"
+
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+        """Take a value (called by the client)."""
+        item = data.monitored_item
+        place = self._places.get(item.ClientHandle)
+        if place is None:
+            return
+        now, told = time.monotonic(), item.Value
+        self._heard = now
+        stream, name, each = place
+        if told.SourceTimestamp is None:
+            self.health.count("unstamped", 1, f"channel {name!r}: a value without a source time stamp")
+            return
+        number = _number(told.Value.Value if told.Value is not None else None) if told.StatusCode.is_good() else math.nan
+        if math.isnan(number):
+            self.health.count("bad_status", 1, f"channel {name!r}: {told.StatusCode.name}")
+        self._samples[stream].add(name, _seconds(told.SourceTimestamp), number * each.scale + each.offset, now)
+
+    def status_change_notification(self, status: Any) -> None:
+        """The server lets the subscription go."""
+        self._broken = f"the subscription ended: {status}"
+
+    def _hand_on(self) -> None:
+        for samples in self._samples.values():
+            block = samples.take(time.monotonic())
+            if block is not None:
+                self._backoff.reset()
+                self._deliver(block, 1)
+
+    async def _pause(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while not self._stopped.is_set() and (left := end - time.monotonic()) > 0:
+            await asyncio.sleep(min(left, 0.1))
+
+
+def _request(node: ua.NodeId, handle: int, every: float) -> ua.MonitoredItemCreateRequest:
+    """To be told every change of a node's value, status or source time stamp, looked at every so many milliseconds."""
+    changes = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+    return ua.MonitoredItemCreateRequest(
+        ItemToMonitor=ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value),
+        MonitoringMode=ua.MonitoringMode.Reporting,
+        RequestedParameters=ua.MonitoringParameters(
+            ClientHandle=handle, SamplingInterval=every, Filter=changes, QueueSize=_QUEUE, DiscardOldest=True
+        ),
+    )
+
+
+def make_client(url: str, nodes: NodeMap | None, timeout: float) -> Client:
+    """A client of a server, entered as the map says."""
+    client = Client(url, timeout=timeout)
+    if nodes is not None and nodes.user is not None:
+        client.set_user(nodes.user.name)
+        client.set_password(nodes.user.password)
+    if nodes is not None and nodes.security is not None:
+        client.application_uri = _application_uri(nodes.security.certificate)
+    return client
+
+
+async def enter(client: Client, url: str, nodes: NodeMap | None, timeout: float) -> None:
+    """Open a session; a server that shows another certificate than the trusted one is not entered: it would not even answer."""
+    if nodes is not None and (s := nodes.security) is not None:
+        shown, trusted = await server_certificate(url, timeout), s.trusted
+        if _plain(shown) != _plain(trusted.read_bytes()):
+            raise _Refused(
+                f"the certificate that the server shows is not the trusted one ({trusted}); if the server has a new one, "
+                f"`residuum opcua trust {with_hidden_password(url)} --out {trusted}` saves it: "
+                "compare the fingerprint at the server first"
+            )
+        await client.set_security_string(f"{s.policy},{s.mode},{s.certificate},{s.key},{s.trusted}")
+    await client.connect()
+
+
+def _plain(certificate: bytes) -> bytes:
+    """A certificate in DER."""
+    if b"-----BEGIN" not in certificate:
+        return certificate
+    return x509.load_pem_x509_certificate(certificate).public_bytes(serialization.Encoding.DER)
+
+
+def _application_uri(certificate: Path) -> str:
+    """The name of an application in its certificate, by which a server knows it."""
+    content = certificate.read_bytes()
+    try:
+        read = x509.load_pem_x509_certificate if b"-----BEGIN" in content else x509.load_der_x509_certificate
+        names = read(content).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        return str(names.get_values_for_type(x509.UniformResourceIdentifier)[0])
+    except (ValueError, IndexError, x509.ExtensionNotFound):
+        raise BadBusDescription(f"{certificate}: is no certificate with the application's URI in it, as OPC UA needs") from None
+
+
+def _after(first: Any, then: Any) -> Any:
+    async def both() -> None:
+        await first
+        await then()
+
+    return both
+
+
+def said(error: Exception) -> str:
+    """What went wrong, with the remedy where a certificate is not trusted."""
+    if isinstance(error, _Refused):
+        return str(error)
+    text = in_one_line(error)
+    if "Certificate" in text or "SecurityChecks" in text:
+        return f"{text}; have our certificate put among the server's trusted ones, and its own at `security: trusted` of the map"
+    return text if str(error) else f"{type(error).__name__}: nobody answers at this address"
+
+
+async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]:
+    """(node id, node) of the variables below the server's objects, at most so many references looked at."""
+    waiting, seen, known = [client.nodes.objects], 0, set()
+    while waiting and seen < most:
+        for reference in await waiting.pop().get_references(ua.ObjectIds.HierarchicalReferences, ua.BrowseDirection.Forward):
+            seen += 1
+            if reference.NodeId.NamespaceIndex == 0 or reference.NodeId in known:
+                continue
+            known.add(reference.NodeId)
+            child = client.get_node(reference.NodeId)
+            if reference.NodeClass == ua.NodeClass.Variable:
+                yield reference.NodeId.to_string(), child
+            waiting.append(child)
+
+
+async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout: float) -> dict[str, tuple[str, str]]:
+    """Channel → (node id, unit) of a server's variables that hold numbers and whose id begins with `under`."""
+    client = make_client(url, nodes, timeout)
+    found: dict[str, tuple[str, str]] = {}
+    await enter(client, url, nodes, timeout)
+    try:
+        async for node_id, node in variables(client, _MOST_BROWSED):
+            if node_id.startswith(under) and await _is_numeric(node):
+                name = _channel_name(node_id, found)
+                found[name] = (node_id, await _unit(node))
+    finally:
+        await client.disconnect()
+    return found
+
+
+async def _is_numeric(node: Any) -> bool:
+    kind = await node.read_data_type_as_variant_type()
+    return kind in _NUMERIC and (await node.read_value_rank()) in (-1, ua.ValueRank.Scalar)
+
+
+async def _unit(node: Any) -> str:
+    """The display name of the node's engineering units, where it has them."""
+    try:
+        units = await (await node.get_child("0:EngineeringUnits")).read_value()
+        return str(units.DisplayName.Text or "")
+    except (ua.UaError, AttributeError):
+        return ""
+
+
+def _channel_name(node_id: str, taken: Mapping[str, object]) -> str:
+    """The last part of an id; with those before it where it is taken."""
+    parts = re.split(r"[.=;/]", node_id)
+    for count in range(1, len(parts) + 1):
+        name = ".".join(parts[-count:])
+        if name not in taken:
+            return name
+    return node_id
+
+
+async def server_certificate(url: str, timeout: float) -> bytes:
+    """The certificate that a server shows in its endpoints; empty when it has none."""
+    endpoints = await Client(url, timeout=timeout).connect_and_get_server_endpoints()
+    return next((bytes(e.ServerCertificate) for e in endpoints if e.ServerCertificate), b"")
+
+
+def _seconds(stamp: Any) -> float:
+    return float((stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp())
+
+
+def _number(value: Any) -> float:
+    """A value as a number; nan for anything else."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,0 +1,264 @@
+"""SparkplugSource: streams of samples from the metrics of a Sparkplug B edge node, read from an MQTT broker after a metric map.
+
+What a message says is believed while the node's sequence is whole (see `node_session`). After a gap, a lost connection, a
+death, or messages that came faster than they were read the node is asked to be born again, and nothing is taken before. Values
+that births and stores of the node repeat are no samples.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from difflib import get_close_matches
+from typing import Any
+
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+
+from residuum.service.broker_address import BrokerAddress
+from residuum.service.fieldbus.backoff import Backoff
+from residuum.service.fieldbus.block import StreamFormat
+from residuum.service.fieldbus.opcua.reported_changes import ReportedChanges
+from residuum.service.fieldbus.source import Sink, Source
+from residuum.service.fieldbus.sparkplug.metric_map import MetricMap
+from residuum.service.fieldbus.sparkplug.node_session import NodeMessage, NodeSession
+from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, number_of, pack, unpack
+from residuum.service.fieldbus.stamped_samples import StampedSamples
+
+NAMESPACE = "spBv1.0"
+REBIRTH = "Node Control/Rebirth"
+_TICK = 0.05
+_KEEP_ALIVE = 20
+_CONNECTED, _LOST = "connected", "lost"
+_MOST_WAITING, _A_TURN = 10_000, 1000
+"""Messages that wait, and that are taken in one turn."""
+_OF_A_NODE = ("NBIRTH", "NDEATH", "NDATA", "DBIRTH", "DDEATH", "DDATA")
+
+
+class SparkplugSource(Source):
+    """Streams that a metric map describes, of one edge node.
+
+    Parameters
+    ----------
+    address : BrokerAddress
+        Its prefix is not used: Sparkplug has topics of its own.
+    metrics : MetricMap
+    sink : callable
+    patience : float
+        How long a message waits for those before it [s].
+    """
+
+    def __init__(self, address: BrokerAddress, metrics: MetricMap, sink: Sink, patience: float = 1.0) -> None:
+        super().__init__(f"sparkplug:{address.host}:{address.port}/{metrics.node}", sink)
+        self._address, self._map = address, metrics
+        self._samples = {name: StampedSamples(each.format(name), self.health) for name, each in metrics.streams.items()}
+        self._changes = {
+            name: ReportedChanges(list(each.channels), each.sample_time)
+            for name, each in metrics.streams.items()
+            if each.reports == "changes"
+        }
+        self._session = NodeSession(self.health, patience)
+        self._arrived: queue.Queue[tuple[str, bytes, float]] = queue.Queue(_MOST_WAITING)
+        self._connected, self._overflown = threading.Event(), threading.Event()
+        self._known: dict[str, dict[str | int, tuple[str, int]]] = {}
+        """Device → name or alias → (name, data type), from its birth."""
+        self._backoff, self._ask_at = Backoff(first=1.0, longest=30.0), math.inf
+
+    @property
+    def streams(self) -> Sequence[StreamFormat]:
+        """The streams of the metric map."""
+        return [samples.format for samples in self._samples.values()]
+
+    def _run(self) -> None:
+        client = self._client()
+        try:
+            while not self._stopped.is_set():
+                self._take_what_arrived()
+                now = time.monotonic()
+                for message in self._session.ready(now):
+                    self._believe(message, now)
+                if self._session.gap(now):
+                    self._forget()
+                self._ask_for_birth(client, now)
+                self._hand_on(now)
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+    def _client(self) -> mqtt.Client:
+        client = mqtt.Client(CallbackAPIVersion.VERSION2)
+        if self._address.user:
+            client.username_pw_set(self._address.user, self._address.password)
+        client.reconnect_delay_set(1, 5)
+        client.on_connect = self._on_connect
+        client.on_subscribe, client.on_disconnect = self._on_subscribe, self._on_disconnect
+        client.on_message = lambda _client, _data, message: self._wait(message.topic, bytes(message.payload))
+        client.connect_async(self._address.host, self._address.port, keepalive=_KEEP_ALIVE)
+        client.loop_start()
+        return client
+
+    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            self.health.count("bus_errors", 1, f"the broker refuses the connection: {reason}")
+            return
+        client.subscribe(f"{NAMESPACE}/{self._map.group}/+/{self._map.edge_node}/#", 1)
+
+    def _on_subscribe(self, *_: Any) -> None:
+        self._connected.set()
+        self._wait(_CONNECTED, b"")
+
+    def _on_disconnect(self, *_: Any) -> None:
+        self._connected.clear()
+        self.health.count("reconnects")
+        self._wait(_LOST, b"")
+
+    def _wait(self, topic: str, content: bytes) -> None:
+        """In the network thread, which never waits: a message without room is dropped."""
+        try:
+            self._arrived.put_nowait((topic, content, time.monotonic()))
+        except queue.Full:
+            self.health.count("overflow", 1, f"node {self._map.node}: messages come faster than they are read")
+            self._overflown.set()
+
+    def _take_what_arrived(self) -> None:
+        """What waits, up to a turn's share; for a tick when nothing does."""
+        if self._overflown.is_set():
+            self._break_off_after_overflow()
+        with suppress(queue.Empty):
+            self._take(*self._arrived.get(timeout=_TICK))
+            for _ in range(_A_TURN - 1):
+                self._take(*self._arrived.get_nowait())
+
+    def _break_off_after_overflow(self) -> None:
+        """What waits has a hole behind it: it goes, and the node has to be born again."""
+        self._overflown.clear()
+        with suppress(queue.Empty):
+            for _ in range(_MOST_WAITING):
+                self._arrived.get_nowait()
+                self.health.count("overflow")
+        self._session.break_off()
+        self._forget()
+        if not self._connected.is_set():
+            self._ask_at = math.inf
+        elif self._ask_at == math.inf:
+            self._ask_at = time.monotonic()
+
+    def _take(self, topic: str, content: bytes, now: float) -> None:
+        if topic in (_CONNECTED, _LOST):
+            self._session.break_off()
+            self._forget()
+            self._ask_at = now if topic == _CONNECTED else math.inf
+            return
+        kind, device = kind_and_device(topic)
+        if kind not in _OF_A_NODE:
+            return
+        try:
+            self._session.arrived(NodeMessage(kind, device, unpack(content)), now)
+        except BadPayload as error:
+            self.health.count("undecodable", 1, f"{topic}: {error}")
+
+    def _believe(self, message: NodeMessage, now: float) -> None:
+        if message.kind == "NBIRTH":
+            self._forget()
+            for samples in self._samples.values():
+                samples.reopened()
+        if message.kind in ("NBIRTH", "DBIRTH"):
+            self._born(message)
+        elif message.kind == "NDEATH":
+            self.health.count("bus_errors", 1, f"node {self._map.node} has gone")
+            self._forget()
+        elif message.kind == "DDEATH":
+            self._forget(message.device)
+        else:
+            self._values(message, now)
+
+    def _born(self, message: NodeMessage) -> None:
+        known: dict[str | int, tuple[str, int]] = {}
+        for metric in message.payload.metrics:
+            known[metric.name] = metric.name, metric.datatype
+            if metric.alias is not None:
+                known[metric.alias] = known[metric.name]
+        self._known[message.device] = known
+        names = [metric.name for metric in message.payload.metrics]
+        for stream, each in self._map.streams.items():
+            if each.device != message.device:
+                continue
+            for channel, wanted in each.channels.items():
+                if wanted.metric not in known:
+                    near = ", ".join(get_close_matches(wanted.metric, names, n=3, cutoff=0.0)) or "none"
+                    lacks = f"channel {channel!r}: the birth has no metric {wanted.metric!r}; the nearest are {near}"
+                    self.health.count("undecodable", 1, lacks)
+            if stream in self._changes:
+                self._changes[stream].stated(self._told(stream, message))
+
+    def _values(self, message: NodeMessage, now: float) -> None:
+        known = self._known.get(message.device, {})
+        unnamed = [m.alias for m in message.payload.metrics if not m.name and m.alias is not None and m.alias not in known]
+        if unnamed:
+            self.health.count("sequence_gaps", 1, f"device {message.device!r}: no birth that came gave the alias {unnamed[0]}")
+            self._session.break_off()
+            self._forget()
+            return
+        for stream, each in self._map.streams.items():
+            if each.device != message.device:
+                continue
+            told = self._told(stream, message)
+            for stamp, channel, value in self._changes[stream].samples(told) if stream in self._changes else told:
+                self._samples[stream].add(channel, stamp, value, now)
+
+    def _told(self, stream: str, message: NodeMessage) -> list[tuple[float, str, float]]:
+        """(stamp [s], channel, value) of what a message says of a stream, in the order of the stamps."""
+        known = self._known.get(message.device, {})
+        channels = {wanted.metric: (name, wanted) for name, wanted in self._map.streams[stream].channels.items()}
+        found = []
+        for metric in message.payload.metrics:
+            name, datatype = known.get(metric.alias if not metric.name and metric.alias is not None else metric.name, ("", 0))
+            if not name:
+                self.health.count("unborn", 1, f"device {message.device!r}: a metric that its birth does not name")
+            if name not in channels:
+                continue
+            if metric.historical:
+                self.health.count("late_values", 1)
+                continue
+            channel, wanted = channels[name]
+            number = number_of(metric, datatype) if metric.good else math.nan
+            if math.isnan(number):
+                self.health.count("bad_status", 1, f"channel {channel!r}: not good, or no number")
+            stamp = metric.stamp if metric.stamp is not None else message.payload.stamp
+            found.append((stamp / 1e3, channel, number * wanted.scale + wanted.offset))
+        return sorted(found, key=lambda each: each[0])
+
+    def _forget(self, device: str | None = None) -> None:
+        """What was said is not known any more: of a device, or of the node and all of them."""
+        for name in [name for name in self._known if device in (None, name)]:
+            del self._known[name]
+        for stream, changes in self._changes.items():
+            if device is None or self._map.streams[stream].device == device:
+                changes.forget()
+
+    def _ask_for_birth(self, client: mqtt.Client, now: float) -> None:
+        if self._session.in_step:
+            self._ask_at = now
+        if self._session.in_step or now < self._ask_at:
+            return
+        asked = Payload([Metric(REBIRTH, True, BOOLEAN)], int(time.time() * 1e3))
+        client.publish(f"{NAMESPACE}/{self._map.group}/NCMD/{self._map.edge_node}", pack(asked))
+        self.health.count("rebirths_asked")
+        self._ask_at = now + self._backoff.next()
+
+    def _hand_on(self, now: float) -> None:
+        for samples in self._samples.values():
+            block = samples.take(now)
+            if block is not None:
+                self._backoff.reset()
+                self._deliver(block, 1)
+
+
+def kind_and_device(topic: str) -> tuple[str, str]:
+    """Kind and device of a topic `spBv1.0/GROUP/KIND/NODE[/DEVICE]`."""
+    parts = topic.split("/")
+    return (parts[2] if len(parts) > 2 else ""), (parts[4] if len(parts) > 4 else "")

@@ -1,0 +1,1 @@
+"""Machines that somebody adds: what their buses say, what is kept of their settings."""

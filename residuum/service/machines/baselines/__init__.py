@@ -1,0 +1,1 @@
+"""Baselines of machines: trained on windows that were healthy, stored, accepted."""

@@ -1,0 +1,195 @@
+"""Rows of alarms and of their journal. An asset has one alarm a kind: `machine` (a fault) and `signal` (cannot be judged)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, insert, select, update
+
+from residuum.diagnosis.finding import Finding, Verdict
+from residuum.service.alarms import alarm_states
+from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband
+from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
+from residuum.service.storage import audit, outbox
+from residuum.service.storage.rows import paging
+from residuum.service.storage.tables import alarm_journal, alarms
+from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
+
+MACHINE, SIGNAL = "machine", "signal"
+
+_SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
+    Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
+    Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
+    # A window that cannot be judged says nothing about the machine: its alarm stays as it is.
+    Verdict.NOT_ASSESSABLE: ((SIGNAL, True),),
+}
+
+
+def follow(connection: Connection, asset: str, window: int, finding: Finding, now: datetime, rule: AlarmRule) -> list[Alarm]:
+    """Let an asset's alarms follow a finding; returns the alarms that changed their state."""
+    if finding.only_recorded:
+        return []
+    rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
+    changed = []
+    for kind, faulty in _SHOWN[finding.verdict]:
+        row = rows.get(kind)
+        if row is None and not faulty:
+            continue
+        row = row or _new(connection, asset, kind)
+        held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds)
+        seen = faulty or held
+        alarm = _follow_one(connection, row, seen, rule, window=window, message=_message(finding) if faulty else None, now=now)
+        if alarm is not None:
+            changed.append(alarm)
+    return changed
+
+
+def operate(
+    connection: Connection,
+    alarm: int,
+    event: AlarmEvent,
+    *,
+    by: str | None,
+    comment: str | None,
+    until: datetime | None,
+    now: datetime,
+) -> Alarm:
+    """What an operator asks for; IllegalTransition when the state does not allow it."""
+    row = _row(connection, alarm)
+    state = alarm_states.operate(_status(row), event).state
+    changes: dict[str, Any] = {"state": state.value, "shelved_until": until if state is AlarmState.SHELVED else None}
+    if comment is not None:
+        changes["comment"] = comment
+    if event is AlarmEvent.ACKNOWLEDGE:
+        changes |= {"acknowledged_at": now, "acknowledged_by": by}
+    return _change(connection, alarm, changes, event, by=by, comment=comment, now=now)
+
+
+def unshelve_expired(connection: Connection, now: datetime) -> list[Alarm]:
+    """Put alarms back whose shelving has run out."""
+    query = select(alarms.c.id).where(alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now)
+    expired = connection.execute(query).scalars().all()
+    return [operate(connection, alarm, AlarmEvent.UNSHELVE, by=None, comment=None, until=None, now=now) for alarm in expired]
+
+
+def get(connection: Connection, alarm: int) -> Alarm:
+    """One alarm."""
+    return _alarm(_row(connection, alarm))
+
+
+def page(
+    connection: Connection, asset: str | None, active: bool, cursor: str | None, limit: int, sites: Collection[str] | None
+) -> Page[Alarm]:
+    """Alarms, the newest first."""
+    query = select(alarms).where(paging.of_sites(alarms.c.asset_id, sites)).order_by(alarms.c.id.desc()).limit(limit + 1)
+    if asset is not None:
+        query = query.where(alarms.c.asset_id == asset)
+    if active:
+        query = query.where(alarms.c.state != AlarmState.NORMAL.value)
+    if cursor:
+        query = query.where(alarms.c.id < paging.decode_number(cursor))
+    return paging.page(connection.execute(query).all(), limit, "id", _alarm)
+
+
+def changed_at(connection: Connection, asset: str, moments: Collection[datetime]) -> Sequence[Alarm]:
+    """The alarms of an asset whose journal has an entry of one of these moments: a finding's change has its finding's."""
+    if not moments:
+        return []
+    changed = select(alarm_journal.c.alarm_id).where(alarm_journal.c.at.in_(moments))
+    query = select(alarms).where(alarms.c.asset_id == asset, alarms.c.id.in_(changed)).order_by(alarms.c.id)
+    return [_alarm(row) for row in connection.execute(query)]
+
+
+def journal(connection: Connection, alarm: int, limit: int) -> Sequence[AlarmEntry]:
+    """What happened to an alarm, newest first."""
+    _row(connection, alarm)
+    query = select(alarm_journal).where(alarm_journal.c.alarm_id == alarm).order_by(alarm_journal.c.id.desc()).limit(limit)
+    return [AlarmEntry(row.at, row.event, AlarmState(row.state), row.by, row.comment) for row in connection.execute(query)]
+
+
+def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
+    values = {
+        "asset_id": asset,
+        "kind": kind,
+        "state": AlarmState.NORMAL.value,
+        "condition": False,
+        "message": "",
+        "occurrences": 0,
+    }
+    return connection.execute(insert(alarms).values(values).returning(alarms)).one()
+
+
+def _follow_one(
+    connection: Connection, row: Row[Any], seen: bool, rule: AlarmRule, *, window: int, message: str | None, now: datetime
+) -> Alarm | None:
+    before = _status(row)
+    after, event = alarm_states.follow(before, seen, rule, now)
+    changes: dict[str, Any] = {"state": after.state.value, "condition": after.condition, "pending_since": after.pending_since}
+    if after.condition and message is not None:
+        changes |= {"message": message, "window_id": window}
+    if event is AlarmEvent.RAISE:
+        changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
+        if after.state is AlarmState.UNACKNOWLEDGED:
+            changes |= {"acknowledged_at": None, "acknowledged_by": None, "comment": None}
+    if event is AlarmEvent.CLEAR:
+        changes["cleared_at"] = now
+    if event is not None:
+        return _change(connection, row.id, changes, event, by=None, comment=None, now=now)
+    connection.execute(update(alarms).where(alarms.c.id == row.id).values(changes))
+    return None
+
+
+def _status(row: Row[Any]) -> AlarmStatus:
+    return AlarmStatus(AlarmState(row.state), row.condition, row.pending_since)
+
+
+def _change(
+    connection: Connection,
+    alarm: int,
+    changes: dict[str, Any],
+    event: AlarmEvent,
+    *,
+    by: str | None,
+    comment: str | None,
+    now: datetime,
+) -> Alarm:
+    row = connection.execute(update(alarms).where(alarms.c.id == alarm).values(changes).returning(alarms)).one()
+    entry = {"alarm_id": alarm, "at": now, "event": event.value, "state": row.state, "by": by, "comment": comment}
+    connection.execute(insert(alarm_journal).values(entry))
+    told = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
+    audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=told)
+    changed = _alarm(row)
+    outbox.add(connection, changed)
+    return changed
+
+
+def _message(finding: Finding) -> str:
+    return finding.reason or (f"{finding.diagnoser}: {finding.fault_class or finding.verdict.value}")
+
+
+def _row(connection: Connection, alarm: int) -> Row[Any]:
+    row = connection.execute(select(alarms).where(alarms.c.id == alarm)).first()
+    if row is None:
+        raise NotFound(f"alarm {alarm}: there is none of this number")
+    return row
+
+
+def _alarm(row: Row[Any]) -> Alarm:
+    return Alarm(
+        row.id,
+        row.asset_id,
+        row.kind,
+        AlarmState(row.state),
+        row.condition,
+        row.message,
+        row.occurrences,
+        row.raised_at,
+        row.cleared_at,
+        row.acknowledged_at,
+        row.acknowledged_by,
+        row.shelved_until,
+        row.comment,
+        row.window_id,
+    )

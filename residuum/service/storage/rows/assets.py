@@ -1,0 +1,161 @@
+"""Rows of assets and findings."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, func, insert, select, update
+
+from residuum.diagnosis.finding import RECORDED, Finding, Verdict
+from residuum.service.storage.rows import paging
+from residuum.service.storage.tables import assets, findings, windows
+from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
+
+
+def ensure(connection: Connection, asset: str, title: str | None, diagnoser: str | None, now: datetime) -> None:
+    """Insert the asset, or change its title and diagnoser where they are given."""
+    known = connection.execute(select(assets.c.id).where(assets.c.id == asset)).first()
+    if known is None:
+        row = {"id": asset, "title": title or asset, "diagnoser": diagnoser, "created_at": now, "windows": 0}
+        connection.execute(insert(assets).values(row))
+        return
+    changes = {name: value for name, value in (("title", title), ("diagnoser", diagnoser)) if value is not None}
+    if changes:
+        connection.execute(update(assets).where(assets.c.id == asset).values(changes))
+
+
+def add_finding(connection: Connection, asset: str, window: int, finding: Finding, now: datetime) -> int:
+    """Insert a finding and make it the asset's latest."""
+    plain = finding.to_json()
+    row = {name: plain[name] for name in ("diagnoser", "verdict", "indicators", "thresholds", "units", "evidence", "reason")}
+    values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
+    number: int = connection.execute(insert(findings).values(values).returning(findings.c.id)).scalar_one()
+    changes = {"last_finding_id": number, "windows": assets.c.windows + 1}
+    connection.execute(update(assets).where(assets.c.id == asset).values(changes))
+    return number
+
+
+def require(connection: Connection, asset: str) -> None:
+    """NotFound when there is no such asset."""
+    if connection.execute(select(assets.c.id).where(assets.c.id == asset)).first() is None:
+        raise NotFound(f"asset {asset!r}: there is none of this name; GET /assets lists them")
+
+
+def get(connection: Connection, asset: str) -> Asset:
+    """One asset with its latest finding."""
+    row = connection.execute(_with_finding().where(assets.c.id == asset)).first()
+    if row is None:
+        raise NotFound(f"asset {asset!r}: there is none of this name; GET /assets lists them")
+    return _asset(row)
+
+
+def page(connection: Connection, cursor: str | None, limit: int, sites: Collection[str] | None) -> Page[Asset]:
+    """Assets by name."""
+    query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id).limit(limit + 1)
+    if cursor:
+        query = query.where(assets.c.id > paging.decode(cursor))
+    return paging.page(connection.execute(query).all(), limit, "asset", _asset)
+
+
+def findings_page(connection: Connection, asset: str, cursor: str | None, limit: int, verdict: str | None) -> Page[StoredFinding]:
+    """Findings of an asset, newest first."""
+    require(connection, asset)
+    query = select(findings).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit + 1)
+    if cursor:
+        query = query.where(findings.c.id < paging.decode_number(cursor))
+    if verdict:
+        query = query.where(findings.c.verdict == verdict)
+    return paging.page(connection.execute(query).all(), limit, "id", stored_finding)
+
+
+def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence[int]:
+    """Windows with their signals that were kept before there was a baseline, oldest first."""
+    query = select(findings.c.window_id).join_from(findings, windows, windows.c.id == findings.c.window_id)
+    query = query.where(findings.c.asset_id == asset, findings.c.verdict == Verdict.NOT_ASSESSABLE.value)
+    query = query.where(findings.c.evidence[RECORDED].as_boolean(), windows.c.signal_let_go_at.is_(None))
+    return connection.execute(query.order_by(findings.c.id.desc()).limit(limit)).scalars().all()[::-1]
+
+
+def findings_after(connection: Connection, asset: str, number: int, limit: int) -> Sequence[StoredFinding]:
+    """The first findings of an asset with a larger number, oldest first."""
+    after = (findings.c.asset_id == asset) & (findings.c.id > number)
+    return [stored_finding(row) for row in connection.execute(select(findings).where(after).order_by(findings.c.id).limit(limit))]
+
+
+def newest_finding(connection: Connection) -> int:
+    """The largest number of a finding; 0 before there is one."""
+    return connection.scalar(select(func.max(findings.c.id))) or 0
+
+
+def finding_of(connection: Connection, window: int) -> StoredFinding:
+    """The latest finding on a window."""
+    query = select(findings).where(findings.c.window_id == window).order_by(findings.c.id.desc()).limit(1)
+    row = connection.execute(query).first()
+    if row is None:
+        raise NotFound(f"window {window}: has no finding")
+    return stored_finding(row)
+
+
+def indicators(connection: Connection, asset: str, limit: int) -> IndicatorHistory:
+    """Indicators and thresholds of the newest findings, oldest first."""
+    require(connection, asset)
+    columns = (
+        findings.c.at,
+        findings.c.window_id,
+        findings.c.verdict,
+        findings.c.indicators,
+        findings.c.thresholds,
+        findings.c.units,
+    )
+    query = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit)
+    rows = connection.execute(query).all()[::-1]
+    units: dict[str, str] = {}
+    for row in rows:
+        units |= row.units
+    return IndicatorHistory(
+        at=[row.at for row in rows],
+        windows=[row.window_id for row in rows],
+        verdicts=[row.verdict for row in rows],
+        indicators=_columns([row.indicators for row in rows]),
+        thresholds=_columns([row.thresholds for row in rows]),
+        units=units,
+    )
+
+
+def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """A list a name, None where a row lacks it."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _with_finding() -> Select[Any]:
+    return select(
+        assets.c.id.label("asset"),
+        assets.c.title,
+        assets.c.diagnoser.label("asset_diagnoser"),
+        assets.c.created_at,
+        assets.c.windows,
+        findings,
+    ).join_from(assets, findings, findings.c.id == assets.c.last_finding_id, isouter=True)
+
+
+def _asset(row: Row[Any]) -> Asset:
+    last = stored_finding(row) if row.id is not None else None
+    return Asset(row.asset, row.title, row.asset_diagnoser, row.created_at, row.windows, last)
+
+
+def stored_finding(row: Row[Any]) -> StoredFinding:
+    """The finding in a row of its table."""
+    finding = Finding(
+        row.diagnoser,
+        Verdict(row.verdict),
+        row.fault_class,
+        row.indicators,
+        row.thresholds,
+        row.units,
+        row.evidence,
+        row.reason,
+    )
+    return StoredFinding(row.id, row.asset_id, row.window_id, row.at, finding)

@@ -1,0 +1,57 @@
+"""What is kept of findings whose rows are let go: a row an hour and asset, with counts, extremes and means of every indicator."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, delete, insert, select
+
+from residuum.service.storage.rows import assets
+from residuum.service.storage.tables import finding_hours
+from residuum.service.store import FindingHour
+
+
+def add(connection: Connection, findings: Iterable[Row[Any]]) -> None:
+    """Fold findings into their hours; what an hour holds already is counted with them."""
+    together: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
+    for row in findings:
+        together[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
+    for (asset, hour), rows in together.items():
+        here = (finding_hours.c.asset_id == asset) & (finding_hours.c.hour == hour)
+        known = connection.execute(select(finding_hours).where(here)).first()
+        verdicts = dict(known.verdicts) if known else {}
+        indicators = dict(known.indicators) if known else {}
+        for row in rows:
+            verdicts[row.verdict] = verdicts.get(row.verdict, 0) + 1
+            for name, value in row.indicators.items():
+                if value is not None and math.isfinite(value):
+                    indicators[name] = _folded(indicators.get(name), value, row.units.get(name, ""), row.thresholds.get(name))
+        count = (known.windows if known else 0) + len(rows)
+        values = {"asset_id": asset, "hour": hour, "windows": count, "verdicts": verdicts, "indicators": indicators}
+        connection.execute(delete(finding_hours).where(here))
+        connection.execute(insert(finding_hours).values(values))
+
+
+def newest(connection: Connection, asset: str, limit: int) -> list[FindingHour]:
+    """The newest hours of an asset, oldest first."""
+    assets.require(connection, asset)
+    query = select(finding_hours).where(finding_hours.c.asset_id == asset).order_by(finding_hours.c.hour.desc()).limit(limit)
+    return [FindingHour(row.hour, row.windows, row.verdicts, row.indicators) for row in connection.execute(query)][::-1]
+
+
+def _folded(known: Mapping[str, Any] | None, value: float, unit: str, threshold: float | None) -> dict[str, Any]:
+    if known is None:
+        return {"unit": unit, "n": 1, "minimum": value, "maximum": value, "mean": value, "threshold": threshold}
+    n = known["n"] + 1
+    return {
+        "unit": unit,
+        "n": n,
+        "minimum": min(known["minimum"], value),
+        "maximum": max(known["maximum"], value),
+        "mean": known["mean"] + (value - known["mean"]) / n,
+        "threshold": threshold,
+    }

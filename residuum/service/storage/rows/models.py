@@ -1,0 +1,83 @@
+"""Rows of models and their versions. A version's content is a file of ours (YAML, JSON, or a zip of JSON and arrays)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, insert, select, update
+
+from residuum.service.storage.rows import paging
+from residuum.service.storage.tables import model_versions, models
+from residuum.service.store import Conflict, ModelVersion, NotFound, Page
+
+MACHINE = "machine"
+"""Kind of the documents that hold a machine's settings; they are no models, and listed only when asked for."""
+
+_DESCRIPTION = [column for column in model_versions.c if column.name != "content"]
+
+
+def add_version(
+    connection: Connection, model: str, kind: str, content: bytes, *, note: str, by: str | None, now: datetime
+) -> ModelVersion:
+    """Insert the next version; the first makes the model. Conflict when the model is of another kind."""
+    known = connection.execute(select(models).where(models.c.id == model)).first()
+    if known is None:
+        connection.execute(insert(models).values(id=model, kind=kind, created_at=now, last_number=0))
+    elif known.kind != kind:
+        raise Conflict(f"model {model!r}: is a {known.kind} model; a {kind} one needs another name")
+    number = (known.last_number if known else 0) + 1
+    connection.execute(update(models).where(models.c.id == model).values(last_number=number))
+    row = {
+        "model_id": model,
+        "number": number,
+        "created_at": now,
+        "created_by": by,
+        "note": note,
+        "content": content,
+        "size_bytes": len(content),
+        "checksum": hashlib.sha256(content).hexdigest(),
+    }
+    connection.execute(insert(model_versions).values(row))
+    return ModelVersion(model, kind, number, now, by, note, len(content), str(row["checksum"]))
+
+
+def page(connection: Connection, kind: str | None, cursor: str | None, limit: int) -> Page[ModelVersion]:
+    """The newest version of every model, by name."""
+    newest = (model_versions.c.model_id == models.c.id) & (model_versions.c.number == models.c.last_number)
+    query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
+    query = query.where(models.c.kind == kind if kind is not None else models.c.kind != MACHINE)
+    if cursor:
+        query = query.where(models.c.id > paging.decode(cursor))
+    return paging.page(connection.execute(query).all(), limit, "model_id", _version)
+
+
+def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
+    """All versions of a model, newest first."""
+    query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions).where(models.c.id == model)
+    rows = connection.execute(query.order_by(model_versions.c.number.desc())).all()
+    if not rows:
+        raise NotFound(f"model {model!r}: there is none of this name; GET /models lists them")
+    return [_version(row) for row in rows]
+
+
+def content(connection: Connection, model: str, number: int | None) -> bytes:
+    """The content of one version (default: the newest)."""
+    query = select(model_versions.c.content).where(model_versions.c.model_id == model)
+    if number is not None:
+        query = query.where(model_versions.c.number == number)
+    row = connection.execute(query.order_by(model_versions.c.number.desc()).limit(1)).first()
+    if row is None:
+        raise NotFound(
+            f"model {model!r}: "
+            + ("there is none of this name; GET /models lists them" if number is None else f"has no version {number}")
+        )
+    return bytes(row.content)
+
+
+def _version(row: Row[Any]) -> ModelVersion:
+    return ModelVersion(
+        row.model_id, row.kind, row.number, row.created_at, row.created_by, row.note, row.size_bytes, row.checksum
+    )
