@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from residuum.identification.record_formats.logger_mapping import read_mapping
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics.files.effect_file import read_effects
 from residuum.identification.physics.files.model_file import load_model
+from residuum.identification.record_formats.loggers.logger_mapping import read_mapping
 from residuum.identification.yaml_text import LONGEST_TEXT, short_text, what_is_wrong
 
 LINES = "".join(f"  p{k}: {{value: 1, unit: kg, lower: 0}}\n" for k in range(100_000))

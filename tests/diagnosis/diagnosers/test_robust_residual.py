@@ -87,7 +87,7 @@ def test_a_gap_starts_anew_and_is_counted(diagnoser):
     memory = diagnoser.design.generator.warm_up
     assert monitor.gaps == 1 and not bank.alarm.any()
     assert not signals.valid[700 : 705 + memory].any() and signals.valid[705 + memory :].all()
-    with pytest.raises(BadInput, match="another generator"):
+    with pytest.raises(BadInput, match="another design"):
         diagnoser.stream().resume({"residual": {}, "bank": {}})
 
 

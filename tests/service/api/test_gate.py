@@ -5,7 +5,6 @@ import http.client
 import json
 import re
 import socket
-from pathlib import Path
 
 import httpx
 import pytest
@@ -13,7 +12,7 @@ import pytest
 from residuum.service.app import create_app
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.security.access import new_key
-from residuum.service.settings import BadSettings, load_settings
+from residuum.service.settings import SETTINGS_FILE, BadSettings, load_settings
 
 
 def test_a_body_over_the_limit_is_refused_before_it_is_read(run_service):
@@ -175,7 +174,8 @@ def test_the_demo_on_this_machine_has_no_rate_limit_unless_asked_for(tmp_path):
         ("#" * 1_000_001, "1000001 bytes; a YAML file has at most 1000000"),
     ],
 )
-def test_a_settings_file_that_cannot_be_read_is_refused_in_one_line(tmp_path: Path, text: str, says: str) -> None:
+def test_a_settings_file_that_cannot_be_read_is_refused_in_one_line(tmp_path, monkeypatch, text, says):
+    monkeypatch.setenv(SETTINGS_FILE, "")  # the file's name is left there for child processes, and must not outlive the test
     file = tmp_path / "settings.yaml"
     file.write_text(text)
     with pytest.raises(BadSettings, match=says) as refused:
