@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.noise.coloured_noise import stretches
 
 
 def complete_stretch(record: Record, signals: Iterable[str], fewest: float) -> Record:
@@ -19,8 +20,6 @@ def complete_stretch(record: Record, signals: Iterable[str], fewest: float) -> R
     for name in signals:
         if name in record.names:
             lost |= record.missing(name)
-    ends = np.concatenate([[-1], np.flatnonzero(lost), [record.n]])
-    lengths = np.diff(ends) - 1
-    k = int(np.argmax(lengths))
-    start = int(ends[k]) + 1
-    return record.window(start, start + int(lengths[k])) if lost.any() and lengths[k] > fewest else record
+    longest = max(stretches(~lost), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    n = longest.stop - longest.start
+    return record.window(longest.start, longest.stop) if fewest < n < record.n else record
