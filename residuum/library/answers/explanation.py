@@ -56,7 +56,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         },
         "missing_term": None if explanation.free is None else free_term_json(explanation.free),
         "next_experiment": [{"do": p.do, "separates": list(p.separates), "power": p.power} for p in explanation.next_experiment],
-        "estimated_values": [asdict(value) for value in explanation.values],
+        "estimated_values": [asdict(value) | {"differs": value.differs} for value in explanation.values],
         "held_values": [asdict(held) for held in explanation.held],
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
         "drifting": explanation.drifting,

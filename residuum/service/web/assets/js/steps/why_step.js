@@ -15,7 +15,6 @@ const LISTED = 8;
 const LIKELY = 0.5;
 const WORTH_SAYING = 0.1;
 const DRAWN = 4;
-const PLAIN = 2; // standard deviations
 const VERDICTS = {
   "missing-effect": ["faulty", "An effect is missing"],
   adequate: ["healthy", "The model is adequate"],
@@ -46,7 +45,7 @@ export function measured({ value, std, unit }) {
 // Values that the record plainly contradicts, each beside the model file's.
 function otherValues(explanation) {
   return (explanation.estimated_values ?? [])
-    .filter((each) => Math.abs(each.value - each.file) > PLAIN * each.std)
+    .filter((each) => each.differs)
     .map((each) => `${each.name} = ${measured(each)} (the model file says ${number(each.file)})`);
 }
 
