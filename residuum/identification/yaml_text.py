@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -16,6 +18,16 @@ def short_text(path: Path) -> str:
     if (size := path.stat().st_size) > LONGEST_TEXT:
         raise OSError(errno.EFBIG, f"{size} bytes; a YAML file has at most {LONGEST_TEXT}")
     return path.read_text(encoding="utf-8")
+
+
+def read_yaml(file: Path, refused: Callable[[str], Exception], loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
+    """What a short file holds; `refused` with one line where it cannot be read or is no YAML."""
+    try:
+        return yaml.load(short_text(file), Loader=loader)
+    except OSError as error:
+        raise refused(f"{file}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise refused(f"{file}: is not YAML: {what_is_wrong(error)}") from None
 
 
 def what_is_wrong(error: Exception) -> str:

@@ -9,12 +9,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import AnyHttpUrl, Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from residuum.identification.errors import BadInput
-from residuum.identification.yaml_text import short_text, what_is_wrong
+from residuum.identification.yaml_text import read_yaml
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.settings import MachineSettings
@@ -203,12 +202,7 @@ def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
 
 def _content(file: Path) -> dict[str, Any]:
     """What a settings file says; BadSettings with the line where it is no YAML."""
-    try:
-        content = yaml.safe_load(short_text(file)) or {}
-    except OSError as error:
-        raise BadSettings(f"{file}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadSettings(f"{file}: is not YAML: {what_is_wrong(error)}") from None
+    content = read_yaml(file, BadSettings) or {}
     if not isinstance(content, dict):
         raise BadSettings(f"{file}: is no settings file; write one setting a line, as `port: 8000`")
     return content

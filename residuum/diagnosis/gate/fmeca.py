@@ -8,10 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from residuum.identification.errors import BadInput
-from residuum.identification.yaml_text import short_text, what_is_wrong
+from residuum.identification.yaml_text import read_yaml
 
 MACHINE = "gate-actuator"
 """Whose failure modes the file beside this holds."""
@@ -79,12 +77,7 @@ def load_fmeca(path: str | Path = GATE) -> list[FailureMode]:
 
     Raises BadInput with file, mode and rule when it is not one.
     """
-    try:
-        content = yaml.safe_load(short_text(Path(path)))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise BadInput(f"{path}: is not YAML: {what_is_wrong(error)}") from None
+    content = read_yaml(Path(path), BadInput)
     modes = content.get("modes") if isinstance(content, dict) else None
     if not isinstance(modes, list) or not modes:
         raise BadInput(f"{path}: has no list `modes`")

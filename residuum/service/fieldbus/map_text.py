@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from residuum.identification.yaml_text import short_text, what_is_wrong
+from residuum.identification.yaml_text import read_yaml, short_text, what_is_wrong
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
 Map = TypeVar("Map", bound=BaseModel)
@@ -49,11 +49,7 @@ def read_map_text(path: str | Path) -> Any:
 def read_map(path: Path, kind: type[Map], way_on: Callable[[str], str] = lambda _field: "") -> Map:
     """The map of a kind in a YAML file; BadBusDescription names file and field, and says what `way_on` knows for it."""
     try:
-        return kind.model_validate(yaml.load(short_text(path), Loader=_EachNameOnce))
-    except OSError as error:
-        raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadBusDescription(f"{path}: is not YAML: {what_is_wrong(error)}") from None
+        return kind.model_validate(read_yaml(path, BadBusDescription, _EachNameOnce))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"

@@ -5,7 +5,6 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from residuum.identification.record_formats.loggers.logger_text import MISSING, 
 from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.identification.record_formats.options import ReadOptions
-from residuum.identification.yaml_text import short_text, what_is_wrong
+from residuum.identification.yaml_text import read_yaml
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
@@ -117,12 +116,7 @@ def _is_positive(value: object) -> bool:
 
 def read_mapping(path: Path) -> LoggerMapping:
     """The mapping of a YAML file; BadRecord names the file and the field."""
-    try:
-        found: Any = yaml.safe_load(short_text(path))
-    except OSError as error:
-        raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise BadRecord(f"{path}: is not YAML: {what_is_wrong(error)}") from None
+    found = read_yaml(path, BadRecord)
     known = [part.name for part in fields(LoggerMapping)]
     if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
         what = repr(unknown[0]) if isinstance(found, dict) else "no table"
