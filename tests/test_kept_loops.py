@@ -35,7 +35,7 @@ print(line(1.0))
 
 @pytest.fixture
 def package(tmp_path):
-    """A package of this one's name with two loops, one calling the other; `run()` gives what it prints, `run(copy)` what a copy does."""
+    """A package of this one's name with two loops, one calling the other; `run()` gives what it prints, or a copy of it."""
     real, room = Path(residuum.__file__).parent, tmp_path / "residuum" / "room"
     room.mkdir(parents=True)
     for name in ("code_folder.py", "kept_loops.py"):
