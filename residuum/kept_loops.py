@@ -2,8 +2,8 @@
 
 Numba's own cache looks at the file of a loop alone, so a loop that calls one of another file, or holds a constant of another
 file, would go on with the old one after an update in place. Here the stamp of a loop is a digest of its file and of every file of
-this package that it imports, directly or through others. A stale loop is compiled anew and takes the old one's place, so nothing
-piles up.
+this package that it imports, directly or through others. What was compiled is kept by that digest and not by the folder that the
+package lies in, so a copy of the package, or one that moved, compiles nothing again. The oldest go, so nothing piles up.
 """
 
 # mypy: disable-error-code="misc,no-untyped-call"
@@ -11,7 +11,9 @@ piles up.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -25,6 +27,8 @@ from residuum.code_folder import code_folder
 _ROOT = Path(__file__).parents[1]
 _IMPORT = re.compile(r"^\s*(?:from (residuum[\w.]*) import (\([^)]*\)|.*)|import (residuum[\w.]*))", re.MULTILINE)
 _NAME = re.compile(r"\w+")
+_KEPT = 4
+"""Versions of a file whose loops stay compiled: the installed one, and checkouts beside it. Chosen."""
 
 
 def njit(**options: Any) -> Callable[[Any], Any]:
@@ -41,6 +45,7 @@ def njit(**options: Any) -> Callable[[Any], Any]:
     return kept
 
 
+@lru_cache(maxsize=1024)
 def made_of(file: Path) -> str:
     """A digest of a file of this package and of all files of it that this one imports, directly or through others."""
     digest = hashlib.sha256()
@@ -83,12 +88,25 @@ class _Locator(InTreeCacheLocator):
     """Where a loop is kept, and the stamp of what it is made of."""
 
     def get_cache_path(self) -> str:
-        """A folder for each folder of sources, in one that belongs to this user alone."""
-        return str(code_folder("loops", "NUMBA_CACHE_DIR") / self.get_suitable_cache_subpath(self._py_file))
+        """A folder for each version of a file, in one that belongs to this user alone."""
+        file = Path(self._py_file)
+        versions = code_folder("loops", "NUMBA_CACHE_DIR") / "_".join(file.with_suffix("").relative_to(_ROOT).parts)
+        folder = versions / self.get_source_stamp()[:24]
+        if not folder.is_dir():
+            folder.mkdir(parents=True, exist_ok=True)
+            _forget_oldest(versions)
+        os.utime(folder)
+        return str(folder)
 
     def get_source_stamp(self) -> str:
         """Changes when anything changes that the loop is made of."""
         return made_of(Path(self._py_file))
+
+
+def _forget_oldest(versions: Path) -> None:
+    """Remove what has not been used for longest; another process may do the same at the same time."""
+    for folder in sorted(versions.iterdir(), key=lambda folder: -folder.stat().st_mtime)[_KEPT:]:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class _KeptResult(CompileResultCacheImpl):

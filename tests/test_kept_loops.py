@@ -35,7 +35,7 @@ print(line(1.0))
 
 @pytest.fixture
 def package(tmp_path):
-    """A package of this one's name with two loops, one calling the other; `run()` gives what it prints."""
+    """A package of this one's name with two loops, one calling the other; `run()` gives what it prints, or a copy of it."""
     real, room = Path(residuum.__file__).parent, tmp_path / "residuum" / "room"
     room.mkdir(parents=True)
     for name in ("code_folder.py", "kept_loops.py"):
@@ -49,10 +49,10 @@ def package(tmp_path):
         (room / "calling.py").write_text(CALLING.format(place=place, kept=kept))
         (room / "numbers.py").write_text(f"OFFSET = {offset}\n")
 
-    def run():
-        environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    def run(where=tmp_path):
+        environment = os.environ | {"PYTHONPATH": str(where), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
         command = [sys.executable, "-c", RUN]
-        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, env=environment, cwd=where, capture_output=True, text=True, check=False)
         assert not done.returncode, done.stderr
         return done.stdout.split("\n")[:-1]
 
@@ -69,7 +69,24 @@ def test_a_loop_follows_what_it_calls_and_the_numbers_it_holds(package, tmp_path
     write(5.0, 7.0)
     assert run() == ["compiled line", "12.0"]  # the called one knows nothing of that number
     assert run() == ["12.0"]
-    assert len(list(tmp_path.glob("kept/loops/*/*.nbc"))) == 2  # the stale ones were replaced
+
+
+def test_versions_of_a_loop_do_not_pile_up(package, tmp_path):
+    write, run = package
+    for gain in range(7):
+        write(float(gain), 0.0)
+        assert run()[-1] == str(float(gain))
+    assert len(list(tmp_path.glob("kept/loops/*called/*/*.nbc"))) == 4
+    write(6.0, 0.0)
+    assert run() == ["6.0"]  # the newest stay
+
+
+def test_a_copied_package_compiles_nothing_again(package, tmp_path):
+    write, run = package
+    write(2.0, 1.0)
+    assert run()[-1] == "3.0"
+    shutil.copytree(tmp_path / "residuum", tmp_path / "copy" / "residuum")
+    assert run(tmp_path / "copy") == ["3.0"]
 
 
 def test_without_it_numba_goes_on_with_what_was_there_before(package):

@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "library": {"identification", "diagnosis", "robust_control", "simulation"},
     "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
-FOR_ALL = {"residuum.code_folder", "residuum.kept_loops"}
+FOR_ALL = {"residuum.code_digest", "residuum.code_folder", "residuum.kept_loops"}
 """How compiled code is kept: no physics and no method, so also the simulators may use it."""
 ONLY_IN_SERVICE = {
     "fastapi",

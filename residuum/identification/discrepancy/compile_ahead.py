@@ -6,7 +6,6 @@ a first answer. A model's own equations are compiled when they are met.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,10 +32,7 @@ def compile_ahead() -> None:
 
 def ensure_compiled(tell: Tell = untold) -> None:
     """`compile_ahead` where nothing was compiled for these sources yet, so that no search's time is spent on it."""
-    file = Path(__file__)
-    marker = (
-        code_folder("loops", "NUMBA_CACHE_DIR") / f"ahead_{hashlib.sha256((str(file) + made_of(file)).encode()).hexdigest()[:24]}"
-    )
+    marker = code_folder("loops", "NUMBA_CACHE_DIR") / f"ahead_{made_of(Path(__file__))[:24]}"
     if not marker.exists():
         tell(0.0, "compiling once, about a minute")
         compile_ahead()

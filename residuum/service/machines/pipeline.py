@@ -248,7 +248,7 @@ class Pipeline:
             line.set_state("failed", 0.0, f"training failed: {error}")
 
     async def _stored_or_trained(self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]) -> bytes:
-        note = demo.training_key(machine.asset)
+        note = await asyncio.to_thread(demo.training_key, machine.asset)  # reads the program's files
         try:
             versions = await asyncio.to_thread(self._store.model_versions, machine.asset)
             if any(version.note == note for version in versions):  # what was stored since, somebody accepted

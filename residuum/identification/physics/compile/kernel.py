@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from residuum.code_digest import code_digest
 from residuum.code_folder import code_folder
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.machine_code import FUNCTIONS, STEPPING
@@ -28,6 +28,7 @@ from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.integration import System
 
 _LOADED = (*FUNCTIONS, *STEPPING)
+_MADE_BY = "residuum.identification.physics"
 _COUNTED = ("sizes", "surfaces", "delays", "own", "remembered")
 
 
@@ -69,7 +70,7 @@ class _Deferred:
 @lru_cache(maxsize=256)
 def _kernel(structure: str, deferred: _Deferred) -> Kernel:
     machine = machine_code.target()
-    digest = hashlib.sha256((structure + machine + sources()).encode()).hexdigest()[:24]
+    digest = hashlib.sha256((structure + machine + code_digest(_MADE_BY)).encode()).hexdigest()[:24]
     path = cache_folder() / f"kernel_{digest}"
     if not path.exists():
         _write(path, _made(deferred.model))
@@ -100,16 +101,6 @@ def _structure(model: PhysicalModel) -> str:
     states = [(s.name, s.rate, s.unit) for s in model.states.values()]
     outputs = [(o.name, o.value.text) for o in model.outputs.values()]
     return repr((inputs, states, list(model.parameters), balances, outputs, effects))
-
-
-@lru_cache(maxsize=1)
-def sources() -> str:
-    """A digest of this Python and of what this package's kernels are made by."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256(sys.version.encode())
-    for file in sorted(package.rglob("*.py")):
-        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
-    return digest.hexdigest()
 
 
 def _write(path: Path, content: bytes) -> None:
