@@ -9,9 +9,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .venv/run: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { rm -rf .venv; echo "make: $(PYTHON) cannot make a virtual environment; on Debian: apt-get install python3-venv"; exit 1; }
-	@echo "installing residuum into .venv, and compiling what every explanation needs (once; about two minutes)"
-	@$(BIN)/python -m pip install -qq -e .
-	@$(BIN)/python -m residuum.identification.discrepancy.compile_ahead
+	@echo "installing residuum into .venv (once; about a minute)"
+	@$(BIN)/python -m pip install -qq --no-compile -e .
 	@touch $@
 
 .venv/dev: pyproject.toml .venv/run

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, Field
 
+from residuum.identification.discrepancy.compile_ahead import is_compiled
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
@@ -27,8 +28,11 @@ class FaultSwitch(BaseModel, extra="forbid"):
 
 @router.get("/status")
 def get_status(running: Running, request: Request) -> Response:
-    """State of every machine's pipeline (training, running) and of every source; to a key of some sites, of theirs."""
-    return Json(_status(running, caller_of(request)))
+    """State of every machine's pipeline (training, running) and of every source; to a key of some sites, of theirs.
+
+    `compiled`: whether all is compiled that explanations need; until then the first one waits for it.
+    """
+    return Json({**_status(running, caller_of(request)), "compiled": is_compiled()})
 
 
 @router.get("/sources")

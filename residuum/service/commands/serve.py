@@ -20,6 +20,7 @@ from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory
 from residuum.service.storage.database import Database
 from residuum.service.store import StorageUnavailable
+from residuum.service.work.compiling_behind import CompilingBehind
 from residuum.service.work.large_arrays import give_back_large_arrays
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -74,11 +75,14 @@ async def _serve(server: uvicorn.Server, sockets: list[socket.socket], settings:
     running = asyncio.create_task(server.serve(sockets))
     while not server.started and not running.done():
         await asyncio.sleep(0.02)
+    behind = CompilingBehind()
     if server.started:
         settle_memory()
         sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
         sys.stdout.flush()
+        await asyncio.to_thread(behind.start)
     await running
+    await asyncio.to_thread(behind.stop)
 
 
 def _greeting(settings: Settings, port: int) -> str:

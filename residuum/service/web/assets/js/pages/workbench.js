@@ -4,6 +4,7 @@ import { forget } from "../charts/charts.js";
 import { keptAddress } from "../lib/address.js";
 import { path } from "../lib/api.js";
 import { h, notify, reveal, show } from "../lib/dom.js";
+import { plant, subscribe } from "../lib/plant_state.js";
 import { addStep } from "../steps/add_step.js";
 import { compareStep } from "../steps/compare_step.js";
 import { modelTitle } from "../steps/models.js";
@@ -81,9 +82,10 @@ export function workbenchPage(place, query) {
   const bench = new Bench(query);
   const tabs = h("div", { class: "steps", role: "tablist", "aria-label": "Steps" });
   const about = h("p", { class: "muted about" });
+  const compiling = h("p", { class: "muted", role: "status" });
   const body = h("div", { class: "step", role: "tabpanel", id: "step", "aria-labelledby": "", tabindex: -1 });
   document.title = "Workbench · Residuum";
-  show(place, h("div", { class: "title" }, h("h1", {}, "Workbench"), about), tabs, body);
+  show(place, h("div", { class: "title" }, h("h1", {}, "Workbench"), about), compiling, tabs, body);
 
   // Whoever goes on by a button of the step before, goes on at the top of the new one by keyboard, too.
   bench.go = (step, change = {}) => {
@@ -131,6 +133,11 @@ export function workbenchPage(place, query) {
     next?.click();
   });
 
+  function drawCompiling() {
+    compiling.hidden = plant.status.compiled !== false;
+    compiling.textContent = "What explanations need is being compiled, once; the first one waits for it and says so.";
+  }
+
   function leave() {
     for (const each of bench.leaving.splice(0)) each();
     for (const chart of body.querySelectorAll(".chart")) forget(chart);
@@ -148,6 +155,11 @@ export function workbenchPage(place, query) {
     });
   }
 
+  const heard = subscribe((kind) => kind === "status" && drawCompiling());
+  drawCompiling();
   open();
-  return leave;
+  return () => {
+    heard();
+    leave();
+  };
 }
