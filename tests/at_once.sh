@@ -5,4 +5,6 @@
 set -u
 # One thread for linear algebra: the processes have the cores already, and threads that wait for a core of their own cost most.
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Tests start some hundred interpreters: each would compile all sources anew.
+unset PYTHONDONTWRITEBYTECODE
 exec "$1" -m pytest -n $(($(getconf _NPROCESSORS_ONLN) + 1)) --dist worksteal -rfEs
