@@ -6,6 +6,8 @@
 set -eu
 # One thread for linear algebra: the processes have the cores already, and threads that wait for a core of their own cost most.
 export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1
+# Tests start some hundred interpreters: each would compile all sources anew.
+unset PYTHONDONTWRITEBYTECODE
 RESIDUUM_FIRST_USE=$(mktemp -d) # the environment with the wheel, which both runs use
 export RESIDUUM_FIRST_USE
 trap 'rm -rf "$RESIDUUM_FIRST_USE"' EXIT

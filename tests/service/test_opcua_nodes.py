@@ -1,6 +1,7 @@
 """Findings offered as nodes, and a simulated machine that offers itself over OPC UA."""
 
 import asyncio
+import contextlib
 import gc
 import socket
 import threading
@@ -12,6 +13,7 @@ import pytest
 
 pytest.importorskip("asyncua")
 from asyncua import Client
+from asyncua.ua import UaError
 
 from residuum.service.fieldbus.opcua.node_map import NodeMap
 from residuum.service.fieldbus.opcua.opcua_source import OpcuaSource
@@ -48,8 +50,11 @@ def test_the_latest_finding_is_offered():
     nodes.tell("finding", finding)
     nodes.tell("alarm", {"asset": "press-1", "state": "active", "raised_at": at})
     nodes.tell("model", {})
-    time.sleep(0.5)
-    verdict, glr, alarm = asyncio.run(values(url, "press-1.verdict", "press-1.indicator.glr", "press-1.alarm"))
+    end, found = time.monotonic() + 60, []
+    while [each.Value.Value for each in found[2:]] != ["active"] and time.monotonic() < end:
+        with contextlib.suppress(UaError):  # a node is made with its first value
+            found = asyncio.run(values(url, "press-1.verdict", "press-1.indicator.glr", "press-1.alarm"))
+    verdict, glr, alarm = found
     assert (verdict.Value.Value, glr.Value.Value, alarm.Value.Value) == ("faulty", 14.5, "active")
     assert verdict.SourceTimestamp.replace(tzinfo=UTC) == at
     with pytest.raises(OSError, match="OPC UA server at"):

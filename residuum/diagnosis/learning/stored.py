@@ -10,12 +10,12 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import skops.io
 
 from residuum.identification.errors import BadInput
 from residuum.identification.npy_header import npy_header
@@ -80,7 +80,7 @@ def save_stored(
                 for name, array in (arrays or {}).items():
                     archive.writestr(f"arrays/{name}.npy", _to_npy(array))
                 for name, estimator in (estimators or {}).items():
-                    archive.writestr(f"estimators/{name}.skops", skops.io.dumps(estimator))
+                    archive.writestr(f"estimators/{name}.skops", _skops().dumps(estimator))
             file.flush()
             os.fsync(file.fileno())
         Path(temporary).chmod(0o644)
@@ -168,6 +168,12 @@ def _from_npy(data: bytes, where: str) -> npt.NDArray[Any]:
 
 
 def _estimator(data: bytes, where: str) -> Any:
-    if unsafe := skops.io.get_untrusted_types(data=data):
+    skops = _skops()
+    if unsafe := skops.get_untrusted_types(data=data):
         raise BadInput(f"{where}: holds types that are not known to be safe: {', '.join(unsafe)}")
-    return skops.io.loads(data)
+    return skops.loads(data)
+
+
+def _skops() -> Any:
+    """What stores estimators, imported where there is one: it imports all of scikit-learn, which takes seconds."""
+    return import_module("skops.io")

@@ -125,6 +125,7 @@ class Receiver:
                 self.dropped += 1
                 log.warning("a receiver refused a notification", receiver=self.name, status=error.code)
                 return True
+            log.warning("a receiver gives no receipt", receiver=self.name, status=error.code)
             self._stopped.wait(self._backoff.next())
         except OSError as error:
             log.warning("a receiver does not answer", receiver=self.name, reason=str(error))
@@ -168,11 +169,21 @@ class Notifications:
                 self._outbox.release()
 
 
+class _NoDetour(urllib.request.HTTPRedirectHandler):
+    """Follows nobody elsewhere: a notification would be asked for there, without its body, and the answer taken for a receipt."""
+
+    def redirect_request(self, *_asked: Any, **_named: Any) -> None:
+        """Nowhere: the answer becomes an HTTPError, as every other that is no receipt."""
+
+
+_DIRECT = urllib.request.build_opener(_NoDetour)
+
+
 def _webhook(url: str) -> Send:
     def post(kind: str, payload: Mapping[str, Any]) -> None:
         body = orjson.dumps({"event": kind, **payload}, option=orjson.OPT_SERIALIZE_NUMPY)
         request = urllib.request.Request(url, body, {"Content-Type": "application/json", "User-Agent": "residuum"})
-        with urllib.request.urlopen(request, timeout=_PATIENCE):
+        with _DIRECT.open(request, timeout=_PATIENCE):
             """Any 2xx answer is a receipt."""
 
     return post

@@ -39,15 +39,10 @@ def test_half_a_window_does_not_stand_for_it(record):
     assert complete_stretch(lost, ["u"], 50) is lost
 
 
-@pytest.fixture(scope="module")
-def watched():
-    return ModelBased().fit(ModelBased.examples()[0].training)
-
-
-def test_a_lost_sample_leaves_a_window_that_is_judged_and_says_by_what(watched):
+def test_a_lost_sample_leaves_a_window_that_is_judged_and_says_by_what(complete_axis):
     example = ModelBased.examples()[0]
     for one, verdict in ((example.healthy[0], Verdict.HEALTHY), (example.faulty[0], Verdict.FAULTY)):
-        finding = watched.score(holed(one, "force", 300))
+        finding = complete_axis.score(holed(one, "force", 300))
         assert finding.verdict is verdict
         assert finding.evidence["judged"] == {"from": pytest.approx(1.505), "to": pytest.approx(7.5), "samples": 1199, "of": 1500}
         assert "1199 of 1500 samples" in finding.reason

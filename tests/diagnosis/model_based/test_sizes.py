@@ -1,8 +1,7 @@
 """Sizes in their bands: where values move with a temperature, where the scatter is large, and where the model lacks an effect."""
 
-from functools import cache
-
 import numpy as np
+import pytest
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased, _axis
 from residuum.identification.physics import read_model
@@ -48,36 +47,40 @@ def warm_motor(seed, fault=1.0):
     return Record(channels, units, 0.01, source=f"motor {seed}"), R
 
 
-@cache
-def motor():
-    return ModelBased(model=read_model(MOTOR, "motor")).fit([warm_motor(seed)[0] for seed in range(20)])
+def train_motor(file):
+    ModelBased(model=read_model(MOTOR, "motor")).fit([warm_motor(seed)[0] for seed in range(20)]).save(file)
+
+
+@pytest.fixture(scope="session")
+def motor(made_once):
+    return ModelBased.load(made_once("motor.base", train_motor))
 
 
 def size_of(finding, name):
     return next(c for c in finding.evidence["causes"] if c["name"] == name)["value"]
 
 
-def test_values_that_move_with_a_temperature_scatter_less_than_they_move():
-    b = motor().baseline
+def test_values_that_move_with_a_temperature_scatter_less_than_they_move(motor):
+    b = motor.baseline
     at = b.free.index("R")
     assert np.sqrt(b.values.S[at, at]) < 0.01 * b.model.values["R"]  # over all temperatures they move by a twelfth on either side
 
 
-def test_a_changed_resistance_lies_in_its_band_at_any_temperature():
+def test_a_changed_resistance_lies_in_its_band_at_any_temperature(motor):
     inside = []
     for seed in range(50, 62):
         for fault in (0.8, 1.2):
             record, R = warm_motor(seed, fault)
-            size = size_of(motor().score(record), "R")
+            size = size_of(motor.score(record), "R")
             inside.append(size["band_95"][0] <= R <= size["band_95"][1])
             assert size["std"] < 2e-2 * R
     assert sum(inside) >= 21
 
 
-def test_values_far_from_the_usual_are_told_where_they_are():
+def test_values_far_from_the_usual_are_told_where_they_are(motor):
     for seed in (70, 71):
         record, R = warm_motor(seed, 1.3)
-        told = motor().score(record).evidence["parameters"]["R"]
+        told = motor.score(record).evidence["parameters"]["R"]
         assert abs(told["value"] - R) < 2e-3 * R  # to first order a tenth of the change would be missing
 
 

@@ -50,6 +50,12 @@ class Hook:
                 if status == 204:
                     told.put(json.loads(body))
                 self.send_response(status)
+                if status in range(300, 400):
+                    self.send_header("Location", "/elsewhere")
+                self.end_headers()
+
+            def do_GET(self):
+                self.send_response(200)
                 self.end_headers()
 
             def log_message(self, *_):
@@ -189,6 +195,17 @@ def test_a_webhook_that_refuses_is_not_asked_again(run_service, free_port):
     see(service, "faulty")
     see(service, "healthy")
     assert hook.told.get(timeout=60)["state"] == "returned-unacknowledged"
+    hook.stop()
+
+
+def test_a_webhook_that_sends_elsewhere_has_received_nothing(run_service, free_port):
+    """A client that followed would ask there without the notification, and take the answer for a receipt."""
+    port = free_port()
+    hook = Hook(port, statuses=[302])
+    service = run_service(webhooks=[f"http://127.0.0.1:{port}/"])
+    see(service, "faulty")
+    see(service, "healthy")
+    assert [hook.told.get(timeout=60)["state"] for _ in range(2)] == ["unacknowledged", "returned-unacknowledged"]
     hook.stop()
 
 

@@ -22,3 +22,10 @@ def test_the_catalogue_is_listed_without_compiler_solver_or_registry():
     )
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert found.stdout.splitlines()[-1] == "[]" and "coulomb-friction" in found.stdout
+
+
+def test_the_service_starts_without_what_only_its_workers_need():
+    """Who reads a stored estimator imports skops, and with it all of scikit-learn: a third of the service's start."""
+    script = "import sys, residuum.service.app; print('skops' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "False"

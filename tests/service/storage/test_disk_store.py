@@ -139,6 +139,17 @@ def test_a_flipped_bit_is_noticed(store, tmp_path):
         store.window_record("a", number)
 
 
+def test_a_block_of_another_form_is_noticed(store, tmp_path):
+    """Of a form that is not known nothing is believed, whatever its checksums say."""
+    number = store.add_window("a", window(), finding())
+    (block,) = tmp_path.glob("blocks/*/*.block")
+    content = bytearray(block.read_bytes())
+    content[content.index(b"\n") - 1] += 1
+    block.write_bytes(content)
+    with pytest.raises(BrokenBlock, match="is not a signal block"):
+        store.window_record("a", number)
+
+
 def test_only_blocks_without_a_row_are_swept(store, tmp_path):
     number = store.add_window("a", window(), finding())
     (block,) = tmp_path.glob("blocks/*/*.block")

@@ -51,6 +51,19 @@ def test_record_error_is_that_of_the_plain_form():
         assert value == pytest.approx(sum(p[0] for p in parts) / sum(p[1] for p in parts), rel=1e-9)
 
 
+@pytest.mark.parametrize(("criterion", "penalty"), [("aic", 2.0), ("bic", np.log(600))])
+def test_a_coefficient_costs_what_its_criterion_says(criterion, penalty):
+    """−2 log p of 600 Gaussian innovations of the variance that is left, and the penalty of two coefficients an order."""
+    record = arx_record(0)
+    model = identify(STRUCTURES["arx"], [record], "u", "y", candidates=(1, 2, 3), criterion=criterion, offset=False)
+    u, y = record["u"], record["y"]
+    errors = [plain_error([(u, y)], [(u, y, order)], order) for order in (1, 2, 3)]
+    variance = np.array([squares / count for squares, count in errors])
+    expected = 600 * np.log(variance / variance[0]) + 2 * penalty * np.arange(3)
+    found = np.array(model.provenance[criterion])
+    assert found - found[0] == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.parametrize("criterion", ["bic", "k-fold", "record-wise"])
 def test_known_order_of_output_error_is_found(criterion):
     """Two records that begin in motion, at levels far from zero: state and level must not be taken for dynamics."""
