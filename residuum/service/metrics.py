@@ -59,7 +59,7 @@ class Metrics:
         """Count what the store announces."""
         if kind == "finding":
             self._findings.labels(payload["asset"], payload["verdict"]).inc()
-        elif kind == "alarm":
+        elif kind == "alarm" and not payload.get("text_alone"):
             self._alarms.labels(payload["asset"], payload["state"]).inc()
 
     def stored_message(self, outcome: str) -> None:

@@ -23,19 +23,21 @@ async def live() -> Response:
 def ready(running: Running, request: Request) -> Response:
     """Windows can be stored; 503 or 507 with the reason when not. With machines that are not judged it is 200, `degraded`.
 
-    `machines` says of each of these why, and what can be done; without a key, where keys are needed, only how many there are.
+    `machines` says of each of these why, and what can be done, `storage` what is wrong although windows are stored. Who has
+    no key where keys are needed is told only how many machines are in which state.
     """
     running.store.check()
     states = running.pipeline.status()["machines"]
     visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
     named = troubled(visible)
+    storing = running.store.troubles()
     told = {
-        "status": "degraded" if named else "ready",
+        "status": "degraded" if named or storing else "ready",
         "version": version("residuum"),
         "states": counted(visible),
     }
     stranger = running.keys.needed and not hasattr(request.state, "caller")
-    return Json(told if stranger else {**told, "machines": named})
+    return Json(told if stranger else {**told, "machines": named, "storage": dict(storing)})
 
 
 @router.get("/metrics", response_class=Response)
