@@ -1,6 +1,7 @@
 """The console command `residuum`: one file a command in `commands/`, loaded when it is called."""
 
 import os
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -10,16 +11,17 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.commands import COMMANDS
+from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
 
-DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT = 0, 1, 2, 3
+DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit status (0 done, 1 the answer is no, 2 bad input, 3 an internal error)."""
+    """Run one command and return its exit status (0 done, 1 answer is no, 2 bad input, 3 internal error, 130 interrupted)."""
     if not arguments or arguments[0] in ("--help", "-h", "help"):
         sys.stdout.write(_overview())
         return DONE if arguments else BAD_INPUT
@@ -36,6 +38,7 @@ def run(arguments: list[str]) -> int:
                 return int(apart.run_apart(arguments, fmus[0]))
         with loading_modules():
             command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+        _take_interrupts()
         status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
     except typer.Exit as done:
         return done.exit_code
@@ -44,7 +47,8 @@ def run(arguments: list[str]) -> int:
     except BadInput as error:
         return _refuse(str(error))
     except (typer.Abort, KeyboardInterrupt):
-        return _refuse("interrupted")
+        _refuse("interrupted")
+        return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing more can be printed
         return DONE
@@ -64,6 +68,12 @@ def _overview() -> str:
 def _refuse(message: str) -> int:
     sys.stderr.write(f"residuum: {' '.join(message.split())}\n")
     return BAD_INPUT
+
+
+def _take_interrupts() -> None:
+    """Ctrl-C from now on as an exception; while modules were loaded it ended the process (`residuum.service.entry`)."""
+    if signal.getsignal(signal.SIGINT) is end_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def main() -> None:

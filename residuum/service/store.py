@@ -115,7 +115,10 @@ class Asset:
 
 @dataclass(frozen=True)
 class Alarm(_Plain):
-    """One alarm of one asset. `kind` tells a fault of the machine from one of its signals."""
+    """One alarm of one asset. `kind` tells a fault of the machine from one of its signals.
+
+    `message` and `window` are of the worst finding since the alarm was raised, which is of `worst_at`.
+    """
 
     id: int
     asset: str
@@ -123,6 +126,7 @@ class Alarm(_Plain):
     state: AlarmState
     condition: bool
     message: str
+    worst_at: datetime | None
     occurrences: int
     raised_at: datetime | None
     cleared_at: datetime | None
@@ -350,6 +354,9 @@ class Store(Protocol):
 
     def check(self) -> None:
         """Raise StorageUnavailable when a small window could not be stored now."""
+
+    def troubles(self) -> Mapping[str, str]:
+        """What storing suffers from although windows are taken, by its subject; empty where nothing is wrong."""
 
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out."""

@@ -99,7 +99,8 @@ class AlarmAnswer(BaseModel):
     kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
     state: str
     condition: bool = Field(description="Whether the latest judged window still shows it.")
-    message: str
+    message: str = Field(description="What the worst finding since the alarm was raised says, and since when.")
+    worst_at: datetime | None = Field(description="When that finding was.")
     occurrences: int
     raised_at: datetime | None
     cleared_at: datetime | None
