@@ -18,6 +18,7 @@ from residuum.library.whole_file import write_whole
 from residuum.robust_control.control_problem import STRUCTURES, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
@@ -32,7 +33,6 @@ from residuum.service.commands.weight_options import (
 
 app = typer.Typer(add_completion=False)
 
-_ANSWER_IS_NO = 1
 _NO_LIMITS = (-math.inf, math.inf)
 _NOT_OF_SEVERAL = "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --export or --limits"
 
@@ -127,7 +127,7 @@ def design(
         )
     except Infeasible as no:
         report(described | {"feasible": False, "reason": str(no)}, f"infeasible: {no}", as_json=as_json)
-        raise typer.Exit(_ANSWER_IS_NO) from None
+        raise typer.Exit(ANSWER_IS_NO) from None
     equation = controller.difference_equation(limits)
     result = controller.to_dict() | {"file": str(out), "difference_equation": equation.text()}
     if export is not None:

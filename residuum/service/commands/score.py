@@ -10,6 +10,7 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
+from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.diagnoser_options import (
     Baseline,
     DiagnoserName,
@@ -56,7 +57,10 @@ def score(
     false_alarms_per_day: FalseAlarms = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
+    """Score records; exit status 1 when a window is faulty.
+
+    One record gives its finding; several give the worst one and all of them under `findings`.
+    """
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(
@@ -66,6 +70,8 @@ def score(
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
     result = findings[0] if len(findings) == 1 else worst | {"findings": findings}
     report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
+    if worst["verdict"] == Verdict.FAULTY:
+        raise typer.Exit(ANSWER_IS_NO)
 
 
 def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagnoser:
