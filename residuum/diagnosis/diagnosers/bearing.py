@@ -30,6 +30,7 @@ from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
+from residuum.nearest_names import known_names
 
 Array = npt.NDArray[Any]
 SHAPE = ("rms", "kurtosis", "crest")
@@ -126,7 +127,7 @@ class Bearing(Diagnoser):
         if not 0 < false_alarm < 0.5:
             raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
         if machine_class is not None and machine_class not in LIMITS:
-            raise BadInput(f"bearing: machine class {machine_class!r} is not known; known are {', '.join(LIMITS)}")
+            raise BadInput(f"bearing: machine class {machine_class!r} is not known; {known_names(machine_class, LIMITS)}")
         if orders:
             BearingFrequencies.from_orders(orders, 1.0)
         if hertz:

@@ -15,6 +15,7 @@ from residuum.library.answers.multivariable_control import design_text as multiv
 from residuum.library.control import design as design_controller
 from residuum.library.multivariable_control import design_multivariable
 from residuum.library.whole_file import write_whole
+from residuum.nearest_names import known_names
 from residuum.robust_control.control_problem import STRUCTURES, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
@@ -143,7 +144,7 @@ def _check_export(export: tuple[str, Path] | None, limits: tuple[float, float]) 
     if export is None:
         return
     if export[0] not in LANGUAGES:
-        raise BadInput(f"--export {export[0]!r}: there is no such language; known are {', '.join(LANGUAGES)}")
+        raise BadInput(f"--export {export[0]!r}: there is no such language; {known_names(export[0], LANGUAGES)}")
     check_output_file(export[1])
 
 
