@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.error_sizes import (
@@ -61,6 +62,20 @@ class Comparison:
     def p_value(self) -> float:
         """Of "every output's error is noise of some colour" (Bonferroni over the outputs); 1 where no output could be tested."""
         return min((1.0, *(len(self.structured) * test.p_value for test in self.structured.values())))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What of the model the records contradict before anything is simulated."""
+        return begins_elsewhere(self.model, self.experiments)
+
+    @property
+    def not_recorded(self) -> dict[str, tuple[str, ...]]:
+        """Outputs that were not compared, each with the records that have no value of it."""
+        lacking = {
+            name: tuple(source for source, e in zip(self.records, self.experiments, strict=True) if not e.measured[k])
+            for k, name in enumerate(self.model.outputs)
+        }
+        return {name: records for name, records in lacking.items() if records}
 
     @property
     def share(self) -> float:

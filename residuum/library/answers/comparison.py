@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from residuum.identification.physics.simulate.experiment import PART
@@ -41,6 +42,8 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
             },
         },
         "where": [region_json(region) for region in comparison.where],
+        "not_recorded": comparison.not_recorded,
+        "warnings": comparison.warnings,
     }
 
 
@@ -63,6 +66,8 @@ def region_json(region: Region) -> dict[str, Any]:
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
     lines = [f"{name}: simulated by itself, because an input is missing before or after it" for name in _parts(comparison)]
+    lines += warning_lines(comparison.warnings)
+    lines += [_lacking(comparison, name) for name in comparison.not_recorded]
     for name, output in comparison.outputs.items():
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
@@ -76,6 +81,18 @@ def comparison_text(comparison: Comparison) -> str:
     lines.append(_structured(comparison))
     lines += [f"  {region.says} (of {region.of}; {100 * region.share:.0f} % of its power)" for region in comparison.where]
     return "\n".join(lines)
+
+
+def warning_lines(warnings: Sequence[str]) -> list[str]:
+    """Warnings as the reports show them."""
+    return [f"warning: {text}" for text in warnings]
+
+
+def _lacking(comparison: Comparison, name: str) -> str:
+    """Which output is not compared, in which records."""
+    records = comparison.not_recorded[name]
+    where = f" in {', '.join(records)}" if len(records) < len(comparison.records) else ""
+    return f"{name}: not compared{where}, for no column holds it (map one: --map {name}=COLUMN)"
 
 
 def _structured(comparison: Comparison) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
 from residuum.service.commands.explain import Learned, Seconds
@@ -80,7 +81,8 @@ def improve_command(
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)
-    report(improvement.to_dict() | {"model_file": file}, improvement_text(improvement.found, file), as_json=as_json)
+    text = "\n".join([*warning_lines(improvement.warnings), improvement_text(improvement.found, file)])
+    report(improvement.to_dict() | {"model_file": file}, text, as_json=as_json)
 
 
 def names_of(texts: Sequence[str] | None) -> list[str]:
