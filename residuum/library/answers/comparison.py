@@ -24,6 +24,7 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
                 "fit_percent": output.fit_percent,
                 "bias": output.bias,
                 "noise_floor": output.noise_floor,
+                "noise_at_most": output.noise_at_most,
                 "k_step": [{"samples": steps, "rmse": rmse} for steps, rmse in output.k_step.items()],
             }
             for name, output in comparison.outputs.items()
@@ -37,7 +38,12 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
             "p_value": comparison.p_value,
             "share": comparison.share,
             "outputs": {
-                name: {"present": test.present, "p_value": test.p_value, "share": test.share}
+                name: {
+                    "present": test.present,
+                    "p_value": test.p_value,
+                    "share": test.share,
+                    "times_noise": comparison.times_noise(name),
+                }
                 for name, test in comparison.structured.items()
             },
         },
@@ -69,9 +75,10 @@ def comparison_text(comparison: Comparison) -> str:
     lines += warning_lines(comparison.warnings)
     lines += [_lacking(comparison, name) for name in comparison.not_recorded]
     for name, output in comparison.outputs.items():
+        noise = "at most" if output.noise_at_most else "floor"
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
-            f"bias {output.bias:.3g} {output.unit}, noise floor {output.noise_floor:.3g} {output.unit}"
+            f"bias {output.bias:.3g} {output.unit}, noise {noise} {output.noise_floor:.3g} {output.unit}"
         )
     for name, balance in comparison.balances.items():
         lines.append(
@@ -101,7 +108,10 @@ def _structured(comparison: Comparison) -> str:
         return "structured error: not told; the records are too short to tell an error from noise"
     if not comparison.present:
         return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
-    return f"structured error: yes ({chance(comparison.p_value)}, {100 * comparison.share:.0f} % of the error's power)"
+    said = f"structured error: yes ({chance(comparison.p_value)}, {100 * comparison.share:.2g} % of the error's power)"
+    present = [name for name, test in comparison.structured.items() if test.present]
+    times = max(comparison.times_noise(name) for name in present)
+    return said if times > 1.0 else f"{said}; it is within the noise, {times:.2g} times as large"
 
 
 def _parts(comparison: Comparison) -> list[str]:
