@@ -108,7 +108,9 @@ def _structured(comparison: Comparison) -> str:
         return "structured error: not told; the records are too short to tell an error from noise"
     if not comparison.present:
         return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
-    said = f"structured error: yes ({chance(comparison.p_value)}, {100 * comparison.share:.2g} % of the error's power)"
+    percent = 100 * comparison.share
+    share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
+    said = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
     present = [name for name, test in comparison.structured.items() if test.present]
     times = max(comparison.times_noise(name) for name in present)
     return said if times > 1.0 else f"{said}; it is within the noise, {times:.2g} times as large"

@@ -21,6 +21,7 @@ from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,
@@ -35,7 +36,9 @@ from residuum.service.commands.weight_options import (
 app = typer.Typer(add_completion=False)
 
 _NO_LIMITS = (-math.inf, math.inf)
-_NOT_OF_SEVERAL = "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --export or --limits"
+_NOT_OF_SEVERAL = (
+    "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --plot, --export or --limits"
+)
 
 
 @app.callback()
@@ -92,16 +95,18 @@ def design(
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Limits of the actuator in the exported code, in the unit of the plant's input."),
     ] = _NO_LIMITS,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Design a controller; exit status 1 when no controller of the structure meets the aim."""
     check_output_file(out)
     _check_export(export, limits)
+    check_plot(plot)
     described = {"aim": aim, "structure": structure, "models": [str(file) for file in identified]}
     choice = WeightChoice(epsilon, zeta, rule, weight_order, points, lowest)
     try:
         if any(is_multivariable(file) for file in identified):
-            if len(identified) > 1 or joined or fix or within or export or limits != _NO_LIMITS:
+            if len(identified) > 1 or joined or plot or fix or within or export or limits != _NO_LIMITS:
                 raise BadInput(_NOT_OF_SEVERAL)
             wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time)
             several = design_multivariable(identified[0], structure=structure, wishes=wishes, weight=choice, seed=seed)
@@ -135,6 +140,7 @@ def design(
         write_whole(export[1], LANGUAGES[export[0]](equation))
         result["exported"] = str(export[1])
     write_whole(out, json.dumps(result, indent=1))
+    result |= drawn(plot, [controller], f"{structure} controller")
     report(result, design_text(result), as_json=as_json)
 
 
