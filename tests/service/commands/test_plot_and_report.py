@@ -3,7 +3,9 @@
 import json
 import sys
 
+import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import residuum as rs
 from residuum.diagnosis.diagnosers.bearing import Bearing
@@ -16,7 +18,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("pictures")
     rs.simulate("linear-axis", duration=4.0, seed=1).save(place / "axis.csv")
-    rs.simulate("process", duration=60.0, seed=2).save(place / "process.csv")
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], 100), 6)
+    y = lfilter([0.0, 0.4], [1.0, -0.8], u) + rng.normal(0.0, 0.05, 600)
+    rs.from_arrays({"u": u, "y": y}, units={"u": "V", "y": "V"}, sample_time=0.1).save(place / "plant.csv")
     rs.Record(**vars_of(Bearing.examples()[0].faulty[1])).save(place / "bearing.npz")
     return place
 
@@ -25,14 +30,14 @@ def vars_of(record):
     return {name: getattr(record, name) for name in ("channels", "units", "sample_time", "source")}
 
 
-AXIS = "--input force --output velocity --method oe --order 1 --delay 1"
+PLANT = "--input u --output y --method oe --order 1 --delay 1"
 DRAWN = {
     "compare": ("compare linear-axis axis.csv", DONE, "velocity"),
     "explain": ("explain linear-axis axis.csv --effects viscous-friction", DONE, "What linear-axis lacks"),
     "improve": ("improve linear-axis axis.csv --add viscous-friction --out better.yaml", DONE, "viscous-friction"),
-    "identify": (f"identify axis.csv {AXIS} --out axis.json", DONE, "response"),
+    "identify": (f"identify plant.csv {PLANT} --out plant.json", DONE, "response"),
     "score": ("score bearing bearing.npz --orders bpfi=5.4152,bpfo=3.5848", ANSWER_IS_NO, "indicators over their thresholds"),
-    "control": ("control design axis.json --structure pi --out controller.json", DONE, "step of the reference"),
+    "control": ("control design plant.json --structure pi --out controller.json", DONE, "step of the reference"),
 }
 
 
@@ -78,7 +83,7 @@ def test_a_report_is_one_page_without_scripts_that_holds_the_answer_and_the_reco
     page = (folder / "axis.html").read_text(encoding="utf-8")
     assert "structured error" in page and page.count("<svg") == 2 and "error of velocity" in page
     assert "<script" not in page and "http://" not in page.replace("http://www.w3.org/2000/svg", "")
-    assert run(["report", "axis.csv", "process.csv", "--out", "both.html"]) == DONE
+    assert run(["report", "axis.csv", "plant.csv", "--out", "both.html"]) == DONE
     assert (folder / "both.html").read_text(encoding="utf-8").count("<svg") == 2
 
 

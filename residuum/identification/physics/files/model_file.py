@@ -67,7 +67,7 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
         )
     if not path.is_file():
         raise BadModel(
-            f"model {str(name_or_path)!r}: no such file; {known_names(name_or_path, BUILT_IN, 'the built-in models are')}"
+            f"model {str(name_or_path)!r}: no such file; {known_names(path.stem, BUILT_IN, 'the built-in models are')}"
         )
     if path.suffix.lower() in LINEAR:
         from residuum.identification.physics.files.linear_model import read_linear_file  # noqa: PLC0415  SciPy, for these alone
