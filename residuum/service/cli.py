@@ -1,15 +1,18 @@
 """The console command `residuum`: one file a command in `commands/`, loaded when it is called."""
 
 import os
+import re
 import signal
 import sys
 import traceback
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.commands import COMMANDS
 from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
@@ -30,7 +33,7 @@ def run(arguments: list[str]) -> int:
         return DONE
     name, *rest = arguments
     if name not in COMMANDS:
-        return _refuse(f"command {name!r}: there is none of this name; known are {', '.join(COMMANDS)}")
+        return _refuse(f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}")
     try:
         if fmus := [argument for argument in rest if argument.lower().endswith(".fmu")]:
             apart = import_module("residuum.service.commands.fmu_process")
@@ -43,7 +46,7 @@ def run(arguments: list[str]) -> int:
     except typer.Exit as done:
         return done.exit_code
     except _UsageError as error:
-        return _refuse(f"{name}: {getattr(error, 'format_message', error.__str__)()}")
+        return _refuse(f"{name}: {_usage(error)}")
     except BadInput as error:
         return _refuse(str(error))
     except (typer.Abort, KeyboardInterrupt):
@@ -63,6 +66,21 @@ def _overview() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name:<{width}}  {says}" for name, (_, says) in COMMANDS.items()]
     return "\n".join(["usage: residuum COMMAND [--help]", "", *lines, ""])
+
+
+def _usage(error: Any) -> str:
+    """What is wrong with a command's words: typer's own sentence, but for a name, which is refused as all names are."""
+    says = str(getattr(error, "format_message", error.__str__)())
+    command = getattr(getattr(error, "ctx", None), "command", None)
+    if option := getattr(error, "option_name", None):
+        options = [each for parameter in command.params for each in (*parameter.opts, *parameter.secondary_opts)]
+        return f"there is no option {option}; {known_names(option, [each for each in options if each.startswith('-')])}"
+    if unknown := re.match(r"No such command '([^']*)'", says):
+        return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
+    if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):
+        known = known_names(choice[2], re.findall(r"'([^']*)'", choice[3]), "must be one of")
+        return f"{choice[1]} {choice[2]!r}: {known}"
+    return says
 
 
 def _refuse(message: str) -> int:

@@ -16,6 +16,7 @@ import structlog
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.settings import MachineSettings
@@ -285,6 +286,5 @@ def _refuse_unknown(settings: MachineSettings, there: Collection[str]) -> None:
     """BadInput for a name in `channels` that the bus has not."""
     for name, bus in settings.channels.items():
         if bus not in there:
-            raise BadInput(
-                f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; it has {', '.join(sorted(there))}"
-            )
+            known = known_names(bus, sorted(there), "it has")
+            raise BadInput(f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; {known}")

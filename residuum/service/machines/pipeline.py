@@ -10,6 +10,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
@@ -172,7 +173,7 @@ class Pipeline:
 
     def _line(self, asset: str) -> MachineLine:
         if asset not in self._lines:
-            raise NotFound(f"machine {asset!r}: there is none of this name; known are {', '.join(self._lines) or 'none'}")
+            raise NotFound(f"machine {asset!r}: there is none of this name; {known_names(asset, self._lines)}")
         return self._lines[asset]
 
     def status(self) -> dict[str, Any]:
@@ -198,7 +199,7 @@ class Pipeline:
         """Send the order over the machine's own bus: `none` clears all; size None takes the default, 0 clears."""
         source = self._fault_source(machine)
         if fault != "none" and fault not in source.fault_ids:
-            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; known are none, {', '.join(source.fault_ids)}")
+            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; {known_names(fault, ['none', *source.fault_ids])}")
         orders = [(name, 0.0) for name in source.fault_ids] if fault == "none" else [(fault, -1.0 if size is None else size)]
         try:
             for name, wanted in orders:

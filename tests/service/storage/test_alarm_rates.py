@@ -67,3 +67,11 @@ def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
         near = Finding("bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-")
         assert alarms.follow(connection, "a", None, near, NOW, AlarmRule(deadband=0.1)) == []
         assert len(alarms.follow(connection, "a", None, near, NOW, AlarmRule())) == 1
+
+
+def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(database):
+    calm = Finding("bearing", "healthy", indicators={"kurtosis": 3.0}, thresholds={"kurtosis": 6.0}).without_baseline("kurtosis")
+    with database.write() as connection:
+        see(connection, "a", "faulty", 100)
+        (cleared,) = alarms.follow(connection, "a", None, calm, NOW, PLAIN)
+        assert (cleared.kind, cleared.condition) == ("machine", False)

@@ -11,6 +11,7 @@ from residuum.identification.physics.files.dimension import Dimension, dimension
 from residuum.identification.physics.files.expression import Call, Expression, Name, Node, Operation, Place, evaluate, walk
 from residuum.identification.physics.files.yaml_tree import Table
 from residuum.identification.physics.model import Balance, Output, PhysicalModel, State
+from residuum.nearest_names import known_names
 
 _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
     "torque": ("mN*m", "N*cm", "N*mm", "kN*m"),
@@ -57,7 +58,9 @@ def _known_names(model: PhysicalModel) -> None:
     for expression in _expressions(model):
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
-                raise node.place.refuse(f"name {node.name!r} is not declared; there are {', '.join(sorted(known))}")
+                raise node.place.refuse(
+                    f"name {node.name!r} is not declared; {known_names(node.name, sorted(known), 'there are')}"
+                )
 
 
 def _inputs(model: PhysicalModel, tree: Table) -> None:

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from residuum.identification.errors import BadModel
+from residuum.nearest_names import known_names
 
 FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "der": (1, 1),
@@ -294,7 +295,9 @@ class _Parser:
 
     def _call(self, function: _Token) -> Node:
         if function.text not in FUNCTIONS:
-            raise function.place.refuse(f"function {function.text!r} is not known; there are {', '.join(FUNCTIONS)}")
+            raise function.place.refuse(
+                f"function {function.text!r} is not known; {known_names(function.text, FUNCTIONS, 'there are')}"
+            )
         operands = [self._sum()]
         while self._accept(","):
             operands.append(self._sum())

@@ -34,7 +34,8 @@ def follow(connection: Connection, asset: str, window: int, finding: Finding, no
         return []
     rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
     changed = []
-    for kind, faulty in _SHOWN[finding.verdict]:
+    # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing keeps it.
+    for kind, faulty in _SHOWN[Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict]:
         row = rows.get(kind)
         if row is None and not faulty:
             continue
