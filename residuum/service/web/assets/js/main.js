@@ -9,6 +9,7 @@ import { machinesOfPlant, readAll, readStatus, subscribe, take } from "./lib/pla
 import { savePicture, saveReport } from "./lib/report_file.js";
 import { interfacePage, settingsPage } from "./pages/about.js";
 import { alarmHistoryPage } from "./pages/alarm_history.js";
+import { bearingPage } from "./pages/bearing.js";
 import { controlPage } from "./pages/control.js";
 import { effectsPage } from "./pages/effects.js";
 import { identifyPage } from "./pages/identify.js";
@@ -25,6 +26,7 @@ const PAGES = [
   [/^#\/identify(?:\?(.*))?$/, (place, query) => identifyPage(place, query)],
   [/^#\/control(?:\?(.*))?$/, (place, query) => controlPage(place, query)],
   [/^#\/alarms(?:\?(.*))?$/, (place, query) => alarmHistoryPage(place, query)],
+  [/^#\/bearing(?:\?(.*))?$/, (place, query) => bearingPage(place, query)],
   [/^#\/interface$/, (place) => interfacePage(place)],
   [/^#\/settings$/, (place) => settingsPage(place)],
   [/^#\/effects$/, (place) => effectsPage(place)],
@@ -50,6 +52,7 @@ function navigation() {
     ["#/workbench", "Workbench"],
     ["#/identify", "Identify"],
     ["#/control", "Control"],
+    ["#/bearing", "Bearing"],
     ["#/effects", "Effects"],
     ["#/failure-modes", "Failure modes"],
   ];
