@@ -17,14 +17,10 @@ def service(run_service, no_machines):
 def test_a_bearing_is_scored_from_an_uploaded_record(service, open_page, legible, tmp_path, size):
     case = Bearing.examples()[0]
     write_record(case.faulty[0], tmp_path / "bearing.npz")
-    page = open_page(service.url, size=size, expected=["422"])
+    page = open_page(service.url, size=size)
     page.get_by_role("link", name="Bearing").click()
     page.get_by_label("Upload a vibration record").set_input_files(tmp_path / "bearing.npz")
     expect(page.get_by_label("record", exact=True).locator("option:checked")).to_contain_text("bearing.npz")
-    page.get_by_label("inner race, BPFI").fill("5.4152")
-    page.get_by_label("shaft speed [rpm]").fill("0.001")
-    page.get_by_role("button", name="Score").click()
-    expect(page.get_by_role("alert").filter(has_text="speed").or_(page.locator("main .title .badge"))).to_be_visible()
     page.get_by_label("shaft speed [rpm]").fill("1800")
     for line, order in {"inner race, BPFI": 5.4152, "outer race, BPFO": 3.5848, "ball, BSF": 2.357, "cage, FTF": 0.398}.items():
         page.get_by_label(line).fill(str(order))
