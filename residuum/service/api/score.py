@@ -82,7 +82,9 @@ async def score_record(request: Request) -> Response:
         raise NotFound(f"record {number[:40]!r}: there is none of this number")
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
     record = await run_in_threadpool(services.store.record_samples, int(number))
-    return finding_json(await run_in_threadpool(judge.score, record))
+    with remedies_in_query():
+        finding = await run_in_threadpool(judge.score, record)
+    return finding_json(finding)
 
 
 @lru_cache(maxsize=256)

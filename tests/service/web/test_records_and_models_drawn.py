@@ -121,9 +121,9 @@ def test_errors_that_span_decades_are_drawn_over_factors(service, open_page, siz
 @pytest.mark.parametrize("size", SIZES)
 def test_models_are_compared_and_tell_their_residuals_poles_and_zeros(service, open_page, legible, size):
     page = open_page(f"{service.url}/#/identify", size=size)
-    page.get_by_label("input", exact=True).select_option("u")
-    page.get_by_label("output", exact=True).select_option("y")
-    page.get_by_label("method", exact=True).select_option("arx")
+    page.locator("[data-key=input]").select_option("u")
+    page.locator("[data-key=output]").select_option("y")
+    page.locator("[data-key=method]").select_option("arx")
     page.locator("[data-key=order]").fill("1, 2")
     page.locator("[data-key=compare-methods]").click()
     page.locator("[data-key=also-kernel]").check()

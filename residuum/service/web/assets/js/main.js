@@ -162,6 +162,7 @@ async function start() {
   reports();
   let asked = false;
   const ask = (refusal) => {
+    connection("locked");
     if (!asked) askForKey(refusal.replace(/[.]$/, ""));
     asked = true;
   };

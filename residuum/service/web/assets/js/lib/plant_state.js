@@ -151,7 +151,7 @@ export function shownState(asset, machine) {
 }
 
 const GAPS = 4; // windows that may be late before a machine is no longer live
-const AT_LEAST = 15; // seconds
+const AT_LEAST = 30; // seconds
 const OF_THE_FIRST = 60; // seconds, while one window does not yet say how often they come
 
 // Whether windows of a machine are judged now: nothing else is told of it, and the last is no older than a few of the usual gaps.
