@@ -141,7 +141,7 @@ export function bearingPage(place, query) {
             ? records.map((each) => [String(each.id), `${each.id} · ${each.name.slice(0, 60)}`])
             : [["", "none yet"]],
         ),
-        figure("speed", "shaft speed [rpm]", "from the record's speed channel"),
+        figure("speed", "shaft speed [rpm]", "from its channel"),
         choose("unit", "frequencies in", Object.entries(UNITS)),
         Object.entries(LINES).map(([key, label]) => figure(key, label, "not looked for")),
         choose("baseline", "held against", [

@@ -147,7 +147,7 @@ function head(name, asset, machine) {
       { class: "facts" },
       fact("Diagnoser", asset?.diagnoser ?? machine?.diagnoser ?? "–"),
       ...methods(finding),
-      fact("Last window", finding ? freshness(asset, machine) : "none yet"),
+      fact("Judged last", finding ? freshness(asset, machine) : "none yet"),
       fact("Windows kept", count(asset?.windows ?? 0)),
     ),
   );
