@@ -291,7 +291,7 @@ function scale(shares, narrow) {
   const [least, largest] = [Math.min(...positive), Math.max(...positive)];
   if (largest / least < SPANS_DECADES) return { range: [0, largest * (narrow ? 1.5 : 1.15)] };
   const [low, high] = [Math.log10(least) - 0.5, Math.log10(largest)];
-  return { type: "log", range: [low, high + (high - low) * (narrow ? 0.5 : 0.15)], exponentformat: "power", dtick: 1 };
+  return { type: "log", range: [low, high + (high - low) * (narrow ? 0.5 : 0.15)], tickformat: "~g", dtick: 1 };
 }
 
 async function drawOverlay(place, bench, before) {
