@@ -111,6 +111,23 @@ class AlarmAnswer(BaseModel):
     window: int | None
 
 
+class AlarmOccurrenceAnswer(BaseModel):
+    """One time that an alarm was raised, and what became of it."""
+
+    id: int
+    alarm: int
+    asset: str
+    kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
+    raised_at: datetime
+    cleared_at: datetime | None = Field(description="null: it stands.")
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    comments: list[str]
+    message: str | None = Field(description="Of the finding that raised it; null where its row was let go.")
+    times_threshold: float | None = Field(description="The largest indicator over its threshold when it was raised.")
+    window: int | None
+
+
 class AlarmRatesAnswer(BaseModel):
     """How often alarms are raised (ANSI/ISA-18.2, clause 16)."""
 

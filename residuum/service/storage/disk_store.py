@@ -23,11 +23,22 @@ from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
 from residuum.service.storage.database import Database, OutcomeUnknown, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
-from residuum.service.storage.rows import alarms, assets, block_rows, finding_hours, finding_notices, models, records, windows
+from residuum.service.storage.rows import (
+    alarm_history,
+    alarms,
+    assets,
+    block_rows,
+    finding_hours,
+    finding_notices,
+    models,
+    records,
+    windows,
+)
 from residuum.service.storage.same_place import SamePlace
 from residuum.service.store import (
     Alarm,
     AlarmEntry,
+    AlarmOccurrence,
     AlarmRates,
     Asset,
     AuditEntry,
@@ -266,10 +277,12 @@ class DiskStore:
         with self._database.read() as connection:
             return assets.finding_of(connection, window)
 
-    def indicators(self, asset: str, limit: int = 500) -> IndicatorHistory:
-        """Indicators and thresholds of the newest findings, oldest first."""
+    def indicators(
+        self, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
+    ) -> IndicatorHistory:
+        """Indicators and thresholds of the newest findings, or of at most so many spread over a span; oldest first."""
         with self._database.read() as connection:
-            return assets.indicators(connection, asset, limit)
+            return assets.indicators(connection, asset, limit, span)
 
     def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
         """Hourly history of the findings whose rows were let go, oldest first."""
@@ -334,6 +347,18 @@ class DiskStore:
         """What happened to an alarm, newest first."""
         with self._database.read() as connection:
             return alarms.journal(connection, alarm, limit)
+
+    def alarm_history(
+        self,
+        span: tuple[datetime | None, datetime | None] = (None, None),
+        asset: str | None = None,
+        cursor: str | None = None,
+        limit: int = 100,
+        sites: Collection[str] | None = None,
+    ) -> Page[AlarmOccurrence]:
+        """Alarms that were raised in a span of time (None: open), the newest first, each with what became of it."""
+        with self._database.read() as connection:
+            return alarm_history.page(connection, span, asset=asset, cursor=cursor, limit=limit, sites=sites)
 
     def operate_alarm(
         self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
