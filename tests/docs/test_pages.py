@@ -28,10 +28,9 @@ def blocks(page, language):
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", [p for p in WRITTEN_BY_HAND if blocks(p, "pycon")], ids=lambda page: page.stem)
-def test_the_code_of_a_page_does_what_it_shows(page, run_page):
-    failures, tries = run_page(page)
-    assert failures == 0 and tries > 0
+@pytest.mark.parametrize("page", [ROOT / "README.md", DOCS / "index.md", *WRITTEN_BY_HAND], ids=lambda page: page.stem)
+def test_a_page_typed_in_an_empty_folder_does_what_it_shows(page, run_page):
+    assert "\n".join(run_page(page)) == ""
 
 
 @pytest.mark.parametrize("page", WRITTEN_BY_HAND, ids=lambda page: page.stem)
