@@ -3,8 +3,8 @@
 What a page says of its blocks:
 
 * ```sh: typed as it stands.
-* ```console: what follows `$ ` is typed; the lines below are what it prints. `…` stands for lines that are
-  left out, and a number may differ in its last printed digit. Without lines below, nothing is compared.
+* ```console: what follows `$ ` is typed; the lines below are what it prints. `…` stands for lines or
+  the end of a line left out, and a number may differ in its last printed digit. Without lines below, nothing is compared.
 * ```pycon and ```python: typed into one Python that lives as long as the page.
 * `<!-- file: NAME -->` above a block: it is the content of that file. `<!-- not run: REASON -->`: it is not run.
 * A command that serves (`residuum serve`) goes on until the page ends, and is then interrupted as by Ctrl-C.
@@ -34,7 +34,7 @@ TYPED = ("sh", "console", "pycon", "python")
 SHOWN = ("yaml", "json", "toml", "text")
 INDENTED = re.compile(r"\n\n    \S[^\n]*")
 SERVES = re.compile(r"(\w+=\S+ )*residuum (serve|machine) ")
-EXTRAS = {"notebook": ("pandas", "xarray", "control"), "fmi": ("fmpy",), "formats": ("nptdms", "asammdf", "pyuff", "h5py")}
+EXTRAS = {"notebook": ("pandas", "xarray", "control"), "fmi": ("fmpy",), "opcua": ("asyncua",), "formats": ("asammdf", "h5py")}
 NUMBER = re.compile(r"-?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 PATIENCE = 300.0
 
@@ -78,7 +78,10 @@ def unit_in_the_last_place(number):
 
 
 def alike(shown, printed):
-    """Whether two texts say the same, blanks and the last printed digit of each number aside."""
+    """Whether two texts say the same, blanks and the last printed digit of each number aside; `…` at the end leaves words out."""
+    if shown.endswith(" …"):
+        shown = shown.removesuffix(" …")
+        printed = " ".join(printed.split()[: len(shown.split())])
     if NUMBER.sub("#", shown).split() != NUMBER.sub("#", printed).split():
         return False
     pairs = zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
@@ -163,7 +166,7 @@ class Reader:
             ["bash", "-ec", typed], env=self.environment, capture_output=True, text=True, timeout=PATIENCE, check=False
         )
         answered = ended.returncode == 1 and typed.startswith("residuum ")  # the answer is no: README, exit statuses
-        if ended.returncode and not answered:
+        if (ended.returncode and not answered) or "Warning: " in ended.stderr:
             self._fail(number, typed, f"status {ended.returncode}: {ended.stdout}{ended.stderr}")
         return ended.stdout.rstrip().splitlines()
 
