@@ -1,12 +1,14 @@
 """`residuum serve`: the service, with `--demo` together with its simulated machines."""
 
 import asyncio
+import shutil
 import signal
 import socket
 import ssl
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -127,8 +129,13 @@ def _greeting(settings: Settings, port: int) -> str:
         lines.append(
             "Demo: three simulated machines; their diagnosers are being trained. Switch a fault on the page, or in another shell:"
         )
-        lines.append(f"  residuum fault process-plant sensor-offset --url {scheme}://{host}:{port}")
+        lines.append(f"  {_typed_command()} fault process-plant sensor-offset --url {scheme}://{host}:{port}")
     return "\n".join(lines) + "\n"
+
+
+def _typed_command() -> str:
+    """How this program is called from another shell: by its whole path where its environment is not on the PATH."""
+    return "residuum" if shutil.which("residuum") else str(Path(sys.prefix, "bin", "residuum"))
 
 
 def _check_certificate(settings: Settings) -> None:
