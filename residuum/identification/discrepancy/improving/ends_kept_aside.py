@@ -16,7 +16,7 @@ from residuum.identification.discrepancy.improving.held_out import Split, rmse_a
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, data_of
+from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import fitted
 
@@ -30,7 +30,7 @@ def steps_that_hold(
     the end than by the first. It is all of them where the records are too short to ask.
     """
     parts = split(records)
-    if min(r.n for r in parts.training) < FEWEST_TO_CUT or not parts.testing:
+    if not (parts.testing and long_enough([r.n for r in parts.training])):
         return len(models) - 1
     most = KEPT_RISE * _error(models[0], found, parts, mapping)
     for kept in reversed(range(1, len(models))):
