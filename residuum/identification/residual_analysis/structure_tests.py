@@ -66,7 +66,7 @@ def _rms(residuals: Sequence[FloatArray]) -> FloatArray:
     """Of each output; NaN where it was not measured."""
     joined = np.concatenate(residuals)
     count = np.isfinite(joined).sum(axis=0)
-    return np.sqrt(np.nansum(joined**2, axis=0) / np.where(count > 0, count, np.nan))
+    return np.asarray(np.sqrt(np.nansum(joined**2, axis=0) / np.where(count > 0, count, np.nan)))
 
 
 def structured_errors(

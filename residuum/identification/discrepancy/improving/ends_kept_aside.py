@@ -64,9 +64,9 @@ def _beyond(record: Record, others: Sequence[Record]) -> float:
         known = [other.channels[name] for other in others if name in other.channels]
         there = np.concatenate(known) if known else np.empty(0)
         if np.isfinite(values).any() and np.isfinite(there).any():
-            low, high = np.nanmin(there), np.nanmax(there)
-            out = max(float(low - np.nanmin(values)), float(np.nanmax(values) - high))
-            far = max(far, out / max(float(high - low), 1e-300))
+            low, high = float(np.nanmin(there)), float(np.nanmax(there))
+            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
+            far = max(far, out / max(high - low, 1e-300))
     return far
 
 
