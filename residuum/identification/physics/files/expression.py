@@ -55,9 +55,9 @@ class Place:
         """The place `columns` characters further on the same line."""
         return Place(self.source, self.line, self.column + columns)
 
-    def refuse(self, message: str) -> BadModel:
-        """The BadModel that says `message` of this place."""
-        return BadModel(f"{self.source}, line {self.line}, column {self.column}: {message}")
+    def refuse(self, message: str, error: type[BadModel] = BadModel) -> BadModel:
+        """The error that says `message` of this place."""
+        return error(f"{self.source}, line {self.line}, column {self.column}: {message}")
 
 
 @dataclass(frozen=True)
