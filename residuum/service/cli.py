@@ -71,7 +71,7 @@ def _overview() -> str:
 def _usage(error: Any) -> str:
     """What is wrong with a command's words: typer's own sentence, but for a name, which is refused as all names are."""
     says = str(getattr(error, "format_message", error.__str__)())
-    command = getattr(getattr(error, "ctx", None), "command", None)
+    command: Any = getattr(getattr(error, "ctx", None), "command", None)
     if option := getattr(error, "option_name", None):
         options = [each for parameter in command.params for each in (*parameter.opts, *parameter.secondary_opts)]
         return f"there is no option {option}; {known_names(option, [each for each in options if each.startswith('-')])}"

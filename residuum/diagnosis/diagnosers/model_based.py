@@ -106,7 +106,7 @@ class ModelBased(Diagnoser):
             super().with_settings(method=settings.pop("method"))
         kept = {name: getattr(self, name) for name in _SETTINGS}
         try:
-            other = type(self)(model=self.model, **(kept | settings))  # type: ignore[arg-type]
+            other = type(self)(model=self.model, **(kept | settings))
         except TypeError:
             first = next(name for name in settings if name not in _SETTINGS)
             raise BadInput(

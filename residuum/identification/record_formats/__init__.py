@@ -63,7 +63,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     if ending in CAN_LOGS:
         raise BadRecord(f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)")
     if reader is None:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; {known_names(ending, READERS | LOGGERS | OLDER)}")
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; {known_names(ending, [*READERS, *LOGGERS, *OLDER])}")
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import Connection, Row, Select, select
 
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage.rows import paging
@@ -26,7 +26,7 @@ def page(
 ) -> Page[AlarmOccurrence]:
     """Alarms that were raised in [begin, end), None for an open end, the newest first."""
     begin, end = span
-    query = (
+    query: Select[Any] = (
         select(alarm_journal.c.id, alarm_journal.c.alarm_id, alarm_journal.c.at, alarms.c.asset_id, alarms.c.kind)
         .join_from(alarm_journal, alarms)
         .where(alarm_journal.c.event == AlarmEvent.RAISE.value, paging.of_sites(alarms.c.asset_id, sites))
