@@ -37,11 +37,12 @@ def test_one_block_alone_is_no_fault_and_health_stays_health():
 
 
 def test_a_gap_is_never_healthy_and_a_fault_beside_it_still_counts():
+    trained = Bearing(orders=ORDERS, speed_rpm=1800).fit([recording([None] * BLOCKS)])
     for fault, expected in ((None, Verdict.NOT_ASSESSABLE), ("bpfi", Verdict.FAULTY)):
         record = recording([fault] * BLOCKS)
         x = record["a"].copy()
         x[3 * BLOCK + 5] = np.nan
-        found = judged(Record({"a": x}, {"a": "g"}, 1 / RATE))
+        found = score_in_blocks("bearing", trained.score, Record({"a": x}, {"a": "g"}, 1 / RATE), BLOCK)
         assert found.verdict is expected and ("block 4 of 6" in found.reason) is (fault is None)
 
 

@@ -27,7 +27,8 @@ def database(tmp_path):
 def see(connection, asset, verdict, seconds_ago, rule=PLAIN):
     now = NOW - timedelta(seconds=seconds_ago)
     assets.ensure(connection, asset, None, "bearing", now)
-    return alarms.follow(connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule)
+    followed = alarms.follow(connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule)
+    return [each.alarm for each in followed]
 
 
 def test_a_flood_a_chattering_and_a_stale_alarm(database):
@@ -74,4 +75,4 @@ def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(da
     with database.write() as connection:
         see(connection, "a", "faulty", 100)
         (cleared,) = alarms.follow(connection, "a", None, calm, NOW, PLAIN)
-        assert (cleared.kind, cleared.condition) == ("machine", False)
+        assert (cleared.alarm.kind, cleared.alarm.condition) == ("machine", False)
