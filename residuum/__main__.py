@@ -1,5 +1,5 @@
 """`python -m residuum`: the command line."""
 
-from residuum.service.entry import main
+from residuum.service.cli import main
 
 main()

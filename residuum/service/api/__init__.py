@@ -22,7 +22,6 @@ from residuum.service.api import (
     records,
     results,
     score,
-    service_settings,
     simulations,
     sources,
     tables,
@@ -59,6 +58,5 @@ ROUTERS: tuple[APIRouter, ...] = (
     jobs.router,
     events.router,
     sources.router,
-    service_settings.router,
 )
 """The routes under /api/v1."""
