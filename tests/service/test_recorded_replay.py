@@ -19,8 +19,8 @@ from residuum.service.simulated.demo_training import DIAGNOSER_OF
 RECORDED = Path(__file__).parents[1] / "recorded"
 CUT = {"gate-actuator": "movement", "gripping-pliers": "round", "process-plant": "sliding"}
 CASES = [
-    ("gate-actuator", "gate_actuator.blf", 4.0, ["healthy", "faulty"]),
-    ("gripping-pliers", "gripping_pliers.blf", 4.0, ["healthy"] * 3 + ["faulty"] * 3),
+    ("gate-actuator", "gate_actuator.blf", 1.0, ["healthy", "faulty"]),
+    ("gripping-pliers", "gripping_pliers.blf", 1.0, ["healthy"] * 3 + ["faulty"] * 3),
     ("process-plant", "process_plant.trace", 20.0, ["healthy"] * 3 + ["faulty"] * 7),
 ]
 

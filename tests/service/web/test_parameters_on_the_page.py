@@ -1,6 +1,6 @@
 """A machine's page shows causes, a second opinion that disagrees, and parameters as control charts with the time to a limit."""
 
-import time
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from playwright.sync_api import expect
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
+from residuum.service.storage import disk_store
 
 FRICTION = {
     "kind": "effect",
@@ -27,7 +28,7 @@ MISSING = {"effect": "quadratic-drag", "place": "shaft", "parameters": {}}
 @pytest.fixture(scope="module")
 def worn_fan(run_service):
     service = run_service()
-    rng = np.random.default_rng(3)
+    rng, begin = np.random.default_rng(3), datetime.now(UTC) - timedelta(minutes=30)
     for k in range(30):
         record = Record({"speed": rng.standard_normal(100)}, {"speed": "rad/s"}, 0.01, t0=float(k))
         value = {"value": 1.0 + 0.02 * k + 0.02 * rng.standard_normal(), "std": 0.02, "unit": "ohm"}
@@ -41,8 +42,9 @@ def worn_fan(run_service):
         finding = Finding(
             "model-based", "faulty" if faulty else "healthy", "effect" if faulty else None, reason="a test", evidence=evidence
         )
-        service.services.store.add_window("fan", record, finding)
-        time.sleep(0.02)
+        with pytest.MonkeyPatch.context() as clock:  # windows come evenly, however busy this computer is
+            clock.setattr(disk_store, "_now", lambda moment=begin + k * timedelta(minutes=1): moment)
+            service.services.store.add_window("fan", record, finding)
     return service
 
 
