@@ -68,11 +68,14 @@ def _kept_folder(config, tmp_path_factory):
         place = tmp_path_factory.getbasetemp()
         place = place.parent if "PYTEST_XDIST_WORKER" in os.environ else place
     folder = place / digest
-    folder.mkdir(exist_ok=True)
-    os.utime(folder)
-    if hasattr(config, "cache"):
-        for old in sorted(place.iterdir(), key=lambda found: -found.stat().st_mtime)[VERSIONS_KEPT:]:
-            shutil.rmtree(old, ignore_errors=True)
+    with (place / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        folder.mkdir(exist_ok=True)
+        os.utime(folder)
+        if hasattr(config, "cache"):
+            kept = sorted((found for found in place.iterdir() if found.is_dir()), key=lambda found: -found.stat().st_mtime)
+            for old in kept[VERSIONS_KEPT:]:
+                shutil.rmtree(old)
     return folder
 
 
