@@ -21,6 +21,7 @@ LONGEST = (
     "tests/identification/discrepancy/test_explain.py",
     "tests/diagnosis/model_based/test_model_based.py",
     "tests/diagnosis/diagnosers/test_conformance.py",
+    "tests/diagnosis/model_based/test_recalibration.py",
     "tests/service/web/test_own_units.py",
     "tests/service/api/test_three_doors.py",
     "tests/service/api/test_analyses_api.py",

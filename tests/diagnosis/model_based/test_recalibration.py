@@ -38,15 +38,25 @@ def test_a_new_friction_is_not_learned(judge):
         judge.refuse_learning([_axis(200 + seed, friction=2.0) for seed in range(12)])
 
 
+@pytest.mark.parametrize("first", [300, 400])
+def test_healthy_windows_are_not_refused(judge, first):
+    judge.refuse_learning([_axis(first + seed) for seed in range(12)])
+
+
 def test_healthy_windows_are_learned_from(judge):
-    for first in (300, 400):
-        judge.refuse_learning([_axis(first + seed) for seed in range(12)])
     assert judge.relearned([_axis(600 + seed) for seed in range(8)]).baseline.windows == 8
 
 
-def test_a_new_friction_is_learned_where_the_user_has_accepted_it(judge):
-    windows = [_axis(700 + seed, friction=2.0) for seed in range(8)]
+@pytest.fixture
+def rubbing():
+    return [_axis(700 + seed, friction=2.0) for seed in range(8)]
+
+
+def test_a_new_friction_is_not_learned_where_the_user_has_accepted_another_effect(judge, rubbing):
     with pytest.raises(NothingLearned):
-        judge.relearned(windows, judge.model.with_effect("constant-load", "axis", {"tau_0": 0.0}))
-    accepted = judge.relearned(windows, judge.model.with_effect("coulomb-friction", "axis", {"tau_c": 2.0}))
+        judge.relearned(rubbing, judge.model.with_effect("constant-load", "axis", {"tau_0": 0.0}))
+
+
+def test_a_new_friction_is_learned_where_the_user_has_accepted_it(judge, rubbing):
+    accepted = judge.relearned(rubbing, judge.model.with_effect("coulomb-friction", "axis", {"tau_c": 2.0}))
     assert accepted.baseline.model.values["coulomb-friction@axis.tau_c"] == pytest.approx(2.0, rel=0.05)
