@@ -15,6 +15,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -105,8 +106,9 @@ class _Locator(InTreeCacheLocator):
 
 def _forget_oldest(versions: Path) -> None:
     """Remove what has not been used for longest; another process may do the same at the same time."""
-    for folder in sorted(versions.iterdir(), key=lambda folder: -folder.stat().st_mtime)[_KEPT:]:
-        shutil.rmtree(folder, ignore_errors=True)
+    with suppress(FileNotFoundError):
+        for folder in sorted(versions.iterdir(), key=lambda folder: -folder.stat().st_mtime)[_KEPT:]:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 class _KeptResult(CompileResultCacheImpl):
