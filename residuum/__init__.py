@@ -11,6 +11,8 @@ Every name below is loaded when it is first used, so that the import itself cost
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from residuum.nearest_names import known_names
+
 if TYPE_CHECKING:
     from residuum.identification.errors import BadInput, BadModel, BadRecord, BadUnit, NotIdentifiable
     from residuum.library import control
@@ -87,7 +89,7 @@ def __getattr__(name: str) -> Any:
     if name == "control":
         return import_module("residuum.library.control")
     if name not in _PLACE:
-        raise AttributeError(f"module 'residuum' has no attribute {name!r}; it has {', '.join(__all__)}")
+        raise AttributeError(f"module 'residuum' has no attribute {name!r}; {known_names(name, __all__, 'it has')}")
     found = getattr(import_module(f"residuum.{_PLACE[name]}"), name)
     globals()[name] = found
     return found

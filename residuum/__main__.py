@@ -1,5 +1,5 @@
 """`python -m residuum`: the command line."""
 
-from residuum.service.cli import main
+from residuum.service.entry import main
 
 main()

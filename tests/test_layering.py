@@ -17,8 +17,8 @@ MAY_IMPORT = {
     "library": {"identification", "diagnosis", "robust_control", "simulation"},
     "service": {"identification", "diagnosis", "robust_control", "simulation", "library"},
 }
-FOR_ALL = {"residuum.code_digest", "residuum.code_folder", "residuum.kept_loops"}
-"""How compiled code is kept: no physics and no method, so also the simulators may use it."""
+FOR_ALL = {"residuum.code_digest", "residuum.code_folder", "residuum.kept_loops", "residuum.nearest_names"}
+"""How compiled code is kept, and how a name is refused: no physics and no method, so also the simulators may use it."""
 ONLY_IN_SERVICE = {
     "fastapi",
     "starlette",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -24,6 +24,9 @@ TOLD_BESIDE = ("causes", "parameters", "false_alarms_per_day")
 
 RECORDED = "recorded_without_baseline"
 """Evidence of a window that was kept and not judged."""
+
+LIMITS_HOLD = "absolute_limits_hold"
+"""Evidence of a window that passes no absolute limit, and has no baseline by which it could be called healthy."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,16 @@ class Finding:
         """The finding on a window that came before there was a baseline: the window is kept to train one. It raises no alarm."""
         says = "there is no baseline yet: the window is recorded, so that one can be trained from it"
         return cls.not_assessable(diagnoser, says, **{RECORDED: True})
+
+    def without_baseline(self, held: str) -> Finding:
+        """This healthy finding as it may be said without a baseline: not assessable, with the absolute limits that it held."""
+        says = f"there is no baseline to compare with, so that health cannot be told; no absolute limit is passed: {held}"
+        return replace(self, verdict=Verdict.NOT_ASSESSABLE, evidence={**self.evidence, LIMITS_HOLD: True}, reason=says)
+
+    @property
+    def within_absolute_limits(self) -> bool:
+        """Whether every absolute limit holds, and no more can be said, because there was no baseline."""
+        return bool(self.evidence.get(LIMITS_HOLD))
 
     @property
     def only_recorded(self) -> bool:

@@ -59,6 +59,21 @@ class BadModel(BadInput):
     """
 
 
+class NoExplicitEquations(BadModel):
+    """A model whose equations cannot be made explicit: an algebraic loop, a division by zero, a function without a slope.
+
+    A search takes effects that raise it as none that can be tried here; whatever else an effect raises is a fault in it.
+
+    >>> from residuum.identification.physics import read_model
+    >>> winding = "{kind: voltage, storage: 0, terms: {supply: u, diode: -R * max(i, 0)}, current: i}"
+    >>> text = "inputs: {u: V}\\nparameters: {R: {value: 1, unit: ohm}}\\noutputs: {i: {value: i, unit: A}}"
+    >>> read_model(f"name: diode\\n{text}\\nbalances: {{winding: {winding}}}")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    residuum.identification.errors.NoExplicitEquations: ... algebraic loop: ...
+    """
+
+
 class NotIdentifiable(BadInput):
     """The data cannot determine what was asked for (too short, input does not excite, …).
 

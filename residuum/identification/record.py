@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord, BadUnit
 from residuum.identification.units import convert, parse_unit
+from residuum.nearest_names import known_names
 
 Signal = npt.NDArray[np.floating]
 
@@ -132,7 +133,9 @@ class Record:
         try:
             return self.channels[name]
         except KeyError:
-            raise BadRecord(f"record {self.source!r}: no channel {name!r}; there are {', '.join(self.names)}") from None
+            raise BadRecord(
+                f"record {self.source!r}: no channel {name!r}; {known_names(name, self.names, 'there are')}"
+            ) from None
 
     def in_unit(self, name: str, unit: str) -> npt.NDArray[np.float64]:
         """Channel `name` converted to `unit`, shape (n,).

@@ -36,7 +36,7 @@ class Comparison(Result):
     >>> record = rs.simulate("linear-axis", duration=2.0, seed=1)
     >>> comparison = rs.model("linear-axis").compare(record)
     >>> sorted(comparison.to_dict())
-    ['balances', 'model', 'outputs', 'records', 'structured_error', 'where']
+    ['balances', 'model', 'not_recorded', 'outputs', 'records', 'structured_error', 'warnings', 'where']
     """
 
     model: str

@@ -20,6 +20,7 @@ from residuum.library.picture import Curve, Panel, Picture
 from residuum.library.plant import Plant, load_plant, to_control
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
+from residuum.nearest_names import known_names
 from residuum.robust_control.certificates.time_domain import Measured, StepResponse, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
@@ -290,7 +291,7 @@ def design(
     'pi'
     """
     if structure not in STRUCTURES:
-        raise BadInput(f"structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
+        raise BadInput(f"structure {structure!r}: there is none of this name; {known_names(structure, STRUCTURES)}")
     wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time, low_gain, high_gain, critical_frequency)
     given: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
     loaded = [plant if isinstance(plant, Plant) else load_plant(plant) for plant in given]

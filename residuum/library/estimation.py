@@ -20,6 +20,7 @@ from residuum.identification.physics import (
 )
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
+from residuum.nearest_names import known_names
 
 Method = Callable[[PhysicalModel, Sequence[Experiment], int], Estimate]
 
@@ -65,7 +66,7 @@ def estimated(
         The model diverges on a record.
     """
     if method not in METHODS:
-        raise BadInput(f"method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
+        raise BadInput(f"method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     start, experiments = match(model, records, mapping, hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
     if hold == "auto":

@@ -21,6 +21,7 @@ from residuum.identification.linear_models.prediction_error import identify as i
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES, identify_regularised
 from residuum.identification.linear_models.set_membership_response import identify_set_membership
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 __all__ = [
     "CRITERIA",
@@ -211,8 +212,8 @@ def check_method(method: str, criterion: str, uncertainty: str = "own", input: s
             "method 'ar': models an output alone; leave the input out" if input else f"method {method!r}: needs an input"
         )
     if uncertainty not in UNCERTAINTIES:
-        raise BadInput(f"uncertainty {uncertainty!r}: there is none of this name; known are {', '.join(UNCERTAINTIES)}")
+        raise BadInput(f"uncertainty {uncertainty!r}: there is none of this name; {known_names(uncertainty, UNCERTAINTIES)}")
     if method not in METHODS:
-        raise BadInput(f"method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
+        raise BadInput(f"method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     if criterion not in CRITERIA:
-        raise BadInput(f"criterion {criterion!r}: there is none of this name; known are {', '.join(CRITERIA)}")
+        raise BadInput(f"criterion {criterion!r}: there is none of this name; {known_names(criterion, CRITERIA)}")

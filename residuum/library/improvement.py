@@ -10,6 +10,8 @@ import numpy as np
 
 from residuum.identification.discrepancy.improvement import Improvement as Improved
 from residuum.identification.physics import Estimate, Experiment
+from residuum.identification.physics.simulate.initial_values import begins_elsewhere
+from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.estimation import estimate_json, estimate_text
 from residuum.library.answers.improvement import improvement_json, improvement_text
 from residuum.library.picture import Bars, Curve, Panel, Picture, axis
@@ -29,6 +31,8 @@ class Improvement(Result, Generic[M]):
         The improved model, estimated on everything; `model.save("better.yaml")` writes it.
     found : Improvement
         The full numbers: `found.explanation`, `found.aside`, …
+    warnings : tuple of str
+        What of the model as it was the records contradict before anything is simulated.
 
     Examples
     --------
@@ -41,6 +45,7 @@ class Improvement(Result, Generic[M]):
 
     model: M
     found: Improved
+    warnings: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -54,10 +59,10 @@ class Improvement(Result, Generic[M]):
         return history
 
     def _answer(self) -> dict[str, Any]:
-        return improvement_json(self.found, None)
+        return improvement_json(self.found, None) | {"warnings": self.warnings}
 
     def __str__(self) -> str:
-        return improvement_text(self.found, None)
+        return "\n".join([*warning_lines(self.warnings), improvement_text(self.found, None)])
 
     def __repr__(self) -> str:
         return (
@@ -116,6 +121,7 @@ class Estimation(Result, Generic[M]):
 
     def _answer(self) -> dict[str, Any]:
         found = estimate_json(self.given, self.records, self.found)
+        found["warnings"] = begins_elsewhere(self.found.model, self.experiments)
         return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
 
     def __str__(self) -> str:

@@ -18,6 +18,7 @@ from residuum.identification.physics import (
     measured_parts,
     read_model,
 )
+from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
 from residuum.library.comparison import Comparison
@@ -240,12 +241,12 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
-        wanted = [add] if isinstance(add, str) else add
+        wanted, given = [add] if isinstance(add, str) else add, self._measured(records, map)
         with told(progress) as tell:
             ensure_compiled(tell)
             found = improve(
                 self.physical,
-                self._measured(records, map),
+                given,
                 map,
                 add=wanted,
                 effects=effects,
@@ -253,7 +254,7 @@ class Model(DescribedModel):
                 tell=tell,
                 **options,
             )
-        return Improvement(Model(found.model), found)
+        return Improvement(Model(found.model), found, begins_elsewhere(*match(self.physical, given, map)))
 
     def estimate(
         self, records: Records, *, map: Mapped = None, method: str = "simulation", steps: int = 50, hold: str = "auto"

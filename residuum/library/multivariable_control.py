@@ -9,6 +9,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable_file import load_multivariable
 from residuum.library.answers.multivariable_control import design_json
 from residuum.library.answers.plain import to_plain
+from residuum.nearest_names import known_names
 from residuum.robust_control.control_problem import STRUCTURES, WeightChoice, Wishes
 from residuum.robust_control.multivariable_control import MultivariableProblem
 
@@ -31,7 +32,7 @@ def design_multivariable(
         No controller of the structure meets the aim in a loop.
     """
     if structure not in STRUCTURES:
-        raise BadInput(f"structure {structure!r}: there is none of this name; known are {', '.join(STRUCTURES)}")
+        raise BadInput(f"structure {structure!r}: there is none of this name; {known_names(structure, STRUCTURES)}")
     problem = MultivariableProblem(load_multivariable(str(file)), seed, weight)
     found = problem.solve(STRUCTURES[structure](problem.sample_time), wishes or Wishes())
     asked = {"aim": "nominal", "structure": structure, "models": [str(file)]}

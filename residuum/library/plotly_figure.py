@@ -10,7 +10,7 @@ from residuum.library.optional_package import need
 from residuum.library.picture import Bars, Curve, Panel, Picture
 
 MOST_POINTS = 4000
-_COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
+COLOURS = ("#1f6f8b", "#d1495b", "#66a182", "#edae49", "#8d6a9f", "#5c6b73")
 _HEIGHT = 260
 """Of a panel [px]."""
 
@@ -42,10 +42,10 @@ def _is_curves(panel: Panel) -> bool:
 def _traces(graphs: Any, panel: Panel) -> list[Any]:
     if isinstance(panel.content, Bars):
         bars = panel.content
-        return [graphs.Bar(x=list(bars.names), y=list(bars.values), text=list(bars.texts) or None, marker_color=_COLOURS[0])]
+        return [graphs.Bar(x=list(bars.names), y=list(bars.values), text=list(bars.texts) or None, marker_color=COLOURS[0])]
     traces: list[Any] = []
     for number, curve in enumerate(panel.content):
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         traces += _curve(graphs, curve.reduced(MOST_POINTS), colour)
     return traces
 

@@ -18,6 +18,7 @@ from residuum.identification.record_formats.read_apart import read_safely
 from residuum.library.record import Record, shown
 from residuum.library.table_columns import as_frame, heads, numbers, units_of
 from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
+from residuum.nearest_names import known_names
 
 if TYPE_CHECKING:
     import pandas
@@ -76,11 +77,13 @@ def from_arrays(
     channels: Mapping[str, npt.ArrayLike],
     *,
     units: Mapping[str, str] | None = None,
-    sample_time: float,
-    t0: float = 0.0,
+    sample_time: float | None = None,
+    time: npt.ArrayLike | None = None,
+    resample: bool = False,
+    t0: float | None = None,
     source: str = "",
 ) -> Record:
-    """A record of arrays that were sampled together.
+    """A record of arrays that were sampled together, at even steps or at the times that are given.
 
     Parameters
     ----------
@@ -88,8 +91,12 @@ def from_arrays(
         NaN = missing.
     units : mapping of name to unit
         A channel that is not named here has none: a model that asks for one refuses it.
-    sample_time, t0 : float
-        Seconds between samples; time of the first one [s].
+    sample_time, t0 : float or None
+        Seconds between samples; time of the first one [s], 0 if nothing is said. With `time` they are told by it.
+    time : array, shape (n,), or None
+        When the samples were taken: seconds, instants or durations (`datetime64`, `timedelta64`).
+    resample : bool
+        Accept uneven times: samples are interpolated onto even instants; what was not measured stays missing.
     source : str
         A name for reports.
 
@@ -100,19 +107,50 @@ def from_arrays(
     Raises
     ------
     BadRecord, BadUnit
-        As `Record` says; a unit for a channel that is not there.
+        As `Record` says; a unit for a channel that is not there; neither times nor a sample time; uneven times, with the index
+        and the step.
 
     Examples
     --------
     >>> import numpy as np, residuum as rs
     >>> rs.from_arrays({"speed": np.zeros(100)}, units={"speed": "rad/s"}, sample_time=0.01).duration
     1.0
+    >>> t = np.linspace(2.0, 3.0, 101)
+    >>> rs.from_arrays({"speed": np.sin(t)}, units={"speed": "rad/s"}, time=t).t0
+    2.0
     """
     given = dict(units or {})
     if unknown := [name for name in given if name not in channels]:
-        raise BadRecord(f"units: there is no channel {unknown[0]!r}; there are {', '.join(map(str, channels))}")
+        raise BadRecord(f"units: there is no channel {unknown[0]!r}; {known_names(unknown[0], channels, 'there are')}")
     signals: Any = dict(channels)
-    return Record(signals, {name: given.get(name, "") for name in signals}, sample_time, t0=t0, source=source)
+    told = {name: given.get(name, "") for name in signals}
+    if time is not None:
+        return _at_times(time, signals, told, resample, source or "arrays", sample_time, t0)
+    if sample_time is None:
+        raise BadRecord(
+            f"{source or 'arrays'}: has no time; say sample_time=0.01 (seconds between samples), or time=t (an array)"
+        )
+    return Record(signals, told, sample_time, t0=t0 or 0.0, source=source)
+
+
+def _at_times(
+    time: npt.ArrayLike,
+    signals: dict[str, Any],
+    units: dict[str, str],
+    resample: bool,
+    where: str,
+    sample_time: float | None,
+    t0: float | None,
+) -> Record:
+    """A record of arrays that were sampled at these times."""
+    instants = seconds(np.asarray(time), where, told=True)
+    if t0 is not None:
+        raise BadRecord(f"{where}, t0: the times begin at {instants[0]:g} s; leave it out")
+    arrays = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
+    if unlike := [name for name, values in arrays.items() if values.shape != instants.shape]:
+        shapes = f"has shape {arrays[unlike[0]].shape}, time has {instants.shape}"
+        raise BadRecord(f"{where}, channel {unlike[0]!r}: {shapes}; they must be alike")
+    return _timed(instants, arrays, units, resample, where, sample_time)
 
 
 def from_pandas(
@@ -164,7 +202,7 @@ def from_pandas(
     where = source or "DataFrame"
     frame = as_frame(frame, where)
     if time is not None and time not in frame.columns:
-        raise BadRecord(f"{where}: has no column {time!r} for the time; there are {', '.join(map(str, frame.columns))}")
+        raise BadRecord(f"{where}: has no column {time!r} for the time; {known_names(time, frame.columns, 'there are')}")
     found = heads(frame, where, without=time)
     told = units_of(found, frame.attrs.get("units", {}), units or {})
     signals = {name: numbers(frame[column], f"{where}, column {column!r}") for column, (name, _) in found.items()}
@@ -172,6 +210,7 @@ def from_pandas(
         return from_arrays(signals, units=told, sample_time=sample_time, source=where)
     taken, head = (frame.index, frame.index.name) if time is None else (frame[time], time)
     instants = seconds(taken, where, unit=unit_of_time(head), told=time is not None, near=_near_time(found))
+    refuse_disorder(instants, where)
     return _timed(instants, signals, told, resample, where, sample_time)
 
 
@@ -208,12 +247,13 @@ def from_xarray(data: xarray.Dataset, *, dim: str = "time", resample: bool = Fal
     where = source or "Dataset"
     dataset = data.to_dataset() if not hasattr(data, "data_vars") else data
     if dim not in dataset.coords:
-        raise BadRecord(f"{where}: has no coordinate {dim!r}; there are {', '.join(map(str, dataset.coords)) or 'none'}")
+        raise BadRecord(f"{where}: has no coordinate {dim!r}; {known_names(dim, dataset.coords, 'there are')}")
     if other := [name for name, values in dataset.data_vars.items() if values.dims != (dim,)]:
         raise BadRecord(f"{where}: variable {other[0]!r} lies along {dataset[other[0]].dims}; must be along ({dim!r},) alone")
     signals = {str(name): numbers(values, f"{where}, variable {name!r}") for name, values in dataset.data_vars.items()}
     units = {str(name): str(values.attrs.get("units", "")) for name, values in dataset.data_vars.items()}
     instants = seconds(dataset[dim].values, where, unit=str(dataset[dim].attrs.get("units", "")))
+    refuse_disorder(instants, where)
     return _timed(instants, signals, units, resample, where)
 
 
@@ -241,7 +281,7 @@ def _no_record(given: Any) -> BadRecord:
     if hasattr(given, "dims"):
         return BadRecord("record: is an xarray object; make a record of it with rs.from_xarray(data)")
     if hasattr(given, "__array__"):
-        return BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, sample_time=…)")
+        return BadRecord("record: is an array; make a record of it with rs.from_arrays({name: array}, units={…}, time=…)")
     return BadRecord(
         f"record: is {type(given).__name__}; must be a Record, a file, or a list of these; rs.read(file), "
         "rs.from_pandas and rs.from_arrays make one"
@@ -268,7 +308,6 @@ def _timed(
 ) -> Record:
     if not signals:
         raise BadRecord(f"{where}: has no channel; at least one is needed")
-    refuse_disorder(instants, where)
     told: list[str] = []
     step, columns = even_columns(np.stack([instants, *signals.values()]), where, resample=resample, told=told, names=[*signals])
     ReadOptions(sample_time=sample_time).settle_sample_time(step, where)

@@ -114,9 +114,21 @@ class Record(MeasuredRecord):
         >>> len(record.plot().data)
         1
         """
-        return figure(self._picture())
+        return figure(self.picture())
 
-    def _picture(self) -> Picture:
+    def picture(self) -> Picture:
+        """A panel a channel, as a value for whoever draws it otherwise.
+
+        Returns
+        -------
+        Picture
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> len(rs.from_arrays({"u": [0.0, 1.0, 1.0]}, units={"u": "V"}, sample_time=0.1).picture().panels)
+        1
+        """
         time = self.time
         panels = [Panel(n, "time [s]", axis(n, self.units[n]), [Curve(n, time, s)]) for n, s in self.channels.items()]
         return Picture(panels)
@@ -140,7 +152,7 @@ class Record(MeasuredRecord):
             for name, signal in self.channels.items()
         ]
         title = f"{self.source or 'Record'}: {self.n} samples of {self.sample_time:.6g} s"
-        return html(title, rows, self._picture())
+        return html(title, rows, self.picture())
 
 
 def shown(record: MeasuredRecord) -> Record:

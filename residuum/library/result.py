@@ -94,6 +94,22 @@ class Result(ABC):
         """
         return figure(self._picture())
 
+    def picture(self) -> Picture:
+        """The picture of the answer as a value, for whoever draws it otherwise.
+
+        Returns
+        -------
+        Picture
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> record = rs.simulate("linear-axis", duration=2.0, seed=1)
+        >>> len(rs.model("linear-axis").compare(record).picture().panels)
+        4
+        """
+        return self._picture()
+
     @abstractmethod
     def _answer(self) -> dict[str, Any]:
         """The contract's object."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
+from residuum.nearest_names import known_names
 
 if TYPE_CHECKING:
     import pandas
@@ -68,7 +69,7 @@ def units_of(found: Mapping[Any, tuple[str, str]], attributes: Mapping[Any, str]
             if name in units:
                 units[name] = unit
             elif said is told:
-                raise BadRecord(f"units: there is no channel {key!r}; there are {', '.join(units)}")
+                raise BadRecord(f"units: there is no channel {key!r}; {known_names(key, units, 'there are')}")
     return units
 
 

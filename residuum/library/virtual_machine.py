@@ -10,6 +10,7 @@ from typing import Any
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
 from residuum.library.record import Record
+from residuum.nearest_names import known_names
 from residuum.simulation import MACHINES, BadSetting, Machine, Signals
 
 _MOST_SAMPLES = 50_000_000
@@ -79,7 +80,7 @@ def simulated(
 ) -> tuple[Record, dict[str, Any]]:
     """The record, and the truth that is hidden in it (effects, faults and constants as plain JSON values)."""
     if machine not in MACHINES:
-        raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
+        raise BadInput(f"machine {machine!r}: there is none of this name; {known_names(machine, MACHINES)}")
     given = _settings(MACHINES[machine], dict(settings))
     hidden = {id: {} for id in effects} if isinstance(effects, list) else dict(effects or {})
     damage = dict.fromkeys(faults) if isinstance(faults, list) else dict(faults or {})
@@ -106,7 +107,7 @@ def _settings(machine: type[Machine], given: dict[str, Any]) -> dict[str, Any]:
     known = {name: p.default for name, p in inspect.signature(machine.__init__).parameters.items() if name not in _COMMON}
     for name, value in given.items():
         if name not in known:
-            raise BadInput(f"{machine.name}: has no setting {name!r}; known are {', '.join(known) or 'none'}")
+            raise BadInput(f"{machine.name}: has no setting {name!r}; {known_names(name, known)}")
         given[name] = _typed(value, known[name], f"{machine.name}: setting {name!r}")
     return given
 

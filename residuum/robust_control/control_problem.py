@@ -14,6 +14,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES, Rule
+from residuum.nearest_names import known_names
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.certificates.time_domain import Measured, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
@@ -72,7 +73,7 @@ class Wishes:
 
     def __post_init__(self) -> None:
         if self.aim not in AIMS:
-            raise BadInput(f"aim {self.aim!r}: must be nominal or robust")
+            raise BadInput(f"aim {self.aim!r}: {known_names(self.aim, ['nominal', 'robust'], 'must be one of')}")
         if self.in_time and (self.aim != "nominal" or self.only is not None):
             raise BadInput("in time: needs the aim nominal, and holds both wishes; leave `only` out")
         if self.in_time and not (0 < self.overshoot < 1 and (self.settling_time is None or self.settling_time > 0)):

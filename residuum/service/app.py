@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import shutil
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
@@ -34,6 +35,8 @@ from residuum.service.security.gate import Gate
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage import DiskStore
+from residuum.service.storage.database import LOOKED_THROUGH, sqlite_file
+from residuum.service.storage.disk_store import SETTLED
 from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.web import web_routes
@@ -48,9 +51,6 @@ _TICK = 5.0
 """Seconds between looks at shelved alarms that have run out."""
 _RETAIN_EVERY = 60.0
 """Seconds between looks at signals that need not be kept."""
-_SETTLED = 120.0
-"""Age [s] at which a block without a row is an orphan: longer than a writer waits for the database."""
-
 
 MakePipeline = Callable[[Settings, Store, Events, WorkerPool], LivePipeline]
 
@@ -106,7 +106,7 @@ async def _running(
     notifications = Notifications(settings)
 
     told = Told()
-    outs = await asyncio.to_thread(_finding_outs, settings)
+    outs: list[Any] = []
 
     def show(kind: str, payload: Mapping[str, Any]) -> None:
         metrics.event(kind, payload)
@@ -124,39 +124,47 @@ async def _running(
     def rule_of(asset: str) -> AlarmRule:
         return pipeline.alarm_rule(asset)
 
-    store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
-    await asyncio.to_thread(tell_latest, store, outs)
-    await asyncio.to_thread(notifications.start, store.outbox)
-    executor = WorkerPool(settings.workers)
-    jobs = Jobs(events.publish)
-    pipeline = make_pipeline(settings, store, events, executor)
-    services = Services(settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys)
-    log.info("started", database=make_url(settings.database_url).render_as_string(hide_password=True), data=str(settings.data))
-    if orphans := await asyncio.to_thread(store.sweep, _SETTLED):
-        log.warning("removed signal blocks without a row, left by a crash", blocks=orphans)
-    await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)  # left by a crash
-    watches = [asyncio.create_task(each) for each in (_watch_shelved(store), _retain(store, settings), watch_loop(metrics.stall))]
-    await pipeline.start()
-    await asyncio.to_thread(app.openapi)  # routes are put together at their first use, which would hold up whoever asks then
-    elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message) if settings.mqtt else None
-    if elsewhere is not None:
-        elsewhere.start()
-    try:
-        yield services
-    finally:
-        for watch in watches:
-            watch.cancel()
-        events.close()
-        if elsewhere is not None:
-            await asyncio.to_thread(elsewhere.stop)
-        await pipeline.stop()
-        await asyncio.to_thread(jobs.close)
-        executor.shutdown(wait=False, cancel_futures=True)
-        await asyncio.to_thread(notifications.stop)
+    async with AsyncExitStack() as started:  # whatever fails at the start, what was started before it is ended
+
+        def ends(stop: Callable[[], Any]) -> None:
+            started.push_async_callback(asyncio.to_thread, stop)
+
+        store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
+        ends(store.close)
+        outs += await asyncio.to_thread(_finding_outs, settings)
         for out in outs:
-            await asyncio.to_thread(out.stop)
-        store.close()
-        log.info("stopped")
+            ends(out.stop)
+        await asyncio.to_thread(tell_latest, store, outs)
+        await asyncio.to_thread(notifications.start, store.outbox)
+        ends(notifications.stop)
+        executor = WorkerPool(settings.workers)
+        started.callback(executor.shutdown, wait=False, cancel_futures=True)
+        jobs = Jobs(events.publish)
+        ends(jobs.close)
+        pipeline = make_pipeline(settings, store, events, executor)
+        started.push_async_callback(pipeline.stop)
+        services = Services(settings, store, events, jobs, Judges(_baselines(store)), metrics, pipeline, keys)
+        log.info(
+            "started", database=make_url(settings.database_url).render_as_string(hide_password=True), data=str(settings.data)
+        )
+        if orphans := len(await asyncio.to_thread(store.orphans, SETTLED)):
+            log.warning(
+                "signal blocks that no row names, left by a crash; `residuum doctor --sweep` removes them", blocks=orphans
+            )
+        await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)  # left by a crash
+        for watch in (_watch_shelved(store), _retain(store, settings), watch_loop(metrics.stall)):
+            started.callback(asyncio.create_task(watch).cancel)
+        if (file := sqlite_file(settings.database_url)) is not None and file.stat().st_size > LOOKED_THROUGH:
+            threading.Thread(target=_look_for_damage, args=(store,), name="look for damage", daemon=True).start()
+        await pipeline.start()
+        await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
+        if settings.mqtt:
+            elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message)
+            elsewhere.start()
+            ends(elsewhere.stop)
+        started.callback(events.close)
+        yield services
+    log.info("stopped")
 
 
 def _finding_outs(settings: Settings) -> list[Any]:
@@ -196,12 +204,23 @@ async def _watch_shelved(store: DiskStore) -> None:
             await asyncio.to_thread(store.unshelve_expired)
 
 
+def _look_for_damage(store: DiskStore) -> None:
+    """Beside the running service, which ends without waiting for it: a large file takes minutes."""
+    with suppress(StorageUnavailable):
+        if (damage := store.look_for_damage()) is not None:
+            log.error("the database is damaged; restore a backup", reason=damage)
+
+
 async def _retain(store: DiskStore, settings: Settings) -> None:
     rule = Retention(settings.keep_days, settings.keep_bytes, settings.keep_row_days, settings.keep_rows)
+    told: str | None = None
     while True:
         try:
             if gone := await asyncio.to_thread(store.retain, rule):
                 log.info("let signals go", windows=gone)
+            if (doubt := store.troubles().get("retention")) not in (None, told):
+                log.error("signals and rows are kept beyond their days", reason=doubt)
+            told = doubt
         except (StorageUnavailable, OSError) as error:
             log.error("signals could not be let go", reason=str(error))
         await asyncio.sleep(_RETAIN_EVERY)

@@ -1,25 +1,30 @@
 """The console command `residuum`: one file a command in `commands/`, loaded when it is called."""
 
 import os
+import re
+import signal
 import sys
 import traceback
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.commands import COMMANDS
+from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
 
-DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT = 0, 1, 2, 3
+DONE, ANSWER_IS_NO, BAD_INPUT, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
 # The base of typer's usage errors, which typer itself does not export by name.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit status (0 done, 1 the answer is no, 2 bad input, 3 an internal error)."""
+    """Run one command and return its exit status (0 done, 1 answer is no, 2 bad input, 3 internal error, 130 interrupted)."""
     if not arguments or arguments[0] in ("--help", "-h", "help"):
         sys.stdout.write(_overview())
         return DONE if arguments else BAD_INPUT
@@ -28,7 +33,7 @@ def run(arguments: list[str]) -> int:
         return DONE
     name, *rest = arguments
     if name not in COMMANDS:
-        return _refuse(f"command {name!r}: there is none of this name; known are {', '.join(COMMANDS)}")
+        return _refuse(f"command {name!r}: there is none of this name; {known_names(name, COMMANDS)}")
     try:
         if fmus := [argument for argument in rest if argument.lower().endswith(".fmu")]:
             apart = import_module("residuum.service.commands.fmu_process")
@@ -36,15 +41,17 @@ def run(arguments: list[str]) -> int:
                 return int(apart.run_apart(arguments, fmus[0]))
         with loading_modules():
             command = import_module(f"residuum.service.commands.{COMMANDS[name][0]}").app
+        _take_interrupts()
         status = command(args=rest, prog_name=f"residuum {name}", standalone_mode=False)
     except typer.Exit as done:
         return done.exit_code
     except _UsageError as error:
-        return _refuse(f"{name}: {getattr(error, 'format_message', error.__str__)()}")
+        return _refuse(f"{name}: {_usage(error)}")
     except BadInput as error:
         return _refuse(str(error))
     except (typer.Abort, KeyboardInterrupt):
-        return _refuse("interrupted")
+        _refuse("interrupted")
+        return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left; nothing more can be printed
         return DONE
@@ -61,9 +68,30 @@ def _overview() -> str:
     return "\n".join(["usage: residuum COMMAND [--help]", "", *lines, ""])
 
 
+def _usage(error: Any) -> str:
+    """What is wrong with a command's words: typer's own sentence, but for a name, which is refused as all names are."""
+    says = str(getattr(error, "format_message", error.__str__)())
+    command: Any = getattr(getattr(error, "ctx", None), "command", None)
+    if option := getattr(error, "option_name", None):
+        options = [each for parameter in command.params for each in (*parameter.opts, *parameter.secondary_opts)]
+        return f"there is no option {option}; {known_names(option, [each for each in options if each.startswith('-')])}"
+    if unknown := re.match(r"No such command '([^']*)'", says):
+        return f"there is no command {unknown[1]!r}; {known_names(unknown[1], command.commands)}"
+    if choice := re.match(r"Invalid value for '([^']*)': .*?'([^']*)' is not one of (.*)", says):
+        known = known_names(choice[2], re.findall(r"'([^']*)'", choice[3]), "must be one of")
+        return f"{choice[1]} {choice[2]!r}: {known}"
+    return says
+
+
 def _refuse(message: str) -> int:
     sys.stderr.write(f"residuum: {' '.join(message.split())}\n")
     return BAD_INPUT
+
+
+def _take_interrupts() -> None:
+    """Ctrl-C from now on as an exception; while modules were loaded it ended the process (`residuum.service.entry`)."""
+    if signal.getsignal(signal.SIGINT) is end_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def main() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from typing import Any
 from urllib.parse import parse_qsl
@@ -12,11 +11,11 @@ from urllib.parse import parse_qsl
 from starlette.routing import compile_path
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from residuum.nearest_names import known_names
 from residuum.service.problems import problem
 
 _REMEMBERED = 1000
 """Bytes of a query up to which it is remembered that it is good: clients ask with the same one again and again."""
-_NEAREST = 3
 
 
 class KnownQueries:
@@ -72,6 +71,4 @@ def _keys(methods: Mapping[str, Any]) -> dict[str, list[str]]:
 def _says(key: str, known: list[str]) -> str:
     if not known:
         return f"query {key[:60]!r}: this route takes no query"
-    near = get_close_matches(key, known, n=_NEAREST)
-    nearest = f"nearest {'is' if len(near) == 1 else 'are'} {', '.join(near)}; " if near else ""
-    return f"query {key[:60]!r}: is not known here; {nearest}known are {', '.join(known)}"
+    return f"query {key[:60]!r}: is not known here; {known_names(key, known)}"

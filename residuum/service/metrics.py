@@ -10,6 +10,8 @@ from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
+from residuum.service.machines.machine_state import counted
+
 _METHODS = frozenset(("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"))
 """Methods that have a label of their own: a stranger may send any word as a method, and each would be kept for ever."""
 _STALLS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5)
@@ -57,7 +59,7 @@ class Metrics:
         """Count what the store announces."""
         if kind == "finding":
             self._findings.labels(payload["asset"], payload["verdict"]).inc()
-        elif kind == "alarm":
+        elif kind == "alarm" and not payload.get("text_alone"):
             self._alarms.labels(payload["asset"], payload["state"]).inc()
 
     def stored_message(self, outcome: str) -> None:
@@ -74,14 +76,23 @@ class Metrics:
 
 
 class _Status(Collector):
-    """Numbers of the pipeline's status: `residuum_source{source, name}` and `residuum_machine{machine, name}`."""
+    """Numbers of the pipeline's status: `residuum_machines{state}`, and of each `residuum_source{source, name}` and
+    `residuum_machine{machine, name}`.
+    """
 
     def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
         self._status = status
 
+    def _by_state(self, machines: Mapping[str, Mapping[str, Any]]) -> Metric:
+        family = GaugeMetricFamily("residuum_machines", "Machines in each state", labels=("state",))
+        for state, number in counted(machines).items():
+            family.add_metric((state,), number)
+        return family
+
     def collect(self) -> Iterator[Metric]:
         """One gauge a kind, with the number's name as a label."""
         status = self._status()
+        yield self._by_state(status.get("machines", {}))
         for kind in ("source", "machine"):
             family = GaugeMetricFamily(f"residuum_{kind}", f"Numbers of a {kind}", labels=(kind, "name"))
             for one, state in _by_name(status.get(f"{kind}s", {})):

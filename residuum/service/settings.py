@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import os
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +13,7 @@ from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSett
 
 from residuum.identification.errors import BadInput
 from residuum.identification.yaml_text import read_yaml
+from residuum.nearest_names import did_you_mean
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.settings import MachineSettings
@@ -213,6 +213,6 @@ def _one_line(error: ValidationError) -> str:
     where = ".".join(map(str, first["loc"]))
     says = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
-        nearest = "".join(f", the nearest is {name}" for name in get_close_matches(where, Settings.model_fields, n=1))
-        return f"setting {where}: is not known{nearest}; docs/reference/settings.md lists all"
+        asked = did_you_mean(where, Settings.model_fields)
+        return f"setting {where}: is not known; {asked}docs/reference/settings.md lists all"
     return f"settings: {says}" if not where else f"setting {where}: {first['input']!r}: {says}"

@@ -115,7 +115,10 @@ class Asset:
 
 @dataclass(frozen=True)
 class Alarm(_Plain):
-    """One alarm of one asset. `kind` tells a fault of the machine from one of its signals."""
+    """One alarm of one asset. `kind` tells a fault of the machine from one of its signals.
+
+    `message` and `window` are of the worst finding since the alarm was raised, which is of `worst_at`.
+    """
 
     id: int
     asset: str
@@ -123,6 +126,7 @@ class Alarm(_Plain):
     state: AlarmState
     condition: bool
     message: str
+    worst_at: datetime | None
     occurrences: int
     raised_at: datetime | None
     cleared_at: datetime | None
@@ -142,6 +146,28 @@ class AlarmEntry(_Plain):
     state: AlarmState
     by: str | None
     comment: str | None
+
+
+@dataclass(frozen=True)
+class AlarmOccurrence(_Plain):
+    """One time that an alarm was raised, with what raised it and what became of it; `cleared_at` is None while it stands.
+
+    `message`, `times_threshold` (the largest indicator over its threshold) and `window` are those of the finding that raised it;
+    None where its row was let go.
+    """
+
+    id: int
+    alarm: int
+    asset: str
+    kind: str
+    raised_at: datetime
+    cleared_at: datetime | None
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    comments: Sequence[str]
+    message: str | None
+    times_threshold: float | None
+    window: int | None
 
 
 @dataclass(frozen=True)
@@ -270,8 +296,10 @@ class Store(Protocol):
     def finding_of(self, window: int) -> StoredFinding:
         """The latest finding on a window."""
 
-    def indicators(self, asset: str, limit: int = 500) -> IndicatorHistory:
-        """Indicators and thresholds of the newest findings."""
+    def indicators(
+        self, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
+    ) -> IndicatorHistory:
+        """Indicators and thresholds of the newest findings, or of at most so many spread over a span of time (None: open)."""
 
     def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
         """Hourly history of the findings whose rows were let go."""
@@ -306,6 +334,16 @@ class Store(Protocol):
 
     def alarm_journal(self, alarm: int, limit: int = 100) -> Sequence[AlarmEntry]:
         """What happened to an alarm, newest first."""
+
+    def alarm_history(
+        self,
+        span: tuple[datetime | None, datetime | None] = (None, None),
+        asset: str | None = None,
+        cursor: str | None = None,
+        limit: int = 100,
+        sites: Collection[str] | None = None,
+    ) -> Page[AlarmOccurrence]:
+        """Alarms that were raised in a span of time (None: open), the newest first, each with what became of it."""
 
     def operate_alarm(
         self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
@@ -350,6 +388,9 @@ class Store(Protocol):
 
     def check(self) -> None:
         """Raise StorageUnavailable when a small window could not be stored now."""
+
+    def troubles(self) -> Mapping[str, str]:
+        """What storing suffers from although windows are taken, by its subject; empty where nothing is wrong."""
 
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out."""

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from residuum.kept_loops import njit
+from residuum.nearest_names import known_names
 from residuum.simulation.gate_drive_effects import EFFECTS
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
@@ -134,7 +135,7 @@ class GateDrive(Machine):
         initial: str = "random",
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"gate-drive: profile {profile!r} is not known; known are {', '.join(PROFILES)}")
+            raise BadSetting(f"gate-drive: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
         if initial not in ("random", "rest"):
             raise BadSetting(f"gate-drive: initial {initial!r} must be random or rest")
         for name, value, low, high in (

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from residuum.kept_loops import njit
+from residuum.nearest_names import known_names
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
 
@@ -112,7 +113,7 @@ class LinearAxis(Machine):
         noise: float = 1.0,
     ) -> None:
         if loop not in LOOPS:
-            raise BadSetting(f"linear-axis: loop {loop!r} is not known; known are {', '.join(LOOPS)}")
+            raise BadSetting(f"linear-axis: loop {loop!r} is not known; {known_names(loop, LOOPS)}")
         if not (200.0 <= rate <= 5000.0 and 0.0 <= deviation <= 0.5 and 0.0 <= noise <= 100.0):
             raise BadSetting("linear-axis: rate must be 200 … 5000 Hz, deviation 0 … 0.5, noise 0 … 100")
         super().__init__(seed, effects, faults, exemplar)

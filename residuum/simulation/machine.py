@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from residuum.nearest_names import known_names
 from residuum.simulation.signals import Array, Signals
 
 SIZES = ("small", "medium", "large")
@@ -46,7 +47,7 @@ class Effect:
         {'c': 4.0}
         """
         if size not in SIZES:
-            raise BadSetting(f"effect size {size!r}: must be one of {', '.join(SIZES)}")
+            raise BadSetting(f"effect size {size!r}: {known_names(size, SIZES, 'must be one of')}")
         first = next(iter(self.parameters))
         return {**self.parameters, first: self.sizes[SIZES.index(size)]}
 
@@ -178,8 +179,8 @@ class Machine(ABC):
             return effect.sized(given)
         for parameter, value in given.items():
             if parameter not in effect.parameters:
-                known = ", ".join(effect.parameters)
-                raise BadSetting(f"{self.name}: effect {id!r} has no parameter {parameter!r}; known are {known}")
+                known = known_names(parameter, effect.parameters)
+                raise BadSetting(f"{self.name}: effect {id!r} has no parameter {parameter!r}; {known}")
             if not np.isfinite(value):
                 raise BadSetting(f"{self.name}: effect {id!r}, parameter {parameter!r} is {value!r}; must be finite")
         return {**effect.parameters, **given}
@@ -192,7 +193,7 @@ class Machine(ABC):
 
 def _known(listed: Mapping[str, Kind], id: str, what: str) -> Kind:
     if id not in listed:
-        raise BadSetting(f"{what} {id!r} is not known; known are {', '.join(listed) or 'none'}")
+        raise BadSetting(f"{what} {id!r} is not known; {known_names(id, listed)}")
     return listed[id]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.kept_loops import njit
+from residuum.nearest_names import known_names
 from residuum.simulation.machine import BadSetting, Effect, Machine
 from residuum.simulation.signals import Array
 
@@ -73,7 +74,7 @@ class OscillatorMachine(Machine):
         noise: float = 1.0,
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"oscillator: profile {profile!r} is not known; known are {', '.join(PROFILES)}")
+            raise BadSetting(f"oscillator: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
         if not (0.0 <= deviation <= 0.5 and 0.0 <= noise <= 100.0):
             raise BadSetting("oscillator: deviation must be 0 … 0.5 and noise 0 … 100")
         super().__init__(seed, effects, faults, exemplar)

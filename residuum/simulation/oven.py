@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.kept_loops import njit
+from residuum.nearest_names import known_names
 from residuum.simulation.machine import BadSetting, Effect, Fault, Machine
 from residuum.simulation.signals import Array
 
@@ -114,7 +115,7 @@ class OvenMachine(Machine):
         sample_time_s: float = 60.0,
     ) -> None:
         if profile not in PROFILES:
-            raise BadSetting(f"oven: profile {profile!r} is not known; known are {', '.join(PROFILES)}")
+            raise BadSetting(f"oven: profile {profile!r} is not known; {known_names(profile, PROFILES)}")
         if not 1.0 <= sample_time_s <= 60.0:
             raise BadSetting(f"oven: sample_time_s is {sample_time_s!r}; must be between 1 and 60 s")
         super().__init__(seed, effects, faults, exemplar)
@@ -132,7 +133,7 @@ class OvenMachine(Machine):
     def configure(self, configuration: str) -> None:
         """Change the oven's configuration from now on; its temperatures stay."""
         if configuration not in CONFIGURATIONS:
-            raise BadSetting(f"oven: configuration {configuration!r} is not known; known are {', '.join(CONFIGURATIONS)}")
+            raise BadSetting(f"oven: configuration {configuration!r} is not known; {known_names(configuration, CONFIGURATIONS)}")
         nominal = CONFIGURATIONS[configuration]
         P, C, G = self._factors
         values: dict[str, Any] = {"P": nominal.P * P, "C_hole": nominal.C_hole * C, "G_ambient": nominal.G_ambient * G}

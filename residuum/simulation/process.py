@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 
+from residuum.nearest_names import known_names
 from residuum.simulation.machine import BadSetting, Fault, Machine
 from residuum.simulation.signals import Array
 
@@ -58,7 +59,7 @@ class Process(Machine):
         signal_to_noise: float = 9.0,
     ) -> None:
         if input not in INPUTS:
-            raise BadSetting(f"process: input {input!r} is not known; known are {', '.join(INPUTS)}")
+            raise BadSetting(f"process: input {input!r} is not known; {known_names(input, INPUTS)}")
         if not signal_to_noise > 0:
             raise BadSetting(f"process: signal_to_noise is {signal_to_noise!r}; must be positive")
         gain = NUMERATOR * (1.0 + 0.05 * np.random.default_rng([exemplar, 7]).uniform(-1, 1) if exemplar else 1.0)

@@ -23,8 +23,7 @@ def command(name):
 def shown(page):
     text = page.read_text(encoding="utf-8")
     blocks = "\n".join(re.findall(r"```(?:console|sh)?\n(.*?)```", text, re.DOTALL))
-    blocks += "\n" + "\n".join(re.findall(r"^    (?:\$ |\.venv/bin/)(residuum .*)$", text, re.MULTILINE))
-    lines = [line.strip().removeprefix("$ ").removeprefix(".venv/bin/") for line in blocks.splitlines()]
+    lines = [line.strip().removeprefix("$ ") for line in blocks.splitlines()]
     inline = [code for code in re.findall(r"`(residuum [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL)) if "--" in code]
     return [line.split("   #")[0] for line in [*lines, *inline] if line.startswith("residuum ")]
 

@@ -42,7 +42,7 @@ def test_every_name_is_there_and_listed():
     assert set(rs.__all__) <= set(dir(rs))
     for name in rs.__all__:
         assert getattr(rs, name) is getattr(rs, name)
-    with pytest.raises(AttributeError, match=r"no attribute 'reed'; it has .*read"):
+    with pytest.raises(AttributeError, match=r"no attribute 'reed'; did you mean 'read'. it has .*read"):
         rs.reed  # noqa: B018
 
 

@@ -103,3 +103,36 @@ def test_an_output_that_is_mapped_to_no_column_is_refused():
     record = rs.simulate("linear-axis", duration=2.0, seed=1)
     with pytest.raises(rs.BadRecord, match="output 'position' is mapped to 'nothing', which is not there; the columns are"):
         rs.model("linear-axis").compare(record, map={"position": "nothing"})
+
+
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_arrays_take_the_times_at_which_they_were_sampled(start):
+    t = start + np.arange(50) * 0.02
+    record = rs.from_arrays({"speed": SPEED}, units={"speed": "rad/s"}, time=t)
+    assert record.sample_time == pytest.approx(0.02, rel=1e-6) and record.t0 == start and record.units["speed"] == "rad/s"
+    np.testing.assert_array_equal(record["speed"], SPEED)
+    stamps = np.datetime64("2026-05-01T12:00") + np.arange(50) * np.timedelta64(20, "ms")
+    assert rs.from_arrays({"speed": SPEED}, time=stamps).sample_time == pytest.approx(0.02)
+
+
+def test_uneven_times_of_arrays_are_refused_with_index_and_step_and_taken_when_resampled():
+    t = np.delete(np.arange(51) * 0.02, 20)
+    with pytest.raises(rs.BadRecord, match=r"arrays, row 20: time step 0\.04 s differs from 0\.02 s .*resample"):
+        rs.from_arrays({"speed": SPEED}, time=t)
+    record = rs.from_arrays({"speed": SPEED}, time=t, resample=True)
+    assert record.n == 51 and np.isnan(record["speed"][20]) and record["speed"][21] == SPEED[20]
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({}, r"has no time; say sample_time=.* or time=t"),
+        ({"time": np.arange(49) * 0.1}, r"channel 'speed': has shape \(50,\), time has \(49,\)"),
+        ({"time": np.arange(50)[::-1] * 0.1}, "row 1: time does not increase"),
+        ({"time": np.arange(50) * 0.1, "sample_time": 0.2}, "has sample time 0.1 s, but 0.2 s was given"),
+        ({"time": np.arange(50) * 0.1, "t0": 3.0}, "t0: the times begin at 0 s; leave it out"),
+    ],
+)
+def test_times_of_arrays_that_say_nothing_or_contradict_are_refused(more, says):
+    with pytest.raises(rs.BadRecord, match=says):
+        rs.from_arrays({"speed": SPEED}, **more)

@@ -189,7 +189,7 @@ def test_a_model_comes_from_a_name_a_file_or_a_text(tmp_path):
     assert rs.model(tmp_path / "axis.yaml").text == rs.model(named.text).text == named.text
     with pytest.raises(rs.BadModel, match="line 1"):
         rs.model("nonsense: 1\nname: x\n")
-    with pytest.raises(rs.BadModel, match="no such file, and the built-in models are"):
+    with pytest.raises(rs.BadModel, match="no such file; the built-in models are"):
         rs.model("nowhere")
 
 

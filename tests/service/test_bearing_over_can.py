@@ -40,7 +40,7 @@ def test_a_recording_of_a_bearing_rig_is_judged_over_can_fd(number, expected, ru
     service.services.store.add_model_version("rig", "baseline", (tmp_path / "baseline.zip").read_bytes())
     record = healthy.window(half, healthy.n) if number == 97 else accelerometer(number)
     end = time.monotonic() + 120
-    while service.services.pipeline.status()["machines"]["rig"]["state"] != "running":
+    while service.services.pipeline.status()["machines"]["rig"]["state"] != "waiting":
         assert time.monotonic() < end, "the baseline was not taken up"
         time.sleep(0.1)
     write_record(record, tmp_path / "part.npz")

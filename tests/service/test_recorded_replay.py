@@ -76,7 +76,7 @@ def test_replays_agree_with_each_other_and_with_rest(
     service = run_service(machines=[settings.model_dump() for settings in twice])
     store, pipeline = service.services.store, service.services.pipeline
     store.add_model_version(machine, "baseline", demo_baseline(machine).read_bytes())
-    wait_for(lambda: all(state["state"] == "running" for state in pipeline.status()["machines"].values()))
+    wait_for(lambda: all(state["state"] == "waiting" for state in pipeline.status()["machines"].values()))
     threads = [threading.Thread(target=replay, args=(RECORDED / name, watch.sources[0], speed)) for watch in twice]
     for thread in threads:
         thread.start()

@@ -8,6 +8,7 @@ from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.identification.entry_points import from_entry_points
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 
 DIAGNOSERS: dict[str, type[Diagnoser]] = {
     GateActuator.name: GateActuator,
@@ -23,5 +24,5 @@ for _found in from_entry_points("residuum.diagnosers"):
 def diagnoser_class(name: str) -> type[Diagnoser]:
     """The class of this name; BadInput lists the names there are."""
     if name not in DIAGNOSERS:
-        raise BadInput(f"diagnoser {name!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+        raise BadInput(f"diagnoser {name!r}: there is none of this name; {known_names(name, DIAGNOSERS)}")
     return DIAGNOSERS[name]

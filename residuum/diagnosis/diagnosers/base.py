@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
+from residuum.nearest_names import did_you_mean
 
 
 class NotTrained(BadInput):
@@ -99,7 +100,8 @@ class Diagnoser(ABC):
             raise BadInput(f"diagnoser {self.name!r}: has no setting {unknown[0]!r}; it has method")
         method = settings.get("method", self.method)
         if method not in self.methods:
-            raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: must be {' or '.join(self.methods)}")
+            asked = did_you_mean(method, self.methods)
+            raise BadInput(f"diagnoser {self.name!r}, method {str(method)[:40]!r}: {asked}must be {' or '.join(self.methods)}")
         if method == self.method:
             return self
         other = copy.copy(self)

@@ -30,6 +30,7 @@ from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
+from residuum.nearest_names import known_names
 
 Array = npt.NDArray[Any]
 SHAPE = ("rms", "kurtosis", "crest")
@@ -72,9 +73,10 @@ class Bearing(Diagnoser):
 
     A line family (BPFI, BPFO, twice BSF, FTF and their harmonics in the squared-envelope spectrum) means a fault when it
     stands out from control frequencies by `PROMINENT` deciles and modulates the envelope by at least 8 %. Kurtosis above
-    6 without a line is `unknown`. With a baseline, RMS, kurtosis, crest factor and octave-band RMS over one-second
-    windows are also held against healthy prediction limits; a change there lowers the prominence that names a part to 4.5
-    (and is `unknown` when no line reaches it), and its absence raises it to 7.5.
+    6 without a line is `unknown`. Where neither is seen and there is no baseline, the finding is `not-assessable` and tells the
+    limits that hold: wear that shows in no absolute limit needs the comparison. With a baseline, RMS, kurtosis, crest factor
+    and octave-band RMS over one-second windows are also held against healthy prediction limits; a change there lowers the
+    prominence that names a part to 4.5 (and is `unknown` when no line reaches it), and its absence raises it to 7.5.
 
     A speed channel may be in rpm, 1/min, Hz, rad/s or the like; one that varies by more than 0.5 % makes the lines be looked
     for in the angle domain. What points to the sensor (drift, loose mounting, mains hum, another sensitivity than the
@@ -125,7 +127,7 @@ class Bearing(Diagnoser):
         if not 0 < false_alarm < 0.5:
             raise BadInput(f"bearing: false_alarm is {false_alarm!r}; must be between 0 and 0.5")
         if machine_class is not None and machine_class not in LIMITS:
-            raise BadInput(f"bearing: machine class {machine_class!r} is not known; known are {', '.join(LIMITS)}")
+            raise BadInput(f"bearing: machine class {machine_class!r} is not known; {known_names(machine_class, LIMITS)}")
         if orders:
             BearingFrequencies.from_orders(orders, 1.0)
         if hertz:
@@ -187,10 +189,16 @@ class Bearing(Diagnoser):
     def score(self, record: Record) -> Finding:
         """Judge one record: its fault lines over the whole of it, its indicators as medians over windows.
 
-        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of the whole.
+        A record of more than `long_records.LONGEST` samples is judged in blocks, without a copy of the whole. Without a
+        baseline nothing is `healthy`: the finding is `not-assessable` where no absolute limit is passed, and says which hold.
         """
-        if record.n > LONGEST:
-            return score_in_blocks(self.name, self.score, record)
+        whole = record.n > LONGEST
+        judged = score_in_blocks(self.name, self._score_block, record) if whole else self._score_block(record)
+        if self._baseline is None and judged.verdict is Verdict.HEALTHY:
+            return judged.without_baseline(_held(judged))
+        return judged
+
+    def _score_block(self, record: Record) -> Finding:
         x, unit = self._acceleration(record)
         if reason := unusable(x, _SHORTEST):
             return Finding.not_assessable(self.name, reason)
@@ -471,6 +479,13 @@ def _says(
         worst = max(changed, key=lambda name: values[name] / limits[name])
         parts.append(f"{worst} is {values[worst]:.3g} against a limit of {limits[worst]:.3g}")
     return "; ".join(parts)
+
+
+def _held(finding: Finding) -> str:
+    """The limits that a finding holds, each with its value."""
+    names = [name for name in finding.thresholds if name != "severity"]
+    held = [f"{name} {finding.indicators[name]:.3g} of {finding.thresholds[name]:.3g}" for name in names]
+    return ", ".join(held) + "; train on healthy records for a baseline"
 
 
 def _moving(x: Array, record: Record, frequencies: BearingFrequencies) -> str:

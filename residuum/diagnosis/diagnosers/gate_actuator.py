@@ -21,6 +21,7 @@ from residuum.diagnosis.gate.scored_movement import ScoredMovement, evidence_of,
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 _SPELLINGS = {
     HEALTHY: HEALTHY,
@@ -225,5 +226,5 @@ def _labels(records: Sequence[Record], labels: Sequence[str] | None) -> list[str
     if not records or len(given) != len(records):
         raise BadInput(f"gate-actuator: {len(records)} records and {len(given)} labels; must be one each, at least one")
     if unknown := [label for label in given if label not in _SPELLINGS]:
-        raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; known are {', '.join(_SPELLINGS)}")
+        raise BadInput(f"gate-actuator: label {unknown[0]!r} is not known; {known_names(unknown[0], _SPELLINGS)}")
     return [_SPELLINGS[label] for label in given]

@@ -19,8 +19,10 @@ from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 FALSE_ALARMS_PER_DAY = 1.0
+_SETTINGS = ("false_alarms_per_day", "fix_undetermined")
 
 
 class ModelBased(Diagnoser):
@@ -102,12 +104,13 @@ class ModelBased(Diagnoser):
         """The same baseline at another rate of false alarms."""
         if "method" in settings:
             super().with_settings(method=settings.pop("method"))
-        known = {"false_alarms_per_day": self.false_alarms_per_day, "fix_undetermined": self.fix_undetermined, **settings}
+        kept = {name: getattr(self, name) for name in _SETTINGS}
         try:
-            other = type(self)(model=self.model, **known)  # type: ignore[arg-type]
+            other = type(self)(model=self.model, **(kept | settings))
         except TypeError:
+            first = next(name for name in settings if name not in _SETTINGS)
             raise BadInput(
-                f"diagnoser {self.name!r}: has no setting {next(iter(settings))!r}; it has {', '.join(known)}"
+                f"diagnoser {self.name!r}: has no setting {first!r}; {known_names(first, _SETTINGS, 'it has')}"
             ) from None
         other._baseline = self._baseline
         return other

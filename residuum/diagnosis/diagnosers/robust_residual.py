@@ -27,6 +27,7 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.state_space import FloatArray
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
+from residuum.nearest_names import did_you_mean
 
 FALSE_ALARMS_PER_DAY = 0.1
 _SHORTEST_ORDER, _LONGEST_ORDER = 100, 400
@@ -76,7 +77,8 @@ class RobustResidual(Diagnoser):
         method: str = "default",
     ) -> None:
         if method not in self.methods:
-            raise BadInput(f"robust-residual, method {method[:40]!r}: must be {' or '.join(self.methods)}")
+            asked = did_you_mean(method, self.methods)
+            raise BadInput(f"robust-residual, method {method[:40]!r}: {asked}must be {' or '.join(self.methods)}")
         self.method = method
         self.input, self.output, self.order, self.gamma = input, output, order, gamma
         self.false_alarms_per_day = false_alarms_per_day

@@ -101,8 +101,8 @@ def seen_window(baseline: Baseline, record: Record) -> Seen:
     if fit is None:
         raise NotAssessable("the model diverges along the window")
     loud = max(1.0, float(fit.power.mean(axis=0).max()))  # a large error weighs less in the information, however much moves
-    told = loud * np.diag(information(fit, len(baseline.free))) / np.maximum(baseline.information, 1e-300)
-    if told.size and told.max() < LEAST_EXCITED:
+    told = loud * np.diag(information(fit, len(baseline.free)))
+    if told.size and np.all(told < LEAST_EXCITED * np.maximum(baseline.information, 1e-300)):
         raise NotAssessable(
             "the window says next to nothing of any value of the model: let its inputs move as they did in the healthy windows"
         )

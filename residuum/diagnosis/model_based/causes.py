@@ -22,6 +22,8 @@ Array = npt.NDArray[np.float64]
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
 """Order of what cannot be told apart: what changed before what is new."""
 
+_NOTHING = 1e-3
+"""Share of its standard deviation below which a size is zero."""
 _LARGEST = 1e100
 """Information that can be inverted."""
 
@@ -42,7 +44,40 @@ class Cause:
 
 
 def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Cause]:
-    """The likeliest first."""
+    """The likeliest first; none of size zero."""
+    return of_some_size(_causes(baseline, window, features))
+
+
+def of_some_size(listed: Sequence[Cause]) -> list[Cause]:
+    """Without causes of size zero, which leave the window as it is: what they were said to explain has an unknown cause."""
+    none = [cause for cause in listed if _is_of_size_zero(cause)]
+    if not none:
+        return list(listed)
+    names = {cause.hypothesis.label for cause in none if cause.hypothesis is not None}
+    unknown = sum(cause.probability for cause in listed if cause in none or cause.hypothesis is None)
+    others = [
+        replace(
+            cause,
+            alike=tuple(name for name in cause.alike if name not in names),
+            beside=tuple(name for name in cause.beside if name not in names),
+        )
+        for cause in listed
+        if cause.hypothesis is not None and cause not in none
+    ]
+    nobody = Cause(None, min(unknown, 1.0), np.zeros(0), np.zeros(0), 0)
+    first = not others or unknown > others[0].probability
+    return [nobody, *others] if first else [others[0], nobody, *others[1:]]
+
+
+def _is_of_size_zero(cause: Cause) -> bool:
+    """Whether what a cause adds is nothing. A changed parameter, or where a sensor sticks, may well be zero."""
+    h = cause.hypothesis
+    if h is None or h.kind not in ("effect", "sensor", "actuator") or h.name == "stuck" or not len(cause.size):
+        return False
+    return bool(np.all(np.abs(cause.size) <= _NOTHING * np.nan_to_num(cause.std)))
+
+
+def _causes(baseline: Baseline, window: Experiment, features: Array) -> list[Cause]:
     fitter = baseline.fitter(window, features)
     healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
     if not found:

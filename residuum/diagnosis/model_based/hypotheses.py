@@ -102,7 +102,7 @@ def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list
             own = sorted((n for n, p in use.parameters.items() if not p.fixed), key=lambda n: n not in effect.sizes)
             if own:
                 found.append(Variant(larger, tuple(f"{use.label}.{name}" for name in own)))
-    except (BadInput, NotImplementedError, ValueError, KeyError):
+    except BadInput:
         pass
     return found
 

@@ -120,7 +120,7 @@ class WindowFitter:
             if beside is not None and steps <= LOOK_STEPS and len(problem.x0) == len(beside.initial):
                 problem.substeps = beside.substeps
             return problem.solved(steps)
-        except (BadInput, NotImplementedError, np.linalg.LinAlgError):
+        except (BadInput, np.linalg.LinAlgError):
             return None
 
     def states(self, fit: Fit) -> Array:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy import fft
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 
 Array = npt.NDArray[Any]
 # Upper limits of zones A, B, C [mm/s RMS]. Classes I–IV: small, medium, large on rigid, large on soft foundations;
@@ -53,7 +54,7 @@ def severity(acceleration: npt.ArrayLike, sampling_rate: float, machine_class: s
     (7.07, 'C')
     """
     if machine_class not in LIMITS:
-        raise BadInput(f"severity: machine class {machine_class!r} is not known; known are {', '.join(LIMITS)}")
+        raise BadInput(f"severity: machine class {machine_class!r} is not known; {known_names(machine_class, LIMITS)}")
     velocity = 1000 * velocity_rms(acceleration, sampling_rate)
     limits = LIMITS[machine_class]
     return Severity(velocity, "ABCD"[int(np.searchsorted(limits, velocity))], limits)

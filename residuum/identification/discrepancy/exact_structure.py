@@ -6,15 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
+from residuum.identification.discrepancy.fitting.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.judging.completeness import at_the_noise
 from residuum.identification.discrepancy.judging.experiments_to_blame import searched
-from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, MOST_HELD
+from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, FAR_FROM_NOISE, MOST_HELD
 from residuum.identification.discrepancy.searching.held_values import wrongly_held
 from residuum.identification.discrepancy.searching.last_look import keep_what_shows
 from residuum.identification.discrepancy.searching.search_state import Search
 from residuum.identification.physics import Experiment, PhysicalModel, candidates
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.unseen_blocks.data import long_enough
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.work import OutOfWork, Tell, at_most, left_out
 
@@ -31,7 +33,15 @@ class Exact:
     doubted: list[list[str]]
 
 
+def may_be_exact(first: tuple[list[Experiment], Structure], records: Sequence[Record]) -> bool:
+    """Whether a search for an exact structure is worth its work: the model as it is does not leave an error so far from noise
+    that only effects are found which leave much of it; or the records are too short to ask anything else.
+    """
+    return times_its_innovations(first[1]) <= FAR_FROM_NOISE or not long_enough([record.n for record in records])
+
+
 def exact_in_bounds(
+    first: tuple[list[Experiment], Structure],
     model: PhysicalModel,
     records: Sequence[Record],
     mapping: Mapping[str, str] | None,
@@ -39,10 +49,12 @@ def exact_in_bounds(
     seconds: float | None,
     tell: Tell,
 ) -> Exact | None:
-    """What the search for an exact structure found with its part of the work; None where it is not done by then."""
+    """What the search for an exact structure found with its part of the work, from the model as it is on its experiments on;
+    None where it is not done by then.
+    """
     try:
         with at_most(EXACT_WORK, None if seconds is None else EXACT_TIME * seconds):
-            return _exact(model, records, mapping, wanted, tell)
+            return _exact(first, model, records, mapping, wanted, tell)
     except OutOfWork:
         left_out("the search for an exact structure, to its end")
         tell(0.5, "no exact structure was found with the work for it")
@@ -71,10 +83,15 @@ def leaves_more_than_noise(found: Search) -> bool:
 
 
 def _exact(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Sequence[str] | None, tell: Tell
+    first: tuple[list[Experiment], Structure],
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Sequence[str] | None,
+    tell: Tell,
 ) -> Exact:
     doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing))
+    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing), first)
     while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])

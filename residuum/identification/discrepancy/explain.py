@@ -11,9 +11,11 @@ from residuum.identification.discrepancy.exact_structure import (
     exact_in_bounds,
     is_structured,
     leaves_more_than_noise,
+    may_be_exact,
     nothing_found,
 )
 from residuum.identification.discrepancy.explanation import Explanation
+from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, search_on_blocks
 from residuum.identification.discrepancy.policy.answers import FEWEST_TO_JUDGE
 from residuum.identification.errors import BadRecord
@@ -66,8 +68,9 @@ def explain(
 
     Notes
     -----
-    An exact structure is sought first, by the likelihood of what it leaves. Where none leaves noise alone, the effects are named
-    by what they take away on blocks of the records that no fit has seen.
+    An exact structure is sought first, by the likelihood of what it leaves, unless the model as it is leaves an error far from
+    noise. Where none leaves noise alone, the effects are named by what they take away on blocks of the records that no fit has
+    seen.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
@@ -102,7 +105,10 @@ def explained(
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
-        exact = exact_in_bounds(model, records, mapping, wanted.effects, seconds, tell)
+        first = experiments_and_base(model, records, mapping)
+        exact = None
+        if worth := may_be_exact(first, records):
+            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, seconds, tell)
         structured = exact is not None and is_structured(exact.found, records, mapping)
         if exact is None or structured or leaves_more_than_noise(exact.found):
             tell(0.5, "what takes away most on blocks kept aside")
@@ -110,6 +116,9 @@ def explained(
             found = search_on_blocks(model, judging, mapping, wanted, left, tell)
             if found is not None and (exact is None or does_better(found, exact.found.best.model)):
                 return answer_on_blocks(found, wanted, judging, mapping, began)
+            if found is None and not worth:
+                exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left, tell)
+                structured = exact is not None and is_structured(exact.found, records, mapping)
         tell(0.75, "drawing what no effect explains")
         known = exact or nothing_found(model, records, mapping, wanted.effects)
         return answer_of(known, model, searched=exact is not None, structured=structured, began=began)

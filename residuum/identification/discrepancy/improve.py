@@ -33,6 +33,7 @@ from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.work import Tell, at_most, untold
+from residuum.nearest_names import known_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,8 @@ def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, s
 def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
     fixed = [name for name, p in model.parameters.items() if p.fixed]
     if unknown := [name for name in names if name not in fixed]:
-        there = ", ".join(fixed) or "none"
-        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; there are {there}")
+        there = known_names(unknown[0], fixed, "there are")
+        raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {there}")
 
 
 def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> _Attempt:

@@ -32,6 +32,7 @@ from residuum.identification.kernel_based.outlasting import Longer, longer_respo
 from residuum.identification.linear_models.excitation import excitation_order
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 FloatArray = npt.NDArray[np.float64]
 NoiseVariance = float | str
@@ -309,7 +310,7 @@ def uncovered(longer: Longer | None, delay: int, n_inputs: int = 1) -> list[str]
 def check_settings(kernel: str, order: int, delay: int, noise_variance: NoiseVariance) -> None:
     """Refuse settings that no data could satisfy."""
     if kernel not in KERNELS:
-        raise BadInput(f"kernel {kernel!r}: there is none of this name; known are {', '.join(KERNELS)}")
+        raise BadInput(f"kernel {kernel!r}: there is none of this name; {known_names(kernel, KERNELS)}")
     if not 1 <= order <= _LONGEST_ORDER:
         raise BadInput(f"order {order}: must lie between 1 and {_LONGEST_ORDER}")
     if delay < 0:

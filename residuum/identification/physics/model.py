@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from itertools import combinations, permutations
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
 from residuum.identification.physics.files.expression import Expression
+from residuum.nearest_names import did_you_mean, known_names
 
 BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -184,8 +184,8 @@ class PhysicalModel:
                 sites.append(Site(kind, target, signals[target].unit))
         if sites:
             return next((site for site in sites if site.kind in effect.acts_on), sites[0])
-        known = ", ".join([*self.balances, *self.inputs, *self.outputs])
-        raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; there are {known}")
+        known = known_names(target, [*self.balances, *self.inputs, *self.outputs], "there are")
+        raise BadModel(f"model {self.name!r}: {target!r} is no balance, input or output; {known}")
 
     def _tied_site(self, target: str, effect: Effect) -> Site:
         """The site of an effect at `balance(signal)` or `balance(other)`."""
@@ -197,7 +197,9 @@ class PhysicalModel:
         known = self.balances if effect.joins(target) else {**self.inputs, **self.states, **self._defined()}
         for name in tied:
             if name not in known or name == place:
-                raise BadModel(f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; there are {', '.join(known)}")
+                raise BadModel(
+                    f"effect {effect.id!r} at {target!r}: cannot be tied to {name!r}; {known_names(name, known, 'there are')}"
+                )
         balance = self.balances[place]
         if effect.joins(target) and self.balances[tied[0]].kind != balance.kind:
             raise BadModel(f"effect {effect.id!r} at {target!r}: {place!r} and {tied[0]!r} are balances of different kinds")
@@ -276,14 +278,16 @@ class PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""
         found = [use for use in self.effects if label in (use.label, use.id)]
         if len(found) != 1:
-            there = ", ".join(use.label for use in self.effects) or "none"
-            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(found)} times; there are {there}")
+            there = known_names(label, [use.label for use in self.effects], "there are")
+            raise BadModel(f"model {self.name!r}: effect {label!r} occurs {len(found)} times; {there}")
         return replace(self, effects=tuple(use for use in self.effects if use is not found[0]))
 
     def with_values(self, values: Mapping[str, float]) -> PhysicalModel:
         """The model with these parameter values, by full name (values are taken as they are, bounds are not checked)."""
         if unknown := [name for name in values if name not in self.all_parameters]:
-            raise BadModel(f"model {self.name!r}: no parameter {unknown[0]!r}; there are {', '.join(self.all_parameters)}")
+            raise BadModel(
+                f"model {self.name!r}: no parameter {unknown[0]!r}; {known_names(unknown[0], self.all_parameters, 'there are')}"
+            )
         own = {name: replace(p, value=float(values.get(name, p.value))) for name, p in self.parameters.items()}
         effects = tuple(replace(use, parameters=_revalued(use, values)) for use in self.effects)
         return replace(self, parameters=own, effects=effects)
@@ -309,7 +313,7 @@ def _declared(effect: Effect, site: Site, given: Mapping[str, float], fixed: tup
     """An effect's parameters at a site, with the values given and those held that are to be."""
     declared = {parameter.name: parameter for parameter in effect.parameters(site)}
     if unknown := [name for name in [*given, *fixed] if name not in declared]:
-        raise BadModel(f"effect {effect.id!r}: no parameter {unknown[0]!r}; there are {', '.join(declared)}")
+        raise BadModel(f"effect {effect.id!r}: no parameter {unknown[0]!r}; {known_names(unknown[0], declared, 'there are')}")
     for name, value in given.items():
         declared[name] = replace(declared[name], value=checked_value(f"effect {effect.id!r}", declared[name], value))
     for low, high in effect.ordered:
@@ -406,9 +410,8 @@ def find_effect(id: str) -> Effect:
     if id in STRUCTURAL:
         return STRUCTURAL[id]
     if id not in EFFECTS:
-        near = get_close_matches(id, [*EFFECTS, *STRUCTURAL], n=3, cutoff=0.4)
-        nearest = f", the nearest are {', '.join(near)}" if near else ""
-        raise BadModel(f"effect {id!r} is not in the catalogue{nearest}; `residuum effects` lists all")
+        asked = did_you_mean(id, [*EFFECTS, *STRUCTURAL])
+        raise BadModel(f"effect {id!r} is not in the catalogue; {asked}`residuum effects` lists all")
     return EFFECTS[id]
 
 

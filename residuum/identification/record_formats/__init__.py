@@ -16,6 +16,7 @@ from residuum.identification.record_formats.parquet import read_parquet, write_p
 from residuum.identification.record_formats.tdms import read_tdms, write_tdms
 from residuum.identification.record_formats.uff import read_uff, write_uff
 from residuum.identification.record_formats.wav import read_wav, write_wav
+from residuum.nearest_names import known_names
 
 READERS: dict[str, Callable[[str | Path, ReadOptions], Record]] = {
     ".csv": read_csv,
@@ -62,7 +63,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     if ending in CAN_LOGS:
         raise BadRecord(f"{path}: is a CAN log, read by the commands with the DBC file of its bus (--dbc FILE)")
     if reader is None:
-        raise BadRecord(f"{path}: ending {ending!r} is not a record format; known are {', '.join(READERS | LOGGERS | OLDER)}")
+        raise BadRecord(f"{path}: ending {ending!r} is not a record format; {known_names(ending, [*READERS, *LOGGERS, *OLDER])}")
     if not path.is_file():
         raise BadRecord(f"{path}: no such file")
     try:
@@ -84,7 +85,7 @@ def write_record(record: Record, path: str | Path) -> None:
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in WRITERS:
-        raise BadRecord(f"{path}: ending {ending!r} cannot be written; known are {', '.join(WRITERS)}")
+        raise BadRecord(f"{path}: ending {ending!r} cannot be written; {known_names(ending, WRITERS)}")
     if not path.parent.is_dir():
         raise BadRecord(f"{path}: folder {str(path.parent)!r} does not exist")
     WRITERS[ending](record, path)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.error_sizes import (
@@ -62,10 +63,29 @@ class Comparison:
         """Of "every output's error is noise of some colour" (Bonferroni over the outputs); 1 where no output could be tested."""
         return min((1.0, *(len(self.structured) * test.p_value for test in self.structured.values())))
 
+    def times_noise(self, name: str) -> float:
+        """RMS of the structured part of an output's error over the least that its noise can be."""
+        output = self.outputs[name]
+        return output.rmse * max(self.structured[name].share, 0.0) ** 0.5 / max(output.least_floor, 1e-300)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What of the model the records contradict before anything is simulated."""
+        return begins_elsewhere(self.model, self.experiments)
+
+    @property
+    def not_recorded(self) -> dict[str, tuple[str, ...]]:
+        """Outputs that were not compared, each with the records that have no value of it."""
+        lacking = {
+            name: tuple(source for source, e in zip(self.records, self.experiments, strict=True) if not e.measured[k])
+            for k, name in enumerate(self.model.outputs)
+        }
+        return {name: records for name, records in lacking.items() if records}
+
     @property
     def share(self) -> float:
         """Part of the residual's power that is structured, outputs weighted by their error in units of noise."""
-        power = {name: (self.outputs[name].rmse / max(self.outputs[name].noise_floor, 1e-300)) ** 2 for name in self.structured}
+        power = {name: (self.outputs[name].rmse / max(self.outputs[name].least_floor, 1e-300)) ** 2 for name in self.structured}
         total = sum(power.values())
         return sum(power[name] * test.share for name, test in self.structured.items()) / total if total > 0 else 0.0
 
@@ -111,7 +131,7 @@ def compare(
     ahead = prediction_errors(kalman, experiments, smoothed)
     outputs = output_errors(model, experiments, simulation, ahead, structured)
     seen = [signal_axes(model, e, s.X, record) for e, s, record in zip(experiments, smoothed, records, strict=True)]
-    floors = {name: output.noise_floor for name, output in outputs.items()}
+    floors = {name: output.least_floor for name, output in outputs.items()}
     return Comparison(
         model=model,
         records=tuple(record.source for record in records),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed
-from residuum.identification.residual_analysis.noise.noise_floor import noise_floor
+from residuum.identification.residual_analysis.noise.noise_floor import Floor, floor_under_drift, noise_floor
 from residuum.identification.residual_analysis.policy.answers import HORIZONS, PREDICTED_SAMPLES
 from residuum.identification.residual_analysis.policy.noise import BEYOND_NOISE, UNDER_STRUCTURE
 from residuum.identification.residual_analysis.structured_error import StructuredError
@@ -23,7 +23,9 @@ FloatArray = npt.NDArray[np.float64]
 class OutputError:
     """How one output is met: `rmse`, `bias`, `noise_floor` and the k-step errors in `unit`, `fit_percent` of the simulation.
 
-    `k_step` maps a horizon in samples to the RMS error of predictions so far ahead.
+    `noise_at_most` says that the noise is that or less: the error's own tail may be as large. `least_floor` is the least noise
+    that any reading of the error gives: places are held against it. `k_step` maps a horizon in samples to the RMS error of
+    predictions so far ahead.
     """
 
     unit: str
@@ -31,6 +33,8 @@ class OutputError:
     fit_percent: float
     bias: float
     noise_floor: float
+    noise_at_most: bool
+    least_floor: float
     k_step: Mapping[int, float]
 
 
@@ -63,16 +67,20 @@ def output_errors(
         spread = float(np.sqrt(np.mean((y - y.mean()) ** 2)))
         test = structured.get(output.name)
         if test is not None and test.present:
-            floor = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test))
+            told = floor_under_drift(errors)
+            least = min(noise_floor(errors, lowest=UNDER_STRUCTURE), _unstructured(rmse, test), told.rms)
         else:
-            floor = noise_floor(errors)
-            floor = rmse if test is not None and rmse < BEYOND_NOISE * floor else floor
+            least = noise_floor(errors)
+            least = rmse if test is not None and rmse < BEYOND_NOISE * least else least
+            told = Floor(least, at_most=False)
         found[output.name] = OutputError(
             unit=output.unit,
             rmse=rmse,
             fit_percent=100.0 * (1.0 - rmse / spread) if spread > 0 else float("nan"),
             bias=float(np.mean(error[known])),
-            noise_floor=floor,
+            noise_floor=told.rms,
+            noise_at_most=told.at_most,
+            least_floor=least,
             k_step={steps: float(errors_ahead[k]) for steps, errors_ahead in ahead.items()},
         )
     return found

@@ -13,6 +13,7 @@ from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate
 from residuum.identification.residual_analysis.coarse_reading import reading_variances
 from residuum.identification.residual_analysis.feedback import feeds_back
+from residuum.identification.residual_analysis.lower_rate import at_lower_rate
 from residuum.identification.residual_analysis.noise.coloured_noise import forgetting, longest_memory
 from residuum.identification.residual_analysis.noise.noise_floor import fast_floor, times_the_noise
 from residuum.identification.residual_analysis.places.axes import signal_axes
@@ -42,13 +43,30 @@ def refitted_difference(model: PhysicalModel, experiments: list[Experiment], sim
     """
     nothing = [np.zeros_like(residual) for residual in simulation.residuals]
     try:
-        other = estimate(model, experiments, initial=simulation.initial, settings=REVALUED)
+        coarse, step = at_lower_rate(model, experiments, simulation.initial)
+        other = estimate(model, coarse, initial=simulation.initial, settings=REVALUED)
+        after = other.residuals if step == 1 else _left(other, experiments)
     except NotIdentifiable:
         return nothing
     with np.errstate(invalid="ignore"):
-        mended = np.nan_to_num(other.rmse / simulation.rmse, nan=1.0) < VALUES_ERR
-    pairs = zip(simulation.residuals, other.residuals, strict=True)
-    return [np.where(mended & np.isfinite(before), before - after, 0.0) for before, after in pairs]
+        mended = np.nan_to_num(_rms(after) / simulation.rmse, nan=1.0) < VALUES_ERR
+    pairs = zip(simulation.residuals, after, strict=True)
+    return [np.where(mended & np.isfinite(before), before - rest, 0.0) for before, rest in pairs]
+
+
+def _left(found: Estimate, experiments: Sequence[Experiment]) -> list[FloatArray]:
+    """What an estimate at a lower rate leaves of each experiment at its own."""
+    simulator = Simulator(found.model)
+    p = simulator.p()
+    substeps = simulator.substeps_each(experiments, found.initial, p)
+    return simulator.run_each(experiments, found.initial, p, substeps=substeps).errors_of_each
+
+
+def _rms(residuals: Sequence[FloatArray]) -> FloatArray:
+    """Of each output; NaN where it was not measured."""
+    joined = np.concatenate(residuals)
+    count = np.isfinite(joined).sum(axis=0)
+    return np.asarray(np.sqrt(np.nansum(joined**2, axis=0) / np.where(count > 0, count, np.nan)))
 
 
 def structured_errors(

@@ -63,7 +63,7 @@ def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -
         model = found.best.model.with_effect(*key, effect.at_rest(start))
         at = model.effects[-1]
         information = _information(model, f"{at.label}.{size}", found, scale)
-    except (BadInput, NotImplementedError):
+    except BadInput:
         return None
     if not information > 0.0:
         return None

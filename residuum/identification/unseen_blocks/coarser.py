@@ -1,87 +1,21 @@
-"""Records sampled much more finely than anything moves in them, at a rate that loses nothing.
-
-Work grows with the samples, and a controller's kilohertz says no more of a slide that moves for seconds than a hundred hertz do.
-Readings are taken at every k-th sample; inputs are means over the k samples that follow it where they are held, centred ones
-where they move evenly. Whether that loses anything is not guessed from spectra: the model is simulated on both, and the
-difference has to be nothing beside its error.
-"""
+"""Data at a lower rate that loses nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-import numpy.typing as npt
-
-from residuum.identification.errors import BadInput
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.input_timing import turned_timing
-from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, Data, data_of
-from residuum.identification.unseen_blocks.policy import ENOUGH_SAMPLES, LOST
-
-Array = npt.NDArray[np.float64]
+from residuum.identification.residual_analysis.lower_rate import at_lower_rate
+from residuum.identification.unseen_blocks.data import Data, data_of
 
 
 def coarser(data: Data) -> Data:
     """The data at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples, else themselves."""
-    counts = [e.n for e in data.experiments]
-    most = min(sum(counts) // ENOUGH_SAMPLES, min(counts) // FEWEST_TO_CUT)
-    outputs = _outputs(data.model, data.experiments) if most >= 2 else None
-    best, step = data, 2
-    while outputs is not None and step <= most:
-        there = [_at_every(e, step) for e in data.experiments]
-        if not _loses_nothing(data.model, outputs, there, step):
-            break
-        best, step = replace(data_of(data.model, there), finer=data), 2 * step
-    return best
+    experiments, step = at_lower_rate(data.model, data.experiments)
+    return data if step == 1 else replace(data_of(data.model, experiments), finer=data)
 
 
 def turned(data: Data) -> Data:
     """The data at the other input timing: inputs that were held move evenly, and those that moved are held."""
     records = data_of(data.model, turned_timing((data.finer or data).experiments))
     return coarser(records) if data.finer else records
-
-
-def _at_every(e: Experiment, k: int) -> Experiment:
-    """Every k-th sample of an experiment."""
-    n = e.n // k
-    U = e.U[: n * k : k].copy()
-    for j, hold in enumerate(e.hold):
-        U[:, j] = _means(e.U[:, j], k, n, centred=hold > 0.0)
-    spare = {name: replace(s, values=_means(s.values, k, n, centred=False)) for name, s in e.spare.items()}
-    return replace(e, U=U, Y=e.Y[: n * k : k], sample_time=k * e.sample_time, spare=spare)
-
-
-def _means(values: Array, k: int, n: int, *, centred: bool) -> Array:
-    """Means over k samples from every k-th on, or around it."""
-    if centred:
-        half = k // 2
-        padded = np.concatenate([np.full(half, values[0]), values, np.full(half, values[-1])])
-        weights = np.ones(k + 1)
-        weights[[0, -1]] = 0.5  # of the straight lines between samples
-        return np.asarray(np.convolve(padded, weights / k, mode="valid")[: n * k : k])
-    return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
-
-
-def _loses_nothing(model: PhysicalModel, fine: Sequence[Array], coarse: Sequence[Experiment], k: int) -> bool:
-    """Whether the model's outputs at the coarse rate differ by next to nothing of its error from the fine ones."""
-    there = _outputs(model, coarse)
-    if there is None:
-        return False
-    for e, y, z in zip(coarse, (y[::k] for y in fine), there, strict=True):
-        error, lost = e.Y - y[: e.n], z - y[: e.n]
-        if np.any(np.nansum(np.where(np.isfinite(error), lost, 0.0) ** 2, axis=0) > LOST * np.nansum(error**2, axis=0)):
-            return False
-    return True
-
-
-def _outputs(model: PhysicalModel, experiments: Sequence[Experiment]) -> list[Array] | None:
-    """The model's outputs along experiments; None where it diverges."""
-    simulator = Simulator(model)
-    p, initial = simulator.p(), [simulator.x0(e.known) for e in experiments]
-    try:
-        runs = simulator.run_each(experiments, initial, p, substeps=simulator.substeps_each(experiments, initial, p))
-    except BadInput:
-        return None
-    return [run.Y for run in runs] if runs.bounded else None

@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 FEWEST_TO_CUT = FOLDS * WINDOW_SAMPLES
 """[samples] Of a record of which parts can be kept aside."""
+FEWEST_OF_A_RUN = WINDOW_SAMPLES
+"""[samples] Of a run that is kept aside whole, one of many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +104,17 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
     """
     model, experiments = match(model, records, mapping)
     check_moves(experiments)
-    for e in experiments:
-        if e.n < FEWEST_TO_CUT:
-            least = f"at least {FEWEST_TO_CUT} samples are needed"
-            raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
+    if not long_enough([e.n for e in experiments]):
+        e = min(experiments, key=lambda e: e.n)
+        least = f"at least {FEWEST_TO_CUT} are needed, or {FOLDS} runs of {FEWEST_OF_A_RUN} and more"
+        raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
     return data_of(model, experiments)
+
+
+def long_enough(samples: Sequence[int]) -> bool:
+    """Whether parts of records with so many samples can be kept aside: of each, or of many short runs whole ones."""
+    runs = len(samples) >= FOLDS and sum(samples) >= FEWEST_TO_CUT
+    return min(samples) >= (FEWEST_OF_A_RUN if runs else FEWEST_TO_CUT)
 
 
 def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:

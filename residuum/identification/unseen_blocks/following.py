@@ -146,6 +146,6 @@ def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> Ar
     try:
         used = along.model.with_effect(*key, alone)
         term = Simulator(used).look(along.experiment, along.X)[f"{place_of(key.target)}.{term_name(used.effects[-1])}"]
-    except (BadInput, NotImplementedError):
+    except BadInput:
         return None
     return term if np.all(np.isfinite(term)) else None

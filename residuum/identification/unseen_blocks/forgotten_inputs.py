@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import PhysicalModel, find_effect, match
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, data_of
+from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.following import followed
 from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
 from residuum.identification.unseen_blocks.proposals import forgotten_columns
@@ -21,7 +21,7 @@ def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[s
     """
     asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
     matched, experiments = match(model, records, mapping)
-    if not (asked and any(e.spare for e in experiments)) or min(e.n for e in experiments) < FEWEST_TO_CUT:
+    if not (asked and any(e.spare for e in experiments)) or not long_enough([e.n for e in experiments]):
         return model
     data = data_of(matched, experiments)
     try:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.physics import Experiment, PhysicalModel
-from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, MOST_PROPOSALS
+from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, MOST_PROPOSALS, MOST_TIMES, POWER_WANTED
 
 Array = npt.NDArray[np.float64]
 _BOTH_WAYS = ("N", "N*m", "V", "A")
@@ -31,7 +31,9 @@ class NextExperiment:
 def distinguishing(
     separates: tuple[str, ...], model: PhysicalModel, experiments: Sequence[Experiment], power: Power
 ) -> tuple[NextExperiment, ...]:
-    """Signals that the model has and the records lack, and other profiles of its inputs, best first."""
+    """Signals that the model has and the records lack, and other profiles of its inputs, best first; then how much more of the
+    same would do.
+    """
     measured = np.any([e.measured for e in experiments], axis=0)
     found = {
         f"also record {name} [{output.unit}]": power(experiments, o)
@@ -40,7 +42,10 @@ def distinguishing(
     }
     found |= {do: power(profile, None) for do, profile in _profiles(model, experiments).items()}
     proposals = [NextExperiment(do, separates, p) for do, p in found.items() if p is not None]
-    return tuple(sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS])
+    best = sorted(proposals, key=lambda p: -p.power)[:MOST_PROPOSALS]
+    times = _times_as_much(power(experiments, None))
+    more = [] if times is None else [NextExperiment(f"record {times} times as much of the same", separates, POWER_WANTED)]
+    return (*best, *more)
 
 
 def power_of_test(r: Array, J: Array) -> float:
@@ -54,6 +59,19 @@ def power_of_test(r: Array, J: Array) -> float:
     return _exceeds(NormalDist().inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0), float(np.sqrt(rest @ rest)))
 
 
+def _times_as_much(power: float | None) -> int | None:
+    """How many times the data would tell what these tell with this power, which grows with their number; None where they do, or
+    where none would.
+    """
+    if power is None or not 0.0 < power < POWER_WANTED:
+        return None
+    normal = NormalDist()
+    threshold = normal.inv_cdf(1.0 - DISTINCTION_LEVEL / 2.0)
+    shift = threshold + normal.inv_cdf(power)
+    times = ((threshold + normal.inv_cdf(POWER_WANTED)) / shift) ** 2 if shift > 0.0 else np.inf
+    return int(np.ceil(times)) if times <= MOST_TIMES else None
+
+
 def _exceeds(threshold: float, shift: float) -> float:
     """Probability of |z + shift| > threshold for normal z: with one degree of freedom this is the non-central χ² test's."""
     normal = NormalDist()
@@ -61,7 +79,12 @@ def _exceeds(threshold: float, shift: float) -> float:
 
 
 def _profiles(model: PhysicalModel, experiments: Sequence[Experiment]) -> Mapping[str, list[Experiment]]:
-    """The records' duration driven otherwise, within the range of the inputs on record; one that only pushed may pull, too."""
+    """The records' duration driven otherwise, within the range of the inputs on record; one that only pushed may pull, too.
+
+    None where there is nothing to drive.
+    """
+    if not model.inputs:
+        return {}
     e = max(experiments, key=lambda e: e.n)
     low, high = e.U.min(axis=0), e.U.max(axis=0)
     phase = np.linspace(0.0, 1.0, e.n)[:, None]

@@ -18,10 +18,6 @@ to refits with masked blocks."""
 CLIPPED = 8.0
 """[robust spreads] As which a larger error counts: an event that nobody recorded. Chosen."""
 
-ENOUGH_SAMPLES, LOST = 5000, 1e-6
-"""[samples] Of all records, above which a lower rate may do; and the part of the first error's power that it may lose: next to
-nothing of what is left at the end. Chosen."""
-
 FORGETS = 0.3
 """[of its peak] Effect of a first state that may be left at the end of a window. Chosen."""
 
@@ -88,3 +84,5 @@ WORTH_SEPARATING = 0.02
 """Probability from which on a candidate is worth an experiment against the leading one. Chosen."""
 MOST_PROPOSALS = 4
 """Experiments that are proposed. Chosen."""
+POWER_WANTED, MOST_TIMES = 0.9, 100
+"""Power that more of the same data is to reach, and times as much of them at most that is proposed. Chosen."""

@@ -64,7 +64,7 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
                 models.append(found[1])
             if not effect.curve or found is None:
                 models.append(along.model.with_effect(*key, _flat(effect, start)))
-        except (BadInput, NotImplementedError):
+        except BadInput:
             continue
     return [canonical(model) for model in models[:STARTS_LOOKED_AT]]
 
@@ -77,7 +77,7 @@ def grown(key: Key, special: Track) -> list[PhysicalModel]:
     values = {name: p.value for name, p in use.parameters.items()}
     try:
         return [canonical(less.with_effect(*key, v)) for v in effect.grown(values, conditions_along(key, special))]
-    except (BadInput, NotImplementedError):
+    except BadInput:
         return []
 
 
@@ -93,7 +93,7 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
         try:
             if special := use.effect.specialised(values, conditions_along(Key(use.id, use.target), general)):
                 found.append(canonical(less.with_effect(*key, special)))
-        except (BadInput, NotImplementedError):
+        except BadInput:
             continue
     return found
 

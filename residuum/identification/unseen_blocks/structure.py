@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadInput, NotIdentifiable
+from residuum.identification.errors import BadInput
 from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Settings, Simulator, estimate
 from residuum.identification.unseen_blocks.data import Rung
 from residuum.identification.unseen_blocks.scale import Scale
@@ -62,7 +62,7 @@ def fitted(
     try:
         initial = None if states is None else _vectors(model, parts, states)
         return estimate(model, parts, initial=initial, settings=settings, substeps=substeps)
-    except (NotIdentifiable, BadInput, NotImplementedError):
+    except BadInput:
         return None
 
 

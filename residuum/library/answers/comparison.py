@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from residuum.identification.physics.simulate.experiment import PART
@@ -23,6 +24,7 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
                 "fit_percent": output.fit_percent,
                 "bias": output.bias,
                 "noise_floor": output.noise_floor,
+                "noise_at_most": output.noise_at_most,
                 "k_step": [{"samples": steps, "rmse": rmse} for steps, rmse in output.k_step.items()],
             }
             for name, output in comparison.outputs.items()
@@ -36,11 +38,18 @@ def comparison_json(model: str, records: list[str], comparison: Comparison) -> d
             "p_value": comparison.p_value,
             "share": comparison.share,
             "outputs": {
-                name: {"present": test.present, "p_value": test.p_value, "share": test.share}
+                name: {
+                    "present": test.present,
+                    "p_value": test.p_value,
+                    "share": test.share,
+                    "times_noise": comparison.times_noise(name),
+                }
                 for name, test in comparison.structured.items()
             },
         },
         "where": [region_json(region) for region in comparison.where],
+        "not_recorded": comparison.not_recorded,
+        "warnings": comparison.warnings,
     }
 
 
@@ -63,10 +72,13 @@ def region_json(region: Region) -> dict[str, Any]:
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
     lines = [f"{name}: simulated by itself, because an input is missing before or after it" for name in _parts(comparison)]
+    lines += warning_lines(comparison.warnings)
+    lines += [_lacking(comparison, name) for name in comparison.not_recorded]
     for name, output in comparison.outputs.items():
+        noise = "at most" if output.noise_at_most else "floor"
         lines.append(
             f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
-            f"bias {output.bias:.3g} {output.unit}, noise floor {output.noise_floor:.3g} {output.unit}"
+            f"bias {output.bias:.3g} {output.unit}, noise {noise} {output.noise_floor:.3g} {output.unit}"
         )
     for name, balance in comparison.balances.items():
         lines.append(
@@ -78,13 +90,30 @@ def comparison_text(comparison: Comparison) -> str:
     return "\n".join(lines)
 
 
+def warning_lines(warnings: Sequence[str]) -> list[str]:
+    """Warnings as the reports show them."""
+    return [f"warning: {text}" for text in warnings]
+
+
+def _lacking(comparison: Comparison, name: str) -> str:
+    """Which output is not compared, in which records."""
+    records = comparison.not_recorded[name]
+    where = f" in {', '.join(records)}" if len(records) < len(comparison.records) else ""
+    return f"{name}: not compared{where}, for no column holds it (map one: --map {name}=COLUMN)"
+
+
 def _structured(comparison: Comparison) -> str:
     """Whether the error is structured, in a line."""
     if not comparison.structured:
         return "structured error: not told; the records are too short to tell an error from noise"
     if not comparison.present:
         return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
-    return f"structured error: yes ({chance(comparison.p_value)}, {100 * comparison.share:.0f} % of the error's power)"
+    percent = 100 * comparison.share
+    share = f"{percent:.0f}" if percent >= 1.0 else f"{percent:.1g}"
+    said = f"structured error: yes ({chance(comparison.p_value)}, {share} % of the error's power)"
+    present = [name for name, test in comparison.structured.items() if test.present]
+    times = max(comparison.times_noise(name) for name in present)
+    return said if times > 1.0 else f"{said}; it is within the noise, {times:.2g} times as large"
 
 
 def _parts(comparison: Comparison) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.physics import Estimate
+from residuum.library.answers.comparison import warning_lines
 
 
 def estimate_json(model: str, records: Sequence[str], result: Estimate) -> dict[str, Any]:
@@ -53,7 +54,7 @@ def _parameter_text(name: str, p: dict[str, Any]) -> str:
 
 def estimate_text(found: dict[str, Any]) -> str:
     """The short human report of the `estimate` object."""
-    lines = [_parameter_text(name, p) for name, p in found["parameters"].items()]
+    lines = [*warning_lines(found["warnings"]), *(_parameter_text(name, p) for name, p in found["parameters"].items())]
     lines += [
         f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {o['fit_percent']:.2f} %" for name, o in found["outputs"].items()
     ]

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
@@ -40,7 +41,7 @@ class RobustAim:
 
     def __post_init__(self) -> None:
         if self.only not in (None, *_WISHES):
-            raise BadInput(f"RobustAim, only: is {self.only!r}; must be one of {', '.join(_WISHES)}")
+            raise BadInput(f"RobustAim, only: is {self.only!r}; {known_names(self.only, _WISHES, 'must be one of')}")
         ordered = self.smallest_high_gain_db < self.largest_high_gain_db < 0 < self.low_gain_db
         if not (ordered and self.lowest_critical_frequency > 0):
             raise BadInput("RobustAim: needs h_min < h_max < 0 dB < l_g and a positive lowest critical frequency")

@@ -31,10 +31,19 @@ class StepResponse:
 
 def step_response(plant: TransferFunction, controller: TransferFunction, duration: float) -> FloatArray:
     """y of the closed loop T = GK/(1 + GK) for a unit step, shape (n,); grows without bound for an unstable loop."""
-    sample_time = float(plant.sample_time or 0.0)
-    n = max(2, round(duration / sample_time))
+    return _unit_step(plant, controller, plant.num, duration)
+
+
+def control_response(plant: TransferFunction, controller: TransferFunction, duration: float) -> FloatArray:
+    """u = K/(1 + GK) r, what the controller asks of the actuator for a unit step of the reference, shape (n,)."""
+    return _unit_step(plant, controller, plant.den, duration)
+
+
+def _unit_step(plant: TransferFunction, controller: TransferFunction, path: FloatArray, duration: float) -> FloatArray:
+    """The unit step's response of `path` · K's numerator over the loop's characteristic polynomial."""
+    n = max(2, round(duration / float(plant.sample_time or 0.0)))
     den = characteristic(plant, controller)
-    num = np.polymul(plant.num, controller.num)
+    num = np.polymul(path, controller.num)
     num = np.concatenate([np.zeros(len(den) - len(num)), num])
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(lfilter(num, den, np.ones(n)), dtype=float)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,7 +51,9 @@ class Constrained(ControllerStructure):
         self.structure, self.fixed, self.within = structure, dict(fixed or {}), dict(within or {})
         self.name, self.equation = structure.name, structure.equation  # type: ignore[misc]  # those of the whole
         if unknown := [name for name in (*self.fixed, *self.within) if name not in structure.names]:
-            raise BadInput(f"controller {self.name!r}: has no parameter {unknown[0]!r}; it has {', '.join(structure.names)}")
+            raise BadInput(
+                f"controller {self.name!r}: has no parameter {unknown[0]!r}; {known_names(unknown[0], structure.names, 'it has')}"
+            )
         self.free = np.array([name not in self.fixed for name in structure.names])
         if not self.free.any():
             raise BadInput(f"controller {self.name!r}: every parameter is fixed; at least one must be free")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
@@ -44,7 +45,7 @@ class NominalAim:
 
     def __post_init__(self) -> None:
         if self.only not in (None, *_WISHES):
-            raise BadInput(f"NominalAim, only: is {self.only!r}; must be one of {', '.join(_WISHES)}")
+            raise BadInput(f"NominalAim, only: is {self.only!r}; {known_names(self.only, _WISHES, 'must be one of')}")
         if not (0 < self.smallest_overshoot < 1 and self.longest_settling_time > 0 and self.slack > 0):
             raise BadInput(
                 f"NominalAim: o_min = {self.smallest_overshoot!r} must lie between 0 and 1, "

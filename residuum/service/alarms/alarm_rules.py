@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -18,6 +19,16 @@ class AlarmRule(BaseModel):
     )
     off_delay: float = Field(default=0.0, ge=0, le=86_400, description="Seconds without the fault that clear the alarm.")
     latch: bool = Field(default=False, description="The alarm stays when its condition goes, until it is acknowledged and reset.")
+
+
+def severity(indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]) -> float:
+    """How far the worst indicator lies beyond its threshold τ, max x/τ; 0 where none has one.
+
+    >>> severity({"rms": 3.0, "kurtosis": 4.0}, {"rms": 1.0, "kurtosis": 8.0})
+    3.0
+    """
+    pairs = [(indicators.get(name), tau) for name, tau in thresholds.items()]
+    return max((x / tau for x, tau in pairs if x is not None and tau is not None and tau > 0 and x / tau < math.inf), default=0.0)
 
 
 def in_deadband(rule: AlarmRule, indicators: Mapping[str, float | None], thresholds: Mapping[str, float | None]) -> bool:

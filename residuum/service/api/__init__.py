@@ -22,6 +22,7 @@ from residuum.service.api import (
     records,
     results,
     score,
+    service_settings,
     simulations,
     sources,
     tables,
@@ -58,5 +59,6 @@ ROUTERS: tuple[APIRouter, ...] = (
     jobs.router,
     events.router,
     sources.router,
+    service_settings.router,
 )
 """The routes under /api/v1."""

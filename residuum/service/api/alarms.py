@@ -9,9 +9,10 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.alarms.alarm_states import AlarmEvent
-from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmRatesAnswer, PageOf
+from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmOccurrenceAnswer, AlarmRatesAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
-from residuum.service.api.parameters import NAME, TEXT, AlarmId, Cursor, Limit
+from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
+from residuum.service.results.time_span import open_span
 from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Alarm, NotFound
 
@@ -47,6 +48,21 @@ def list_alarms(
 def alarm_rates(running: Running) -> Response:
     """How many alarms were raised of late, which ones most often, and whether there is a flood (ANSI/ISA-18.2, clause 16)."""
     return Json(running.store.alarm_rates().to_json())
+
+
+@router.get("/history", response_model=PageOf[AlarmOccurrenceAnswer])
+def alarm_history(
+    request: Request,
+    running: Running,
+    asset: Annotated[str | None, Query(description="Only this asset's.", pattern=NAME)] = None,
+    begin: Begin = None,
+    end: End = None,
+    cursor: Cursor = None,
+    limit: Limit = 100,
+) -> Response:
+    """Every time that an alarm was raised (of the caller's sites) in a span of time, newest first, and what became of it."""
+    span = open_span(begin, end)
+    return page_json(running.store.alarm_history(span, asset, cursor, limit, caller_of(request).sites))
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)

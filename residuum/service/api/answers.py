@@ -99,7 +99,8 @@ class AlarmAnswer(BaseModel):
     kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
     state: str
     condition: bool = Field(description="Whether the latest judged window still shows it.")
-    message: str
+    message: str = Field(description="What the worst finding since the alarm was raised says, and since when.")
+    worst_at: datetime | None = Field(description="When that finding was.")
     occurrences: int
     raised_at: datetime | None
     cleared_at: datetime | None
@@ -107,6 +108,23 @@ class AlarmAnswer(BaseModel):
     acknowledged_by: str | None
     shelved_until: datetime | None
     comment: str | None
+    window: int | None
+
+
+class AlarmOccurrenceAnswer(BaseModel):
+    """One time that an alarm was raised, and what became of it."""
+
+    id: int
+    alarm: int
+    asset: str
+    kind: str = Field(description="`machine` (a fault was found) or `signal` (windows cannot be judged).")
+    raised_at: datetime
+    cleared_at: datetime | None = Field(description="null: it stands.")
+    acknowledged_at: datetime | None
+    acknowledged_by: str | None
+    comments: list[str]
+    message: str | None = Field(description="Of the finding that raised it; null where its row was let go.")
+    times_threshold: float | None = Field(description="The largest indicator over its threshold when it was raised.")
     window: int | None
 
 

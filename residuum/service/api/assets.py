@@ -9,8 +9,9 @@ from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, PageOf
 from residuum.service.api.json_response import Json, StrictRoute, page_json
-from residuum.service.api.parameters import TEXT, AssetName, Cursor, Limit
+from residuum.service.api.parameters import TEXT, AssetName, Begin, Cursor, End, Limit
 from residuum.service.machines.judging.judges import diagnoser_class
+from residuum.service.results.time_span import open_span
 from residuum.service.services import Running, caller_of
 
 router = APIRouter(prefix="/assets", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
@@ -58,10 +59,18 @@ def list_findings(
 
 @router.get("/{asset}/indicators")
 def get_indicators(
-    running: Running, asset: AssetName, limit: Annotated[int, Query(description="Newest findings.", ge=1, le=5000)] = 500
+    running: Running,
+    asset: AssetName,
+    limit: Annotated[int, Query(description="Most findings.", ge=1, le=5000)] = 500,
+    begin: Begin = None,
+    end: End = None,
 ) -> Response:
-    """Indicators and thresholds of the newest findings as columns, oldest first (null where a finding lacks one)."""
-    return Json(vars(running.store.indicators(asset, limit)))
+    """Indicators and thresholds of the newest findings as columns, oldest first (null where a finding lacks one).
+
+    With `from` or `to`, of findings spread over that time: where there are more than `limit`, the worst of every stretch.
+    """
+    span = None if begin is None and end is None else open_span(begin, end)
+    return Json(vars(running.store.indicators(asset, limit, span)))
 
 
 @router.get("/{asset}/history")

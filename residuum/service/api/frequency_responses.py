@@ -1,10 +1,11 @@
-"""The frequency response of a stored identified model, with its confidence."""
+"""A stored identified model over frequency, with its confidence, and in the plane of z."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
@@ -12,12 +13,13 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import ModelName
-from residuum.service.services import Running
+from residuum.service.services import Running, Services
 from residuum.service.store import Conflict
 from residuum.service.views.residual_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
+FloatArray = npt.NDArray[np.float64]
 _LOWEST = 1e-3  # of the Nyquist frequency
 
 
@@ -39,10 +41,47 @@ def get_frequency_response(
     points: Annotated[int, Query(description="Frequencies.", ge=2, le=2000)] = 300,
 ) -> Response:
     """Magnitude and phase over frequency with their standard deviations."""
+    return Json(frequency_response(_identified(running, model, version), points))
+
+
+class Root(BaseModel):
+    """A root of a polynomial in z."""
+
+    real: float
+    imaginary: float
+    magnitude: float
+
+
+class PolesAndZerosAnswer(BaseModel):
+    """Roots of the denominator and the numerator of G(z); null for a model that is an impulse response."""
+
+    poles: list[Root] | None
+    zeros: list[Root] | None
+
+
+@router.get("/{model}/poles-and-zeros", response_model=PolesAndZerosAnswer)
+def get_poles_and_zeros(
+    running: Running,
+    model: ModelName,
+    version: Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)] = None,
+) -> Response:
+    """Poles and zeros of G(z), those that its dead time puts at the origin among them."""
+    found = _identified(running, model, version)
+    return Json({"poles": _roots(found.denominator), "zeros": _roots(found.numerator)})
+
+
+def _roots(polynomial: FloatArray | None) -> list[dict[str, float]] | None:
+    if polynomial is None:
+        return None
+    return [{"real": z.real, "imaginary": z.imag, "magnitude": abs(z)} for z in np.roots(polynomial).tolist()]
+
+
+def _identified(running: Services, model: str, version: int | None) -> IdentifiedModel:
+    """The stored model of this name; Conflict for one of another kind."""
     found = running.store.model_versions(model)[0].kind
     if found != "identified":
         raise Conflict(f"model {model!r}: is a {found} model; this needs an identified one")
-    return Json(frequency_response(read_identified(running.store.model_content(model, version)), points))
+    return read_identified(running.store.model_content(model, version))
 
 
 def frequency_response(model: IdentifiedModel, points: int) -> dict[str, list[float]]:

@@ -1,13 +1,14 @@
-"""Whether the service lives and can take windows."""
+"""Whether the service lives, can take windows, and judges its machines."""
 
 from __future__ import annotations
 
 from importlib.metadata import version
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from residuum.service.api.json_response import Json
-from residuum.service.services import Running
+from residuum.service.machines.machine_state import counted, troubled
+from residuum.service.services import Running, caller_of
 
 router = APIRouter(tags=["health"])
 
@@ -19,10 +20,24 @@ async def live() -> Response:
 
 
 @router.get("/health/ready")
-def ready(running: Running) -> Response:
-    """Windows can be stored; 503 or 507 with the reason when not."""
+def ready(running: Running, request: Request) -> Response:
+    """Windows can be stored; 503 or 507 with the reason when not. With machines that are not judged it is 200, `degraded`.
+
+    `machines` says of each of these why, and what can be done, `storage` what is wrong although windows are stored. Who has
+    no key where keys are needed is told only how many machines are in which state.
+    """
     running.store.check()
-    return Json({"status": "ready", "version": version("residuum")})
+    states = running.pipeline.status()["machines"]
+    visible = {name: state for name, state in states.items() if caller_of(request).may_see(name)}
+    named = troubled(visible)
+    storing = running.store.troubles()
+    told = {
+        "status": "degraded" if named or storing else "ready",
+        "version": version("residuum"),
+        "states": counted(visible),
+    }
+    stranger = running.keys.needed and not hasattr(request.state, "caller")
+    return Json(told if stranger else {**told, "machines": named, "storage": dict(storing)})
 
 
 @router.get("/metrics", response_class=Response)

@@ -35,4 +35,6 @@ WindowId = Annotated[int, Path(description="Number of the window.", ge=1, le=_LA
 RecordId = Annotated[int, Path(description="Number of the record.", ge=1, le=_LARGEST_ID)]
 AlarmId = Annotated[int, Path(description="Number of the alarm.", ge=1, le=_LARGEST_ID)]
 Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before.", max_length=200)]
+Begin = Annotated[str | None, Query(alias="from", max_length=40, description="ISO 8601; without a zone: UTC.")]
+End = Annotated[str | None, Query(alias="to", max_length=40, description="ISO 8601; not part of the span.")]
 Limit = Annotated[int, Query(description="Most items on the page.", ge=1, le=500)]

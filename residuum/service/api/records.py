@@ -13,6 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS, LOGGERS, OLDER, READERS
 from residuum.identification.record_formats.loggers.logger_time import FORMS
+from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
 from residuum.service.api.json_response import Json, page_json
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
@@ -124,7 +125,7 @@ def get_record_signal(
     units = running.store.record(record).units
     for name in channels or ():
         if name not in units:
-            raise BadInput(f"channel {name[:60]!r}: the record has {', '.join(units)}")
+            raise BadInput(f"channel {name[:60]!r}: the record has none of this name; {known_names(name, units, 'there are')}")
     return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
 
 

@@ -18,6 +18,7 @@ from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, query_parameter, record_of
 from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
+from residuum.service.store import NotFound
 
 _SCORED_AT_ONCE = 8192
 """Samples up to which a thread costs more than the scoring it would take off the event loop."""
@@ -33,17 +34,21 @@ _DIAGNOSER = {
     "description": "One of `GET /diagnosers`.",
     "schema": {"type": "string"},
 }
-_DESCRIBED = SIGNAL_BODY | {
-    "parameters": [
-        _DIAGNOSER,
-        query_parameter("baseline", "string", "A stored baseline, or the name of an asset that has one."),
-        *SIGNAL_QUERY,
-        query_parameter("speed_rpm", "number", "bearing: shaft speed [rpm]."),
-        query_parameter("orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
-        query_parameter("hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
-        query_parameter("method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
-    ]
+_RECORD = {
+    "in": "path",
+    "name": "record",
+    "required": True,
+    "description": "Number of the record.",
+    "schema": {"type": "integer"},
 }
+_OF_DIAGNOSERS = [
+    query_parameter("baseline", "string", "A stored baseline, or the name of an asset that has one."),
+    query_parameter("speed_rpm", "number", "bearing: shaft speed [rpm]."),
+    query_parameter("orders", "string", "bearing: bpfi=5.4,… in multiples of shaft speed."),
+    query_parameter("hertz", "string", "bearing: bpfi=118.9,… [Hz]."),
+    query_parameter("method", "string", "gate-actuator, robust-residual: source or default decides; both are shown."),
+]
+_DESCRIBED = SIGNAL_BODY | {"parameters": [_DIAGNOSER, *SIGNAL_QUERY, *_OF_DIAGNOSERS]}
 
 router = APIRouter(tags=["score"], route_class=BareRoute, responses=PROBLEMS)
 
@@ -61,6 +66,24 @@ async def score(request: Request) -> Response:
         record = await record_of(request, judge.channels)
         small = judge.quick and record.n * len(record.names) <= _SCORED_AT_ONCE
         finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
+    return finding_json(finding)
+
+
+@router.post(
+    "/records/{record}/score/{diagnoser}",
+    response_model=ScoreAnswer,
+    openapi_extra={"parameters": [_RECORD, _DIAGNOSER, *_OF_DIAGNOSERS]},
+)
+async def score_record(request: Request) -> Response:
+    """Score an uploaded record. Without a baseline only absolute indicators and fault lines are judged."""
+    services: Services = request.app.state.services
+    number = request.path_params["record"]
+    if not number.isdecimal() or not 0 < int(number) < 2**53:
+        raise NotFound(f"record {number[:40]!r}: there is none of this number")
+    judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
+    record = await run_in_threadpool(services.store.record_samples, int(number))
+    with remedies_in_query():
+        finding = await run_in_threadpool(judge.score, record)
     return finding_json(finding)
 
 

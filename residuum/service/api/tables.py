@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query, Response
 from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.record import Record
 from residuum.library.picture import Curve
+from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute, in_pieces
 from residuum.service.api.parameters import AssetName
@@ -89,7 +90,7 @@ def _channel(running: Services, asset: str, window: int | None, channel: str | N
     units = running.store.window(asset, window).units
     name = channel or next(iter(units))
     if name not in units:
-        raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+        raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
     return name, running.store.window_record(asset, window, [name])
 
 

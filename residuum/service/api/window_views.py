@@ -16,6 +16,7 @@ from residuum.diagnosis.vibration.spectra.envelope import band_envelope
 from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName, WindowId
@@ -178,7 +179,7 @@ def _channel(running: Services, asset: str, window: int, channel: str | None) ->
     units = running.store.window(asset, window).units
     name = channel if channel is not None else next(iter(units))
     if name not in units:
-        raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+        raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
     record = running.store.window_record(asset, window, [name])
     if np.isnan(record[name]).any():
         raise BadRecord(f"window {window}, channel {name!r}: has missing samples; this view needs all of them")

@@ -15,6 +15,7 @@ from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_sp
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
+from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
 from residuum.service.api.json_response import Json, in_pieces, page_json
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
@@ -163,7 +164,7 @@ def _values(signal: Any, points: int, reduced: bool) -> dict[str, Any]:
 def _known(channels: list[str] | None, units: Any) -> list[str] | None:
     for name in channels or ():
         if name not in units:
-            raise NotFound(f"channel {name[:60]!r}: the window has {', '.join(units)}")
+            raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
     return channels
 
 

@@ -12,6 +12,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "opcua": ("opcua", "Browse an OPC UA server into a node map, or save the certificate to trust."),
     "sparkplug": ("sparkplug", "Browse a Sparkplug B edge node into a metric map."),
     "backup": ("backup", "Write the database and the signals into one verified file. The service may be running."),
+    "report": ("report_file", "Records, and a model beside them, as one page that can be sent."),
     "results": ("results", "Findings and windows as Parquet files, a machine's month as a page."),
     "restore": ("restore", "Bring a backup back into an empty data folder and database."),
     "gateway": ("gateway", "Read machines and send their windows over MQTT to the scorers."),

@@ -5,6 +5,7 @@ import typer
 from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import (
     ChannelMap,
     DbcFile,
@@ -33,13 +34,15 @@ def compare_command(
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare a model with records. Its parameters are not changed."""
+    check_plot(plot)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
     keep_large_arrays()
     given, loaded = model_for(model, loaded, signals(channel_map))
     comparison = given.compare(loaded, map=signals(channel_map))
-    report(comparison.to_dict(), str(comparison), as_json=as_json)
+    report(comparison.to_dict() | drawn(plot, [comparison], f"{model} compared"), str(comparison), as_json=as_json)

@@ -15,10 +15,13 @@ from residuum.library.answers.multivariable_control import design_text as multiv
 from residuum.library.control import design as design_controller
 from residuum.library.multivariable_control import design_multivariable
 from residuum.library.whole_file import write_whole
+from residuum.nearest_names import known_names
 from residuum.robust_control.control_problem import STRUCTURES, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
+from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.report import AsJson, report
 from residuum.service.commands.weight_options import (
     EPSILON,
@@ -32,9 +35,10 @@ from residuum.service.commands.weight_options import (
 
 app = typer.Typer(add_completion=False)
 
-_ANSWER_IS_NO = 1
 _NO_LIMITS = (-math.inf, math.inf)
-_NOT_OF_SEVERAL = "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --export or --limits"
+_NOT_OF_SEVERAL = (
+    "control of several inputs and outputs: takes one model, and no --joined, --fix, --within, --plot, --export or --limits"
+)
 
 
 @app.callback()
@@ -91,16 +95,18 @@ def design(
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Limits of the actuator in the exported code, in the unit of the plant's input."),
     ] = _NO_LIMITS,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Design a controller; exit status 1 when no controller of the structure meets the aim."""
     check_output_file(out)
     _check_export(export, limits)
+    check_plot(plot)
     described = {"aim": aim, "structure": structure, "models": [str(file) for file in identified]}
     choice = WeightChoice(epsilon, zeta, rule, weight_order, points, lowest)
     try:
         if any(is_multivariable(file) for file in identified):
-            if len(identified) > 1 or joined or fix or within or export or limits != _NO_LIMITS:
+            if len(identified) > 1 or joined or plot or fix or within or export or limits != _NO_LIMITS:
                 raise BadInput(_NOT_OF_SEVERAL)
             wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time)
             several = design_multivariable(identified[0], structure=structure, wishes=wishes, weight=choice, seed=seed)
@@ -127,13 +133,14 @@ def design(
         )
     except Infeasible as no:
         report(described | {"feasible": False, "reason": str(no)}, f"infeasible: {no}", as_json=as_json)
-        raise typer.Exit(_ANSWER_IS_NO) from None
+        raise typer.Exit(ANSWER_IS_NO) from None
     equation = controller.difference_equation(limits)
     result = controller.to_dict() | {"file": str(out), "difference_equation": equation.text()}
     if export is not None:
         write_whole(export[1], LANGUAGES[export[0]](equation))
         result["exported"] = str(export[1])
     write_whole(out, json.dumps(result, indent=1))
+    result |= drawn(plot, [controller], f"{structure} controller")
     report(result, design_text(result), as_json=as_json)
 
 
@@ -143,7 +150,7 @@ def _check_export(export: tuple[str, Path] | None, limits: tuple[float, float]) 
     if export is None:
         return
     if export[0] not in LANGUAGES:
-        raise BadInput(f"--export {export[0]!r}: there is no such language; known are {', '.join(LANGUAGES)}")
+        raise BadInput(f"--export {export[0]!r}: there is no such language; {known_names(export[0], LANGUAGES)}")
     check_output_file(export[1])
 
 

@@ -1,9 +1,10 @@
-"""`residuum doctor`: what the service needs, checked one by one; nothing is changed."""
+"""`residuum doctor`: what the service needs, checked one by one; nothing is changed unless it is asked to sweep."""
 
 from __future__ import annotations
 
 import shutil
 import socket
+import sys
 import tempfile
 import urllib.parse
 from collections.abc import Callable
@@ -37,6 +38,8 @@ from residuum.service.storage import DiskStore, audit
 from residuum.service.storage.audit import BrokenAudit
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database, newest_revision, sqlite_file
+from residuum.service.storage.disk_store import SETTLED
+from residuum.service.storage.identity import claim
 from residuum.service.storage.rows import block_rows
 from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import StorageUnavailable
@@ -76,11 +79,14 @@ def doctor(
     data: DataFolder = None,
     database: DatabaseUrl = None,
     blocks: Annotated[int, typer.Option(min=1, help="How many signal blocks to compare with their checksums.")] = 100,
+    sweep: Annotated[bool, typer.Option("--sweep", help="Delete signal blocks that no row of the database names.")] = False,
     settings_file: SettingsFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Check database, rows, blocks, disk, access, buses, machines, broker, compiled code; exit status 1 when one is wrong."""
     settings = load_settings(settings_file, data=data, database=database)
+    if sweep:
+        _sweep(settings)
     checks = [
         _check("database", lambda: _database(settings)),
         _check("audit trail", lambda: _audit(settings)),
@@ -98,6 +104,24 @@ def doctor(
     report({"ok": healthy, "checks": [asdict(check) for check in checks]}, "\n".join(lines), as_json=as_json)
     if not healthy:
         raise typer.Exit(ANSWER_IS_NO)
+
+
+def _sweep(settings: Settings) -> None:
+    """Delete what no row names; BadInput where folder and database do not belong together, or this program has not started."""
+    if (database := _existing(settings)) is None:
+        raise BadInput("--sweep: there is no database yet; nothing was deleted")
+    try:
+        database.refuse_other_revision()
+        claim(settings.data, database)
+    except StorageUnavailable as error:
+        raise BadInput(f"--sweep: {error}; nothing was deleted") from None
+    finally:
+        database.close()
+    store = DiskStore(settings.data, settings.database_url)
+    try:
+        sys.stderr.write(f"residuum: deleted {store.sweep(SETTLED)} signal blocks that no row named\n")
+    finally:
+        store.close()
 
 
 def _check(name: str, look: Callable[[], str | tuple[str, str]]) -> Check:
@@ -142,9 +166,9 @@ def _database(settings: Settings) -> str:
         found, newest = database.revision(), newest_revision()
         if found != newest:
             raise Wrong(f"its schema is at revision {found}, this program needs {newest}; a start of the service migrates it")
-        with database.write() as connection:
-            damage = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar() if _is_sqlite(database) else "ok"
-        if damage != "ok":
+        with database.write():
+            """It can be written."""
+        if (damage := database.damage()) is not None:
             raise Wrong(f"is damaged: {damage}; restore a backup")
         return f"{database.url.get_backend_name()}, can be written, schema at revision {found}"
     finally:
@@ -190,11 +214,7 @@ def _existing(settings: Settings) -> Database | None:
     return None if file is not None and not file.exists() else Database(settings.database_url)
 
 
-def _is_sqlite(database: Database) -> bool:
-    return database.url.get_backend_name() == "sqlite"
-
-
-def _signal_blocks(settings: Settings, sample: int) -> str:
+def _signal_blocks(settings: Settings, sample: int) -> str | tuple[str, str]:
     database = _existing(settings)
     if database is None:
         return "none yet"
@@ -203,14 +223,16 @@ def _signal_blocks(settings: Settings, sample: int) -> str:
             references = block_rows.references(connection) if database.revision() == newest_revision() else []
     finally:
         database.close()
-    folder = settings.data / "blocks"
+    folder, named = settings.data / "blocks", {block.path for block in references}
+    unnamed = len(set(Blocks(folder).paths(SETTLED)) - named)
     missing = [block.path for block in references if not (folder / block.path).is_file()]
     if missing:
         raise Wrong(f"{len(missing)} of {len(references)} are missing, the first: {missing[0]}")
     looked_at = references[:: max(1, -(-len(references) // sample))]
     for block in looked_at:
         Blocks(folder).verify(block)
-    return f"all {len(references)} are there; {len(looked_at)} compared with their checksums"
+    remark = f"{unnamed} more that no row names; `residuum doctor --sweep` deletes them" if unnamed else ""
+    return f"all {len(references)} are there; {len(looked_at)} compared with their checksums", remark
 
 
 def _disk(settings: Settings) -> str:

@@ -9,6 +9,7 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.estimation import estimate_text
 from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
+from residuum.nearest_names import known_names
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -47,7 +48,7 @@ def estimate_command(
 ) -> None:
     """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for validation."""
     if method not in METHODS:
-        raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
+        raise BadInput(f"--method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     check_output_file(out)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map

@@ -7,6 +7,7 @@ import typer
 from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import (
     ChannelMap,
     DbcFile,
@@ -49,9 +50,11 @@ def explain_command(
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
+    check_plot(plot)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
@@ -59,4 +62,5 @@ def explain_command(
     given, loaded = model_for(model, loaded, channels)
     keep_large_arrays()
     explanation = given.explain(loaded, map=channels, effects=wanted, learned=learned, seconds=seconds, progress=told)
-    report(explanation.to_dict(), str(explanation), as_json=as_json)
+    told_of = drawn(plot, [explanation], f"What {model} lacks")
+    report(explanation.to_dict() | told_of, str(explanation), as_json=as_json)

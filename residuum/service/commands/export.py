@@ -7,6 +7,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.library.whole_file import write_whole
+from residuum.nearest_names import known_names
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
@@ -25,7 +26,7 @@ def export_command(
 ) -> None:
     """Write a model, effects included, for another tool: source code, or an FMU (FMI 2.0) with sources and a library."""
     if to not in _TARGETS:
-        raise BadInput(f"--to {to!r}: there is no such target; known are {', '.join(_TARGETS)}")
+        raise BadInput(f"--to {to!r}: there is no such target; {known_names(to, _TARGETS)}")
     check_output_file(out)
     from residuum.identification.physics import load_model  # noqa: PLC0415  SymPy is imported for this command alone
     from residuum.identification.physics.export import EXPORTS, explicit  # noqa: PLC0415

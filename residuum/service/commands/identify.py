@@ -15,6 +15,7 @@ from residuum.library.identification_methods import CRITERIA, LAGS, METHODS, UNC
 from residuum.library.plant import identified, split_records
 from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import (
     ChannelMap,
     DbcFile,
@@ -85,6 +86,7 @@ def identify(
     dbc: DbcFile = None,
     sample_time: SampleTime = None,
     unit: Units = None,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Identify a linear model from INPUT to OUTPUT; the note `# split: 0.7` in a record keeps the last 30 % for validation."""
@@ -92,6 +94,7 @@ def identify(
     check_method(method, criterion, uncertainty, inputs[0] if inputs else "")
     if out is not None:
         check_output_file(out)
+    check_plot(plot)
     noise, offset = _noise_variance(noise_variance), not no_offset
     first = inputs[0] if inputs else ""
     request = Request(
@@ -101,12 +104,14 @@ def identify(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
     if len(inputs) > 1 or len(output) > 1:
+        if plot is not None:
+            raise BadInput("--plot: draws a model of one input and one output")
         several = _several(loaded, inputs, output, request, method, out)
         return report(several, multivariable_text(several), as_json=as_json)
     plant = identified(loaded, request, method, told)
     if out is not None:
         plant.save(out)
-    result = plant.to_dict() | {"file": None if out is None else str(out)}
+    result = plant.to_dict() | {"file": None if out is None else str(out)} | drawn(plot, [plant], f"{output[0]} identified")
     report(result, plant.report(result), as_json=as_json)
 
 

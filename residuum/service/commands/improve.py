@@ -7,12 +7,14 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
+from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
 from residuum.service.commands.explain import Learned, Seconds
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import (
     ChannelMap,
     DbcFile,
@@ -53,6 +55,7 @@ def improve_command(
     sample_time: SampleTime = None,
     unit: Units = None,
     catalogue: OwnCatalogue = None,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""
@@ -61,6 +64,7 @@ def improve_command(
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
+    check_plot(plot)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
@@ -80,7 +84,8 @@ def improve_command(
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)
-    report(improvement.to_dict() | {"model_file": file}, improvement_text(improvement.found, file), as_json=as_json)
+    text = "\n".join([*warning_lines(improvement.warnings), improvement_text(improvement.found, file)])
+    report(improvement.to_dict() | {"model_file": file} | drawn(plot, [improvement], f"{model} improved"), text, as_json=as_json)
 
 
 def names_of(texts: Sequence[str] | None) -> list[str]:

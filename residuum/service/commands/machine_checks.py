@@ -8,6 +8,7 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
 from residuum.identification.units import compatible
+from residuum.nearest_names import known_names
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding.channel_guess import guessed_channels, model_signals
@@ -36,7 +37,11 @@ def machine_check(machine: MachineSettings, baseline: tuple[bool, int] | None) -
         bus = bus_signals(machine)
     except BadInput as error:
         return "", [str(error)]
-    lacks = [] if machine.diagnoser in DIAGNOSERS else [f"diagnoser {machine.diagnoser!r}: known are {', '.join(DIAGNOSERS)}"]
+    lacks = (
+        []
+        if machine.diagnoser in DIAGNOSERS
+        else [f"diagnoser {machine.diagnoser!r}: {known_names(machine.diagnoser, DIAGNOSERS)}"]
+    )
     if machine.diagnoser == "model-based":
         lacks += _model_lacks(machine, bus)
     return f"reads {', '.join(bus)}; {_state(machine, baseline)}", lacks
@@ -57,7 +62,7 @@ def _model_lacks(machine: MachineSettings, bus: Mapping[str, str]) -> list[str]:
         elif channel in bus:
             outputs += role == "output"
         elif needed:
-            hint = f"; perhaps it is {guesses[name]}" if name in guesses else f"; the bus has {', '.join(bus)}"
+            hint = f"; perhaps it is {guesses[name]}" if name in guesses else f"; {known_names(name, bus, 'the bus has')}"
             lacks.append(f"channels, {name}: the model needs this {role}, the bus has no signal of this name{hint}")
     if not outputs:
         lacks.append(f"channels: none of the model's outputs is on the bus ({', '.join(model.outputs)}); map at least one")

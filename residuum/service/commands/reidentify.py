@@ -6,6 +6,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.library.identification_methods import METHODS, Request
+from residuum.nearest_names import known_names
 from residuum.service.commands.fleet_options import Data, Results, Scheduler, Source, Workers, run_over_fleet
 from residuum.service.commands.report import AsJson
 from residuum.service.work.fleet_source import fleet_source
@@ -34,7 +35,7 @@ def reidentify(
     An interrupted run can be resumed.
     """
     if method not in METHODS:
-        raise BadInput(f"--method {method!r}: there is none of this name; known are {', '.join(METHODS)}")
+        raise BadInput(f"--method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     source = fleet_source(records, data)
     work = Reidentify(method, Request(input, output, order, delay, kernel, "marginal", True), source)
     run_over_fleet(

@@ -15,7 +15,8 @@ from residuum.identification.errors import BadInput
 _TIMEOUT = 30.0
 _KEY = "RESIDUUM_API_KEY"
 
-ServiceUrl = Annotated[str, typer.Option("--url", help="Address of the running service.")]
+_URL_HELP = "Address of the running service; RESIDUUM_URL in the environment says it, too."
+ServiceUrl = Annotated[str, typer.Option("--url", envvar="RESIDUUM_URL", show_envvar=False, help=_URL_HELP)]
 HERE = "http://127.0.0.1:8000"
 
 

@@ -10,6 +10,8 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.finding import Verdict
 from residuum.identification.errors import BadInput
 from residuum.library.answers.finding import finding_text
+from residuum.library.finding import Finding
+from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.diagnoser_options import (
     Baseline,
     DiagnoserName,
@@ -22,6 +24,7 @@ from residuum.service.commands.diagnoser_options import (
     model_settings,
     new_diagnoser,
 )
+from residuum.service.commands.plot_option import Plot, check_plot, drawn
 from residuum.service.commands.records import (
     ChannelMap,
     DbcFile,
@@ -54,18 +57,27 @@ def score(
     hertz: Hertz = None,
     method: Method = None,
     false_alarms_per_day: FalseAlarms = None,
+    plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score records. One record gives its finding; several give the worst one and all of them under `findings`."""
+    """Score records; exit status 1 when a window is faulty.
+
+    One record gives its finding; several give the worst one and all of them under `findings`.
+    """
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
+    check_plot(plot)
     judge = _judge(diagnoser, baseline, settings)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
     )
-    findings = [judge.score(record).to_json() | {"record": str(file)} for file, record in zip(records, loaded, strict=True)]
+    judged = [judge.score(record) for record in loaded]
+    findings = [finding.to_json() | {"record": str(file)} for file, finding in zip(records, judged, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))
     result = findings[0] if len(findings) == 1 else worst | {"findings": findings}
+    result |= drawn(plot, [Finding(finding) for finding in judged], f"{diagnoser}: {', '.join(map(str, records))}")
     report(result, "\n".join(finding_text(finding) for finding in findings), as_json=as_json)
+    if worst["verdict"] == Verdict.FAULTY:
+        raise typer.Exit(ANSWER_IS_NO)
 
 
 def _judge(name: str, baseline: Path | None, settings: dict[str, Any]) -> Diagnoser:

@@ -1,11 +1,14 @@
 """`residuum serve`: the service, with `--demo` together with its simulated machines."""
 
 import asyncio
+import shutil
+import signal
 import socket
 import ssl
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,11 +17,14 @@ from fastapi import FastAPI
 
 from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
+from residuum.service.cli import INTERRUPTED
 from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
 from residuum.service.security.http_connections import BoundedConnection
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory
-from residuum.service.storage.database import Database
+from residuum.service.storage.database import LOOKED_THROUGH, Database, sqlite_file
+from residuum.service.storage.identity import claim
+from residuum.service.storage.service_lock import database_lock, folder_lock
 from residuum.service.store import StorageUnavailable
 from residuum.service.work.compiling_behind import CompilingBehind
 from residuum.service.work.large_arrays import give_back_large_arrays
@@ -40,22 +46,38 @@ def serve(
     """Run the service until it is interrupted."""
     settings = load_settings(settings_file, demo=demo or None, host=host, port=port, database=database, data=data)
     _check_certificate(settings)
-    _check_database(settings)
     give_back_large_arrays()
-    with _listening(settings.host, settings.port) as sockets:
-        service = create_app(settings)
-        config = uvicorn.Config(
-            service,
-            log_config=None,
-            access_log=False,
-            lifespan="on",
-            http=BoundedConnection,
-            timeout_graceful_shutdown=_STOP_WITHIN,
-            h11_max_incomplete_event_size=settings.header_limit,
-            ssl_certfile=settings.tls_certificate,
-            ssl_keyfile=settings.tls_key,
-        )
-        asyncio.run(_serve(_Server(config, service), sockets, settings))
+    try:
+        with _owned(settings), _listening(settings.host, settings.port) as sockets:
+            ended_by = _run(settings, sockets)
+    except (StorageUnavailable, OSError) as error:
+        raise BadInput(f"settings data, database: {error}") from None
+    except KeyboardInterrupt:
+        sys.stderr.write("residuum: interrupted\n")
+        raise typer.Exit(INTERRUPTED) from None
+    for number in ended_by:  # all is closed: now it ends as whoever sent the signal expects
+        signal.raise_signal(number)
+
+
+def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
+    """Serve until a signal comes; gives the signals other than SIGINT, which is raised as KeyboardInterrupt."""
+    service = create_app(settings)
+    config = uvicorn.Config(
+        service,
+        log_config=None,
+        access_log=False,
+        lifespan="off",  # begun and ended below: what fails at the start is then told as every other failure
+        http=BoundedConnection,
+        timeout_graceful_shutdown=_STOP_WITHIN,
+        h11_max_incomplete_event_size=settings.header_limit,
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
+    )
+    server = _Server(config, service)
+    asyncio.run(_serve(server, service, sockets, settings))
+    if signal.SIGINT in server.ended_by:
+        raise KeyboardInterrupt
+    return server.ended_by
 
 
 class _Server(uvicorn.Server):
@@ -64,6 +86,15 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
         self._app = app
+        self.ended_by: list[int] = []
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Keep the signals that end it: raised again here, they would end the process before the rest of the service ends."""
+        with super().capture_signals():
+            yield
+            self.ended_by = list(self._captured_signals)
+            self._captured_signals.clear()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams, answer what is under way, stop."""
@@ -71,18 +102,21 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-async def _serve(server: uvicorn.Server, sockets: list[socket.socket], settings: Settings) -> None:
-    running = asyncio.create_task(server.serve(sockets))
-    while not server.started and not running.done():
-        await asyncio.sleep(0.02)
-    behind = CompilingBehind()
-    if server.started:
-        settle_memory()
-        sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
-        sys.stdout.flush()
-        await asyncio.to_thread(behind.start)
-    await running
-    await asyncio.to_thread(behind.stop)
+async def _serve(server: uvicorn.Server, service: FastAPI, sockets: list[socket.socket], settings: Settings) -> None:
+    async with service.router.lifespan_context(service):
+        running = asyncio.create_task(server.serve(sockets))
+        while not server.started and not running.done():
+            await asyncio.sleep(0.02)
+        behind = CompilingBehind()
+        try:
+            if server.started:
+                settle_memory()
+                sys.stdout.write(_greeting(settings, sockets[0].getsockname()[1]))
+                sys.stdout.flush()
+                await asyncio.to_thread(behind.start)
+            await running
+        finally:
+            await asyncio.to_thread(behind.stop)
 
 
 def _greeting(settings: Settings, port: int) -> str:
@@ -95,8 +129,13 @@ def _greeting(settings: Settings, port: int) -> str:
         lines.append(
             "Demo: three simulated machines; their diagnosers are being trained. Switch a fault on the page, or in another shell:"
         )
-        lines.append(f"  residuum fault process-plant sensor-offset --url {scheme}://{host}:{port}")
+        lines.append(f"  {_typed_command()} fault process-plant sensor-offset --url {scheme}://{host}:{port}")
     return "\n".join(lines) + "\n"
+
+
+def _typed_command() -> str:
+    """How this program is called from another shell: by its whole path where its environment is not on the PATH."""
+    return "residuum" if shutil.which("residuum") else str(Path(sys.prefix, "bin", "residuum"))
 
 
 def _check_certificate(settings: Settings) -> None:
@@ -109,15 +148,35 @@ def _check_certificate(settings: Settings) -> None:
         raise BadInput(f"settings tls_certificate, tls_key: {settings.tls_certificate}: {error}") from None
 
 
-def _check_database(settings: Settings) -> None:
-    """BadInput in one line for a database that does not answer, or a file that is none."""
-    database = Database(settings.database_url)
-    try:
-        database.revision()
-    except StorageUnavailable as error:
-        raise BadInput(f"setting database: {error}") from None
-    finally:
-        database.close()
+def _refuse_damage(database: Database) -> None:
+    """BadInput for a file of which SQLite says that it is damaged; larger ones are looked through while the service runs."""
+    if (damage := database.damage()) is not None:
+        raise BadInput(f"setting database: {database.url.database}: is damaged: {damage}; restore a backup into a new folder")
+
+
+@contextmanager
+def _owned(settings: Settings) -> Iterator[None]:
+    """Hold data folder and database for this service alone, with the newest schema and the same identity.
+
+    BadInput in one line where another service holds them, they do not belong together, or one cannot be read and written.
+    """
+    with ExitStack() as held:
+        try:
+            held.enter_context(folder_lock(settings.data))
+        except OSError as error:
+            raise BadInput(f"setting data: {settings.data}: cannot be written: {error.strerror}") from None
+        try:
+            database = Database(settings.database_url)
+            held.callback(database.close)
+            if (file := sqlite_file(settings.database_url)) and file.is_file() and file.stat().st_size <= LOOKED_THROUGH:
+                _refuse_damage(database)
+            database.migrate()
+            held.enter_context(database_lock(database, claim(settings.data, database)))
+        except StorageUnavailable as error:
+            raise BadInput(f"setting database: {error}") from None
+        except OSError as error:
+            raise BadInput(f"settings data, database: {error.filename}: cannot be written: {error.strerror}") from None
+        yield
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import WRITERS, write_record
 from residuum.library.virtual_machine import simulated
+from residuum.nearest_names import known_names
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
 from residuum.simulation import MACHINES
@@ -35,7 +36,7 @@ def simulate(
 ) -> None:
     """Write a record of a simulated machine. The report says what is hidden in it; the file does not."""
     if machine not in MACHINES:
-        raise BadInput(f"machine {machine!r}: there is none of this name; known are {', '.join(MACHINES)}")
+        raise BadInput(f"machine {machine!r}: there is none of this name; {known_names(machine, MACHINES)}")
     check_output_file(out)
     given = {"profile": profile, "rate": rate, "noise_color": noise_color, **dict(map(_setting, setting or []))}
     settings = {name: value for name, value in given.items() if value is not None}
@@ -60,7 +61,7 @@ def _effect(text: str) -> tuple[str, dict[str, float] | str]:
         return id, rest
     parts = [part.partition("=") for part in rest.split(",")] if rest else []
     if wrong := [name for name, equals, _ in parts if not equals]:
-        raise BadInput(f"--effect {text!r}: {wrong[0]!r} must be par=value, or one of {', '.join(SIZES)}")
+        raise BadInput(f"--effect {text!r}: {wrong[0]!r} must be par=value, or {known_names(wrong[0], SIZES, 'one of')}")
     return id, {name: _number(value, f"--effect {text!r}, {name!r}") for name, _, value in parts}
 
 

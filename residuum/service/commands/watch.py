@@ -14,6 +14,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model
+from residuum.nearest_names import known_names
 from residuum.service.commands.machine_checks import bus_signals
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, progress, report
@@ -94,8 +95,8 @@ def signals(
     settings = load_settings(settings_file)
     watched = next((each for each in settings.machines if each.asset == machine), None)
     if watched is None:
-        known = ", ".join(each.asset for each in settings.machines) or "none"
-        raise BadInput(f"machine {machine!r}: is not in the settings; there are {known}")
+        known = known_names(machine, [each.asset for each in settings.machines], "there are")
+        raise BadInput(f"machine {machine!r}: is not in the settings; {known}")
     live, silent = _listened(watched, seconds)
     units = bus_signals(watched)
     lines = [f"  {bus:<20} {value['value']:>12.6g} {units[bus]:<8} {_alias(bus, value['name'])}" for bus, value in live.items()]

@@ -34,6 +34,10 @@ COUNTERS = {
 }
 """Name of each loss counter and what it counts."""
 
+LOSSES = frozenset(("lost", "undecodable", "unstamped", "late_values", "overflow", "queue_drops"))
+"""Counters of what was sent and is missing from the windows."""
+LOSSES_OVER = 60.0
+"""Seconds for which a loss keeps a source from being called good."""
 _RATE_OVER = 5.0  # seconds
 
 
@@ -49,6 +53,7 @@ class SourceHealth:
 
     `remarks` are sentences that hold as long as the source does, such as a message without a counter; with one, quality is
     `uncounted` instead of `good`. `doubts` are, by stream, sentences about values that look wrong; with one, it is `doubtful`.
+    With losses within the last minute it is `losing`.
     """
 
     def __init__(self, stale_after: float = 2.0, clock: Callable[[], float] = time.monotonic) -> None:
@@ -58,6 +63,7 @@ class SourceHealth:
         self._frames = self._samples = 0
         self._seen: float | None = None
         self._recent: deque[tuple[float, int, int]] = deque()
+        self._losses: dict[int, int] = {}
         self._trouble = ""
         self._stale_after, self._clock = stale_after, clock
         self._lock = threading.Lock()
@@ -66,6 +72,10 @@ class SourceHealth:
         """Add to a loss counter (`lost` may also go down, when a late frame arrives); `trouble` says what happened."""
         with self._lock:
             self._counts[name] += times
+            if name in LOSSES:
+                second = int(self._clock())
+                self._forget_losses(second)
+                self._losses[second] = self._losses.get(second, 0) + times
             self._trouble = trouble or self._trouble
 
     def received(self, frames: int, samples: int) -> None:
@@ -83,6 +93,16 @@ class SourceHealth:
         with self._lock:
             return self._counts[name]
 
+    def silence(self) -> str:
+        """What is said of a source that gives nothing now, with its last trouble; empty for one that gives something."""
+        now = self._clock()
+        with self._lock:
+            age = None if self._seen is None else now - self._seen
+            if age is not None and age <= self._stale_after:
+                return ""
+            trouble = f" ({self._trouble})" if self._trouble else ""
+            return ("gave nothing yet" if age is None else "gives nothing any more") + trouble
+
     def snapshot(self) -> dict[str, Any]:
         """What the interface shows: quality, rates over the last seconds, counters, age of the last frame [s]."""
         now = self._clock()
@@ -92,6 +112,8 @@ class SourceHealth:
             age = None if self._seen is None else now - self._seen
             return {
                 "quality": self._quality(age),
+                "lost_lately": self._lost_lately(),
+                "lost_within_seconds": LOSSES_OVER,
                 "last_seen_seconds": age,
                 "frames": self._frames,
                 "samples": self._samples,
@@ -107,7 +129,18 @@ class SourceHealth:
             return "never-seen"
         if age > self._stale_after:
             return "stale"
-        return "doubtful" if self._doubts() else "uncounted" if self.remarks else "good"
+        if self._doubts():
+            return "doubtful"
+        return "losing" if self._lost_lately() else "uncounted" if self.remarks else "good"
+
+    def _lost_lately(self) -> int:
+        self._forget_losses(int(self._clock()))
+        return max(0, sum(self._losses.values()))
+
+    def _forget_losses(self, second: int) -> None:
+        """Keep a number a second, of the last minute: a bus that loses every frame must not fill the memory."""
+        while self._losses and (oldest := next(iter(self._losses))) < second - LOSSES_OVER:
+            del self._losses[oldest]
 
     def _doubts(self) -> list[str]:
         return [sentence for sentences in list(self.doubts.values()) for sentence in sentences]

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,11 +16,13 @@ import structlog
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 from residuum.service.fieldbus import SOURCES
 from residuum.service.fieldbus.block import Block
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.adding.channel_names import named
 from residuum.service.machines.live_values import LiveValues
+from residuum.service.machines.machine_state import LATE, SOON, MachineState, state_of_judging
 from residuum.service.machines.windows.cut_windows import make_cutter
 
 log = structlog.get_logger()
@@ -77,7 +80,11 @@ class MachineLine:
         self._baseline: str | None = None
         self._recording = False
         self.live = LiveValues(settings.channels)
-        self._state, self._progress, self._doing = "idle", 0.0, "waiting for a baseline"
+        self._state, self._progress = MachineState("idle", "waiting for a baseline"), 0.0
+        self._not_judged: MachineState | None = None
+        self._waits_since = time.monotonic()
+        self._window_seconds = settings.window.length if settings.window.cut == "sliding" else 0.0
+        self._told = self._state
         self._judged = self._recorded = self._dropped = self._errors = 0
         self._last: tuple[float, Finding] | None = None
         self._threads = [
@@ -113,23 +120,56 @@ class MachineLine:
     def use_baseline(self, file: str) -> None:
         """Judge from now on with the trained diagnoser in this file."""
         self._baseline, self._recording = file, False
+        self._waits_since = time.monotonic()
         self.set_state("running", 1.0, "judging windows")
         self._window_came.set()
 
-    def set_state(self, state: str, progress: float, doing: str) -> None:
-        """What the interface shows: idle, recording, training, running or failed, how far, and what is being done."""
-        told = (state, round(progress, 2), doing)
-        if told != (self._state, round(self._progress, 2), self._doing):
-            self._state, self._progress, self._doing = state, progress, doing
+    def set_state(self, state: str, progress: float, doing: str, way_on: str = "") -> None:
+        """What the interface shows: idle, recording, training, running or failed, how far, and what is being done.
+
+        Of a machine that is `running`, `state` tells besides whether its windows are being judged now.
+        """
+        told = MachineState(state, doing, way_on)
+        if (told, round(progress, 2)) != (self._state, round(self._progress, 2)):
+            self._state, self._progress = told, progress
             self._changed(self.settings.asset)
+
+    def state(self) -> MachineState:
+        """The state of this moment: `running` while windows are being judged, else what the machine waits for."""
+        silent, late = self._silent(), self._late()
+        if self._state.state == "running":
+            waiting = len(self._windows) + len(self._begun)
+            judging = state_of_judging(self.settings.window.cut, silent, waiting, judged=self._judged > 0, late=late)
+            return self._not_judged or judging
+        if self._state.state == "recording" and silent and late:
+            return replace(state_of_judging("sliding", silent, 0, judged=False, late=True), state="recording")
+        return self._state
+
+    def tell_of_time(self) -> MachineState | None:
+        """Tell when the state became another one by time alone; gives the new state then."""
+        now = self.state()
+        if now == self._told:
+            return None
+        self._told = now
+        self._changed(self.settings.asset)
+        return now
+
+    def _late(self) -> bool:
+        return time.monotonic() - self._waits_since > max(SOON, LATE * self._window_seconds)
+
+    def _silent(self) -> list[str]:
+        """The sources that give nothing, each with its last trouble; none unless all of the windows wait for it."""
+        told = [(source.name, source.health.silence()) for source in self.sources]
+        return [f"{name} {silence}" for name, silence in told if silence]
 
     def status(self) -> dict[str, Any]:
         """State, progress, and what became of the windows."""
-        last = self._last
+        last, now = self._last, self.state()
         return {
-            "state": self._state,
+            "state": now.state,
             "progress": self._progress,
-            "doing": self._doing,
+            "doing": now.doing,
+            "way_on": now.way_on,
             "diagnoser": self.settings.diagnoser,
             "sources": [source.name for source in self.sources],
             "simulated": any(source.fault_ids for source in self.sources),
@@ -180,6 +220,7 @@ class MachineLine:
                 self._add_window(named(window, self.settings.channels))
 
     def _add_window(self, window: Record) -> None:
+        self._window_seconds = max(self._window_seconds, window.duration)
         if len(self._windows) >= _MOST_WINDOWS:
             self._windows.popleft()
             self._dropped += 1
@@ -201,10 +242,13 @@ class MachineLine:
     def _safely(self, step: Callable[[], None]) -> None:
         try:
             step()
-        except Exception:  # one window must never end the machine's thread; it is counted and logged
+        except Exception as error:  # one window must never end the machine's thread; it is counted and logged
             self._errors += 1
             if not self._stopped.is_set():  # else its worker was ended with the service
-                log.exception("judging a window", machine=self.settings.asset)
+                log.exception("judging a window", machine=self.settings.asset, reason=str(error))
+                reason = f"windows cannot be judged: {type(error).__name__}: {error}"
+                way_on = f"see the log; train it anew: residuum watch train {self.settings.asset}"
+                self._not_judged = MachineState("failed", " ".join(reason.split()), way_on)
 
     def _begin(self, window: Record, baseline: str | None) -> None:
         self._begun.append(self._handle(self.settings, window, baseline, self._stopped))
@@ -213,15 +257,34 @@ class MachineLine:
         finding = self._begun.popleft()()
         if finding is not None and finding.only_recorded:
             self._recorded += 1
+            self._waits_since = time.monotonic()
         elif finding is not None:
             self._judged += 1
+            self._not_judged, self._waits_since = None, time.monotonic()
             self._last = (time.time(), finding)
+
+
+def unreadable(settings: MachineSettings, reason: str) -> dict[str, Any]:
+    """The status of a machine that was added once and can no longer be read."""
+    counters = ("judged", "recorded", "waiting", "dropped")
+    return {
+        "state": "failed",
+        "progress": 0.0,
+        "doing": f"cannot be watched: {reason}",
+        "way_on": "put what it needs back, or add it again",
+        "diagnoser": settings.diagnoser,
+        "sources": [],
+        "simulated": False,
+        **{f"windows_{name}": 0 for name in counters},
+        "scoring_errors": 0,
+        "last_finding_at": None,
+        "last_verdict": None,
+    }
 
 
 def _refuse_unknown(settings: MachineSettings, there: Collection[str]) -> None:
     """BadInput for a name in `channels` that the bus has not."""
     for name, bus in settings.channels.items():
         if bus not in there:
-            raise BadInput(
-                f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; it has {', '.join(sorted(there))}"
-            )
+            known = known_names(bus, sorted(there), "it has")
+            raise BadInput(f"machine {settings.asset!r}, channels, {name}: the bus has no signal {bus!r}; {known}")

@@ -10,6 +10,7 @@ from typing import Any
 import structlog
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
@@ -19,7 +20,7 @@ from residuum.service.machines.baselines.baseline_files import baseline_file
 from residuum.service.machines.baselines.stored_baselines import newest_baseline
 from residuum.service.machines.judging.judge_and_store import JudgeAndStore
 from residuum.service.machines.judging.second_opinion import second_name
-from residuum.service.machines.machine_line import MachineLine
+from residuum.service.machines.machine_line import MachineLine, unreadable
 from residuum.service.settings import Settings
 from residuum.service.simulated.demo import Demo
 from residuum.service.store import Conflict, NotFound, StorageUnavailable, Store
@@ -28,6 +29,9 @@ from residuum.service.work.worker_pool import WorkerPool
 log = structlog.get_logger()
 
 _LOOK_FOR_BASELINE = 2.0
+_LOOK_AT_STATES = 1.0
+"""Seconds between looks at which machines have come to a stop or gone on, which no event of theirs tells."""
+_TRAIN_AGAIN = "see the log; stop the service and start it again to train once more"
 
 
 class Pipeline:
@@ -55,6 +59,7 @@ class Pipeline:
         self._of_settings = frozenset(names)
         self._handle = JudgeAndStore(executor, store)
         self._lines = {machine.asset: MachineLine(machine, self._handle, self._announce) for machine in machines}
+        self._unreadable: dict[str, dict[str, Any]] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._watched: dict[str, asyncio.Task[None]] = {}
         self._changing = asyncio.Lock()
@@ -67,6 +72,7 @@ class Pipeline:
         for name, line in self._lines.items():
             if not self._demo or line.settings not in self._demo.machines:
                 self._watch(name)
+        self._tasks.append(asyncio.create_task(self._watch_states()))
         if self._demo:
             await asyncio.to_thread(self._demo.start)
             self._tasks += [asyncio.create_task(self._read_when_ready(self._demo, machine)) for machine in self._demo.machines]
@@ -92,7 +98,24 @@ class Pipeline:
             try:
                 self._lines[machine.asset] = MachineLine(machine, self._handle, self._announce)
             except BadInput as error:
+                self._unreadable[machine.asset] = unreadable(machine, str(error))
                 log.error("a machine that was added cannot be read", machine=machine.asset, reason=str(error))
+
+    async def _watch_states(self) -> None:
+        """Tell what time alone changed, and log which machines are not judged and why, and which are again."""
+        troubled: set[str] = set()
+        while True:
+            for asset, line in list(self._lines.items()):
+                if (state := line.tell_of_time()) is None:
+                    continue
+                if state.way_on:
+                    troubled.add(asset)
+                    told = {"machine": asset, "state": state.state, "reason": state.doing, "way_on": state.way_on}
+                    log.error("a machine is not judged", **told)
+                elif state.state == "running" and asset in troubled:
+                    troubled.discard(asset)
+                    log.info("a machine is judged again", machine=asset)
+            await asyncio.sleep(_LOOK_AT_STATES)
 
     def _watch(self, asset: str) -> None:
         line = self._lines[asset]
@@ -107,6 +130,7 @@ class Pipeline:
             await self._end(machine.asset)
             await asyncio.to_thread(self._store.ensure_asset, machine.asset, diagnoser=machine.diagnoser)
             self._lines[machine.asset] = line
+            self._unreadable.pop(machine.asset, None)
             self._watch(machine.asset)
         self._announce(machine.asset)
 
@@ -149,13 +173,13 @@ class Pipeline:
 
     def _line(self, asset: str) -> MachineLine:
         if asset not in self._lines:
-            raise NotFound(f"machine {asset!r}: there is none of this name; known are {', '.join(self._lines) or 'none'}")
+            raise NotFound(f"machine {asset!r}: there is none of this name; {known_names(asset, self._lines)}")
         return self._lines[asset]
 
     def status(self) -> dict[str, Any]:
         """State of every machine, and rates and loss counters of every source."""
         return {
-            "machines": {name: line.status() for name, line in self._lines.items()},
+            "machines": {name: line.status() for name, line in self._lines.items()} | self._unreadable,
             "sources": {name: state for line in self._lines.values() for name, state in line.source_status().items()},
         }
 
@@ -175,7 +199,7 @@ class Pipeline:
         """Send the order over the machine's own bus: `none` clears all; size None takes the default, 0 clears."""
         source = self._fault_source(machine)
         if fault != "none" and fault not in source.fault_ids:
-            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; known are none, {', '.join(source.fault_ids)}")
+            raise BadInput(f"machine {machine!r}: has no fault {fault!r}; {known_names(fault, ['none', *source.fault_ids])}")
         orders = [(name, 0.0) for name in source.fault_ids] if fault == "none" else [(fault, -1.0 if size is None else size)]
         try:
             for name, wanted in orders:
@@ -205,8 +229,10 @@ class Pipeline:
             except NotFound:
                 recorded = await asyncio.to_thread(self._store.recorded_windows, machine.asset)
                 line.record_windows(waits_for_baseline(machine, len(recorded)))
-            except (OSError, StorageUnavailable):  # the disk may come back: ask again
-                log.exception("baseline not taken up", machine=machine.asset)
+            except Exception as error:  # the disk may come back: ask again; whatever it is, the machine is not given up
+                log.exception("baseline not taken up", machine=machine.asset, reason=str(error))
+                if not known:
+                    line.set_state("failed", 0.0, f"its baseline cannot be taken up: {error}", "see the log; it is tried again")
             second = await self._look_for_second(machine, second)
             await asyncio.sleep(_LOOK_FOR_BASELINE)
 
@@ -244,8 +270,9 @@ class Pipeline:
             line.use_baseline(await asyncio.to_thread(baseline_file, self._settings.data, content))
             self._tasks.append(asyncio.create_task(self._find_baseline(machine)))
         except Exception as error:  # the machine's state tells it, and the others go on
-            log.exception("training failed", machine=machine.asset)
-            line.set_state("failed", 0.0, f"training failed: {error}")
+            reason = " ".join(f"training failed: {type(error).__name__}: {error}".split())
+            log.exception("training failed", machine=machine.asset, reason=reason, way_on=_TRAIN_AGAIN)
+            line.set_state("failed", 0.0, reason, _TRAIN_AGAIN)
 
     async def _stored_or_trained(self, demo: Demo, machine: MachineSettings, tell: Callable[[str, float, str], None]) -> bytes:
         note = await asyncio.to_thread(demo.training_key, machine.asset)  # reads the program's files

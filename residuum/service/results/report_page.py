@@ -31,20 +31,30 @@ def report_page(report: MonthReport, made: datetime | None = None) -> str:
     parts = [
         f"<h1>{escape(title)}: {escape(report.month)}</h1>",
         _summary(report),
-        _section("Faults", _faults(report)),
-        _section("Alarms", _alarms(report)),
-        _section("Windows by day (UTC)", _days(report)),
-        _section("Windows that could not be judged", _reasons(report)),
-        _section("Parameters", _curves(report.parameters, report, "healthy band")),
-        _section("Indicators", _curves(report.indicators, report, "limit")),
-        f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(made or datetime.now(UTC))}.</p>',
+        section("Faults", _faults(report)),
+        section("Alarms", _alarms(report)),
+        section("Windows by day (UTC)", _days(report)),
+        section("Windows that could not be judged", _reasons(report)),
+        section("Parameters", _curves(report.parameters, report, "healthy band")),
+        section("Indicators", _curves(report.indicators, report, "limit")),
+        written_by(made),
     ]
+    return whole_page(f"{title} {report.month}", parts)
+
+
+def whole_page(title: str, parts: Sequence[str]) -> str:
+    """A page of these parts that opens offline: the pages' own style, no scripts."""
     css = "\n".join(files("residuum.service.web").joinpath(f"assets/css/{name}.css").read_text("utf-8") for name in _STYLES)
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)} {report.month}</title><style>{css}\n{_OWN}</style>"
+        f"<title>{escape(title)}</title><style>{css}\n{_OWN}</style>"
     )
     return f'<!doctype html>\n<html lang="en"><head>{head}</head><body><main>{"".join(parts)}</main></body></html>\n'
+
+
+def written_by(made: datetime | None = None) -> str:
+    """Who wrote a page, and when (now)."""
+    return f'<p class="muted small">Residuum {escape(version("residuum"))}, written {_moment(made or datetime.now(UTC))}.</p>'
 
 
 def _summary(report: MonthReport) -> str:
@@ -107,7 +117,8 @@ def _panel(name: str, each: Followed, report: MonthReport, limits: str) -> Panel
     return Panel(f"{name} [{each.unit}]" if each.unit else name, "day of the month", each.unit, curves)
 
 
-def _section(title: str, content: str) -> str:
+def section(title: str, content: str) -> str:
+    """A part of a page under its heading."""
     return f"<section><h2>{escape(title)}</h2>{content}</section>"
 
 

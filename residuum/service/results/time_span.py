@@ -33,6 +33,13 @@ def span_of(begin: str, end: str) -> Span:
     return span
 
 
+def open_span(begin: str | None, end: str | None) -> tuple[datetime | None, datetime | None]:
+    """The span of two ISO 8601 times either of which may be missing; BadInput as `span_of`."""
+    if begin is not None and end is not None:
+        return span_of(begin, end)
+    return None if begin is None else _moment("from", begin), None if end is None else _moment("to", end)
+
+
 def month_of(text: str) -> Span:
     """The month `YYYY-MM`, in UTC.
 

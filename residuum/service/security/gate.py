@@ -169,7 +169,8 @@ class Gate:
             return problem(401, f"API key: {reason}", "no-key", {"WWW-Authenticate": "Bearer"})
         needed = _role_for(scope["method"], scope["path"])
         if caller.role < needed:
-            return problem(403, f"API key of {caller.name!r}: role {caller.role.name.lower()} may not do this", "role")
+            has, needs = caller.role.name.lower(), needed.name.lower()
+            return problem(403, f"API key of {caller.name!r}: role {has} may not do this; it needs the role {needs}", "role")
         if caller.sites is not None and not _of_sites(scope, caller):
             sites = ", ".join(sorted(caller.sites))
             return problem(403, f"API key of {caller.name!r}: is limited to machines of {sites}", "site")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 
 
 @dataclass(frozen=True)
@@ -47,5 +48,5 @@ def wiring_of(device: str) -> Wiring:
     """The wiring of a device (`process` is `process-plant`); BadInput lists what there is."""
     name = "process-plant" if device == "process" else device
     if name not in WIRINGS:
-        raise BadInput(f"machine {device!r}: there is none of this name on a bus; known are {', '.join(WIRINGS)}")
+        raise BadInput(f"machine {device!r}: there is none of this name on a bus; {known_names(device, WIRINGS)}")
     return WIRINGS[name]

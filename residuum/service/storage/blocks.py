@@ -22,7 +22,11 @@ from residuum.identification.record import Record
 from residuum.service.storage.durable_folder import make_folder, sync_folder
 from residuum.service.store import StorageUnavailable
 
-MAGIC = b"RESIDUUM-BLOCK-1\n"
+MAGIC = b"RESIDUUM-BLOCK-2\n"
+_WITHOUT_CHECKSUM = b"RESIDUUM-BLOCK-1\n"
+"""Blocks of before headers had a checksum of their own: these are compared as a whole with that of their row."""
+_BEGIN = len(MAGIC) + 8
+_CRC = 4
 _ALIGNMENT = 64
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PROBE = 64 * 1024
@@ -44,9 +48,9 @@ class BlockReference:
 class Blocks:
     """The folder of signal blocks.
 
-    A file is: magic line, length of the header (8 bytes, little endian), header as JSON, then each channel's samples
-    (little endian, contiguous, aligned to 64 bytes). The header carries a CRC-32 of every channel, so one channel of
-    a long record can be read and verified alone. Names are ours (date and UUID), never a user's.
+    A file is: magic line, length of the header and CRC-32 over both and it (8 and 4 bytes, little endian), header as JSON, then
+    each channel's samples (little endian, contiguous, aligned to 64 bytes). The header carries a CRC-32 of every channel, so one
+    channel of a long record can be read and verified alone. Names are ours (date and UUID), never a user's.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -71,14 +75,19 @@ class Blocks:
             raise _unavailable(error) from error
         return BlockReference(f"{day}/{name}", digest, sum(map(len, parts)))
 
-    def read(self, path: str, channels: Sequence[str] | None = None) -> Record:
-        """The record of a block, or some of its channels, verified by the channels' checksums."""
+    def read(self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None) -> Record:
+        """The record of a block, or some of its channels, verified by the checksums of its header and of the channels.
+
+        `checksum` is that of the whole file, by which a block is verified whose header has none of its own.
+        """
         file = self.folder / path
         try:
+            if checksum is not None and _begins_with(file, _WITHOUT_CHECKSUM):
+                self.verify(BlockReference(path, checksum, 0))
             header, start = _header(file)
             wanted = header["channels"] if channels is None else [_entry(header, name) for name in channels]
             arrays = {entry["name"]: _array(file, entry, start, header["n"]) for entry in wanted}
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise BrokenBlock(f"signal block {path}: {error}") from error
         units = {entry["name"]: entry["unit"] for entry in wanted}
         return Record(
@@ -161,8 +170,9 @@ def _parts(record: Record) -> list[bytes | memoryview]:
         "channels": entries,
     }
     header = orjson.dumps(described)
-    header += b" " * (-(len(MAGIC) + 8 + len(header)) % _ALIGNMENT)
-    return [MAGIC, len(header).to_bytes(8, "little"), header, *bodies]
+    header += b" " * (-(_BEGIN + _CRC + len(header)) % _ALIGNMENT)
+    begin = MAGIC + len(header).to_bytes(8, "little")
+    return [begin, zlib.crc32(begin + header).to_bytes(_CRC, "little"), header, *bodies]
 
 
 def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
@@ -178,10 +188,21 @@ def _write_all(descriptor: int, parts: Sequence[bytes | memoryview]) -> str:
 def _header(file: Path) -> tuple[dict[str, Any], int]:
     """(header, where the samples start)."""
     with open(file, "rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
+        begin = stream.read(_BEGIN)
+        if begin[: len(MAGIC)] not in (MAGIC, _WITHOUT_CHECKSUM):
             raise ValueError("is not a signal block")
-        length = int.from_bytes(stream.read(8), "little")
-        return orjson.loads(stream.read(length)), len(MAGIC) + 8 + length
+        length = min(int.from_bytes(begin[len(MAGIC) :], "little"), os.fstat(stream.fileno()).st_size)
+        if begin[: len(MAGIC)] == _WITHOUT_CHECKSUM:
+            return orjson.loads(stream.read(length)), _BEGIN + length
+        crc, header = stream.read(_CRC), stream.read(length)
+        if zlib.crc32(begin + header).to_bytes(_CRC, "little") != crc:
+            raise ValueError("its header differs from its checksum")
+        return orjson.loads(header), _BEGIN + _CRC + length
+
+
+def _begins_with(file: Path, magic: bytes) -> bool:
+    with open(file, "rb") as stream:
+        return stream.read(len(magic)) == magic
 
 
 def _entry(header: dict[str, Any], name: str) -> dict[str, Any]:

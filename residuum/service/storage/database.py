@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,14 @@ from residuum.service.store import StorageUnavailable
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _PATIENCE = 30.0
 """How long a writer waits for another process's lock [s]."""
+
+
+LOOKED_THROUGH = 64 * 2**20
+"""Bytes of a SQLite file that are looked through before a start, in a fraction of a second; larger ones beside the service."""
+
+
+class OutcomeUnknown(StorageUnavailable):
+    """The connection was lost while a transaction was being committed: it may stand, or may not."""
 
 
 class Database:
@@ -57,15 +66,42 @@ class Database:
             yield connection.execution_options(**level)
 
     @contextmanager
+    def held_open(self) -> Iterator[Connection]:
+        """A connection of its own, outside of any transaction, for what lasts as long as the connection."""
+        with _storage_errors(), self.engine.connect() as connection:
+            yield connection.execution_options(isolation_level="AUTOCOMMIT")
+
+    @contextmanager
     def write(self) -> Iterator[Connection]:
-        """A connection to write through; committed, and on disk, when the block ends without an exception."""
+        """A connection to write through; committed, and on disk, when the block ends without an exception.
+
+        OutcomeUnknown where the answer to the commit was lost.
+        """
         with self._writing, _storage_errors(), self.engine.connect() as connection:
             connection = connection.execution_options(residuum_write=True)
-            with connection.begin():
+            transaction = connection.begin()
+            try:
                 yield connection
+            except BaseException:
+                with suppress(DBAPIError):  # a connection that is gone has rolled back
+                    transaction.rollback()
+                raise
+            try:
+                transaction.commit()
+            except DBAPIError as error:
+                if error.connection_invalidated:
+                    raise OutcomeUnknown("database: the connection was lost before it said whether all was kept") from error
+                raise
 
     def migrate(self, revision: str = "head") -> None:
-        """Bring the schema to a revision, up or down."""
+        """Bring the schema to a revision, up or down; BadInput for the schema of a newer program."""
+        found = self.revision()
+        if found is not None and found not in known_revisions():
+            url = self.url.render_as_string(hide_password=True)
+            raise BadInput(
+                f"database {url}: its schema, revision {found}, is newer than this program, which knows {newest_revision()}; "
+                "start the program that wrote it, or restore a backup into a new folder"
+            )
         with self.write() as connection:
             config = _alembic()
             config.attributes["connection"] = connection
@@ -76,6 +112,14 @@ class Database:
         """The schema's revision; None when there are no tables yet."""
         with self.read() as connection:
             return MigrationContext.configure(connection).get_current_revision()
+
+    def damage(self) -> str | None:
+        """What is wrong with the structure of a SQLite file, as SQLite says; None where nothing is, and for other databases."""
+        if self.url.get_backend_name() != "sqlite":
+            return None
+        with self.read() as connection:
+            says = str(connection.exec_driver_sql("PRAGMA quick_check(1)").scalar())
+        return None if says == "ok" else " ".join(says.split())
 
     def refuse_other_revision(self) -> None:
         """BadInput when the schema is not this program's: who only reads must not migrate what another program may be using."""
@@ -118,11 +162,21 @@ def _engine(url: URL) -> Engine:
         make_folder(Path(url.database).parent)
     engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
 
+    opened: list[Path] = []
+
+    @event.listens_for(engine, "do_connect")
+    def _refuse_to_make_anew(_dialect: Any, _record: Any, _arguments: Any, _more: Any) -> None:
+        """A file that has gone while it was in use was moved: SQLite would begin an empty one in its place."""
+        if any(not file.exists() for file in opened):
+            raise sqlite3.OperationalError("its file was moved or removed")
+
     @event.listens_for(engine, "connect")
     def _set_up(connection: Any, _record: Any) -> None:
         connection.isolation_level = None  # transactions are begun by us, below
         for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
             connection.execute(f"PRAGMA {pragma}")
+        if not opened and url.database and url.database != ":memory:":
+            opened.append(Path(url.database))
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,13 +20,25 @@ from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import alarm_rates, audit, retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
-from residuum.service.storage.database import Database
+from residuum.service.storage.database import Database, OutcomeUnknown, sqlite_file
 from residuum.service.storage.outbox import Outbox
-from residuum.service.storage.retention import Retention
-from residuum.service.storage.rows import alarms, assets, block_rows, finding_hours, finding_notices, models, records, windows
+from residuum.service.storage.retention import Clock, Retention
+from residuum.service.storage.rows import (
+    alarm_history,
+    alarms,
+    assets,
+    block_rows,
+    finding_hours,
+    finding_notices,
+    models,
+    records,
+    windows,
+)
+from residuum.service.storage.same_place import SamePlace
 from residuum.service.store import (
     Alarm,
     AlarmEntry,
+    AlarmOccurrence,
     AlarmRates,
     Asset,
     AuditEntry,
@@ -31,10 +47,17 @@ from residuum.service.store import (
     ModelVersion,
     Page,
     SignalLetGo,
+    StorageUnavailable,
     StoredFinding,
     StoredRecord,
     StoredWindow,
 )
+
+SETTLED = 120.0
+"""Age [s] at which a block without a row is an orphan: longer than a writer waits for the database."""
+
+_CHECK_EVERY = 1.0
+"""Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
 
 Announce = Callable[[str, Mapping[str, Any]], None]
 """Told what changed, after it is on disk: (event kind, payload)."""
@@ -75,18 +98,39 @@ class DiskStore:
         self._database.migrate()
         self.outbox = Outbox(self._database)
         self._blocks = Blocks(data / "blocks")
+        self._clock = Clock()
+        self.damage: str | None = None
+        self._place = SamePlace(self._blocks.folder, sqlite_file(database_url))
         self._announce = announce
         self._rule_of = rule_of
+        self._checking, self._checked_at = threading.Lock(), -math.inf
+        self._refusal: StorageUnavailable | None = None
 
     def close(self) -> None:
         """Close the database."""
         self._database.close()
 
     def check(self) -> None:
-        """Raise StorageUnavailable when a small window could not be stored now: a block and a row are written."""
-        self._blocks.probe()
-        with self._database.write() as connection:
-            audit.touch(connection)
+        """Raise StorageUnavailable when a small window could not be stored now: a block and a row are written.
+
+        At most once a second, however many ask: what was found then is what they are told.
+        """
+        self._place.check()
+        with self._checking:
+            if time.monotonic() - self._checked_at >= _CHECK_EVERY:
+                self._refusal = self._looked()
+                self._checked_at = time.monotonic()
+            if self._refusal is not None:
+                raise StorageUnavailable(str(self._refusal), full=self._refusal.full)
+
+    def _looked(self) -> StorageUnavailable | None:
+        try:
+            self._blocks.probe()
+            with self._database.write() as connection:
+                audit.touch(connection)
+        except StorageUnavailable as error:
+            return error
+        return None
 
     def unshelve_expired(self) -> None:
         """Put alarms back whose shelving has run out."""
@@ -104,9 +148,43 @@ class DiskStore:
         `digest` (of the content) differs.
         """
         now = _now()
-        if idempotency_key is not None and (known := self.window_with_key(asset, idempotency_key, digest)) is not None:
-            return known
-        block = self._blocks.write(record, _day(now))
+        with self._noted():
+            if idempotency_key is not None and (known := self.window_with_key(asset, idempotency_key, digest)) is not None:
+                return known
+            self._place.check()
+            block = self._blocks.write(record, _day(now))
+            return self._add_with_block(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Let `check` look again at once when a write shows that what it found holds no more."""
+        try:
+            yield
+        except StorageUnavailable:
+            if self._refusal is None:
+                self._checked_at = -math.inf
+            raise
+        if self._refusal is not None:
+            self._checked_at = -math.inf
+
+    def _refuse_moved(self) -> None:
+        """OutcomeUnknown when what was just committed is not in what the next start opens: it is not acknowledged."""
+        try:
+            self._place.check()
+        except StorageUnavailable as error:
+            raise OutcomeUnknown(str(error)) from None
+
+    def _add_with_block(
+        self,
+        asset: str,
+        record: Record,
+        finding: Finding,
+        block: BlockReference,
+        *,
+        now: datetime,
+        idempotency_key: str | None,
+        digest: str | None,
+    ) -> int:
         try:
             return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
         except IntegrityError:  # another request with the same key was faster
@@ -115,6 +193,8 @@ class DiskStore:
             if known is None:
                 raise
             return known
+        except OutcomeUnknown:  # the row may be there: its block stays, and a second call with the key finds out
+            raise
         except BaseException:
             self._blocks.discard(block.path)
             raise
@@ -136,6 +216,7 @@ class DiskStore:
             number = assets.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
             changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset))
+        self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
             self._announce("alarm", alarm.to_json())
@@ -143,6 +224,7 @@ class DiskStore:
 
     def window_with_key(self, asset: str, idempotency_key: str, digest: str | None) -> int | None:
         """The window stored under a key before, None when there is none; Conflict when its content differed."""
+        self._place.check()
         with self._database.read() as connection:
             return windows.with_key(connection, asset, idempotency_key, digest)
 
@@ -195,10 +277,12 @@ class DiskStore:
         with self._database.read() as connection:
             return assets.finding_of(connection, window)
 
-    def indicators(self, asset: str, limit: int = 500) -> IndicatorHistory:
-        """Indicators and thresholds of the newest findings, oldest first."""
+    def indicators(
+        self, asset: str, limit: int = 500, span: tuple[datetime | None, datetime | None] | None = None
+    ) -> IndicatorHistory:
+        """Indicators and thresholds of the newest findings, or of at most so many spread over a span; oldest first."""
         with self._database.read() as connection:
-            return assets.indicators(connection, asset, limit)
+            return assets.indicators(connection, asset, limit, span)
 
     def finding_hours(self, asset: str, limit: int = 24 * 30) -> Sequence[FindingHour]:
         """Hourly history of the findings whose rows were let go, oldest first."""
@@ -223,7 +307,8 @@ class DiskStore:
     def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of a window (of some channels), verified; SignalLetGo when the retention rule has removed them."""
         try:
-            return self._blocks.read(self._held(asset, window).block_path, channels)
+            row = self._held(asset, window)
+            return self._blocks.read(row.block_path, channels, row.block_checksum)
         except BrokenBlock:
             self._held(asset, window)  # it may have been let go between the row and the block
             raise
@@ -263,6 +348,18 @@ class DiskStore:
         with self._database.read() as connection:
             return alarms.journal(connection, alarm, limit)
 
+    def alarm_history(
+        self,
+        span: tuple[datetime | None, datetime | None] = (None, None),
+        asset: str | None = None,
+        cursor: str | None = None,
+        limit: int = 100,
+        sites: Collection[str] | None = None,
+    ) -> Page[AlarmOccurrence]:
+        """Alarms that were raised in a span of time (None: open), the newest first, each with what became of it."""
+        with self._database.read() as connection:
+            return alarm_history.page(connection, span, asset=asset, cursor=cursor, limit=limit, sites=sites)
+
     def operate_alarm(
         self, alarm: int, event: AlarmEvent, by: str | None = None, comment: str | None = None, until: datetime | None = None
     ) -> Alarm:
@@ -285,10 +382,15 @@ class DiskStore:
     def add_record(self, name: str, record: Record) -> int:
         """Keep an uploaded record; returns its id when it is on disk."""
         now = _now()
+        self._place.check()
         block = self._blocks.write(record, _day(now))
         try:
             with self._database.write() as connection:
-                return records.add(connection, name, record, block, now)
+                number = records.add(connection, name, record, block, now)
+            self._refuse_moved()
+            return number
+        except OutcomeUnknown:
+            raise
         except BaseException:
             self._blocks.discard(block.path)
             raise
@@ -307,7 +409,7 @@ class DiskStore:
         """The samples of an uploaded record, verified."""
         with self._database.read() as connection:
             row = records.row_of(connection, record)
-        return self._blocks.read(row.block_path, channels)
+        return self._blocks.read(row.block_path, channels, row.block_checksum)
 
     def remove_record(self, record: int) -> None:
         """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
@@ -344,10 +446,10 @@ class DiskStore:
 
         The rows say so before the files go: a crash in between leaves files that `sweep` removes.
         """
-        count = 0
+        count, self._clock.doubt = 0, None
         while True:
             with self._database.write() as connection:
-                paths = retention.let_go(connection, rule, _now())
+                paths = retention.let_go(connection, rule, _now(), self._clock)
             for path in paths:
                 self._blocks.remove(path)
             count += len(paths)
@@ -359,16 +461,30 @@ class DiskStore:
 
     def _forget(self, rule: Retention) -> int:
         with self._database.write() as connection:
-            return retention.forget(connection, rule, _now())
+            return retention.forget(connection, rule, _now(), self._clock)
 
-    def sweep(self, settled: float = 0.0) -> int:
-        """Remove blocks that no row points to (left by a crash) and that are older than `settled` seconds; returns how many.
+    def troubles(self) -> Mapping[str, str]:
+        """What storing suffers from although windows are taken, by its subject."""
+        told = {"retention": self._clock.doubt, "database": self.damage}
+        return {subject: says for subject, says in told.items() if says is not None}
+
+    def look_for_damage(self) -> str | None:
+        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`."""
+        self.damage = self._database.damage()
+        return self.damage
+
+    def orphans(self, settled: float = 0.0) -> set[str]:
+        """Blocks that no row points to (left by a crash) and that are older than `settled` seconds.
 
         While something else may be writing, `settled` must exceed the time from a block to its row.
         """
-        orphans = set(self._blocks.paths(settled))
+        found = set(self._blocks.paths(settled))
         with self._database.read() as connection:
-            orphans -= {block.path for block in block_rows.references(connection)}
+            return found - {block.path for block in block_rows.references(connection)}
+
+    def sweep(self, settled: float = 0.0) -> int:
+        """Remove the orphans, for good; returns how many. Only when somebody asks: beside another database all would be."""
+        orphans = self.orphans(settled)
         for path in orphans:
             self._blocks.remove(path)
         return len(orphans)

@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import deque
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
+from time import monotonic
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, select, update
@@ -19,6 +21,12 @@ from residuum.service.storage.tables import alarms, assets, findings, windows
 _DAY = 86_400.0
 _AT_ONCE = 500
 """Signals let go in one transaction, so that writers never wait long for it."""
+_SHARE = 0.1
+"""Share of what is there that may go for its age within a day, where the age by itself asks for less."""
+_LEAST = 10
+"""Windows that may go for their age within a day, however few there are."""
+_FARTHEST = timedelta(days=7)
+"""How far back the newest window may lie: beyond, the clock may have jumped, and nothing goes for its age."""
 
 
 @dataclass(frozen=True)
@@ -31,40 +39,104 @@ class Retention:
     rows: int = sys.maxsize
 
 
-def let_go(connection: Connection, retention: Retention, now: datetime) -> list[str]:
+class Clock:
+    """How far the clock is believed: a share of the windows a day may go for their age, none while the newest lies far back.
+
+    A clock that stands two years ahead makes all windows old at once. What went within a day is known by a clock that nobody can
+    set, and of signals also from their rows. `doubt` says why some that are old were kept.
+    """
+
+    def __init__(self) -> None:
+        self.doubt: str | None = None
+        self._far: datetime | None = None
+        self._gone: dict[str, deque[tuple[float, int]]] = {"signals": deque(), "rows": deque()}
+
+    def signals(self, connection: Connection, days: float, now: datetime) -> int:
+        """How many signals may go for their age now."""
+        held = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one()
+        lately = windows.c.signal_let_go_at > now - timedelta(days=1)
+        gone = connection.execute(select(func.count()).select_from(windows).where(lately)).scalar_one()
+        return self._may_go(connection, held, max(gone, self._lately("signals")), days, now)
+
+    def rows(self, connection: Connection, days: float, now: datetime) -> int:
+        """How many rows may go for their age now."""
+        there = connection.execute(select(func.count()).select_from(windows)).scalar_one()
+        return self._may_go(connection, there, self._lately("rows"), days, now)
+
+    def went(self, what: str, count: int) -> None:
+        """Note that so many `signals` or `rows` went for their age."""
+        if count > 0:
+            self._gone[what].append((monotonic(), count))
+
+    def _lately(self, what: str) -> int:
+        gone = self._gone[what]
+        while gone and gone[0][0] < monotonic() - _DAY:
+            gone.popleft()
+        return sum(count for _, count in gone)
+
+    def _may_go(self, connection: Connection, there: int, gone: int, days: float, now: datetime) -> int:
+        newest = connection.execute(select(windows.c.received_at).order_by(windows.c.id.desc()).limit(1)).scalar_one_or_none()
+        self._far = newest if newest is not None and now - newest > _FARTHEST else None
+        if self._far is not None:
+            return 0
+        share = math.inf if days <= 0 else max(_SHARE, 2.0 / days)
+        return sys.maxsize if share >= 1 else max(_LEAST, math.ceil(share * (there + gone))) - gone
+
+    def kept_back(self, days: float, now: datetime) -> None:
+        """Note that more is old than may go."""
+        if self._far is not None:
+            seen = f"the newest window is of {self._far:%Y-%m-%d}, the clock says {now:%Y-%m-%d}: none goes until newer ones come"
+        else:
+            seen = f"more is older than {days:g} days than the {100 * max(_SHARE, 2.0 / days):.0f} % that go within a day"
+        self.doubt = f"{seen}; set the clock right if it is wrong"
+
+
+def let_go(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> list[str]:
     """Write down that the oldest signals beyond the age or the amount are gone, a batch at most; returns their blocks' paths.
 
-    Signals of rows that are to go go too. Kept whatever their age: the newest window of every asset, and the window behind every
-    alarm that is not normal.
+    Those beyond the age go as far as the clock is believed. Signals of rows that are to go go too. Kept whatever their age: the
+    newest window of every asset, and the window behind every alarm that is not normal.
     """
     held = connection.execute(select(func.coalesce(func.sum(windows.c.size_bytes), 0)).where(_HELD)).scalar_one()
     surplus = int(held) - retention.size_bytes
     rows = connection.execute(select(func.count()).select_from(windows).where(_HELD)).scalar_one() - retention.rows
     days = min(retention.days, retention.row_days)
+    aged = may_go = clock.signals(connection, days, now)
     gone: list[Row[Any]] = []
     for row in connection.execute(_may_go(_HELD)):
-        if surplus <= 0 and rows <= 0 and (now - row.received_at).total_seconds() <= days * _DAY:
-            break
+        if surplus <= 0 and rows <= 0:
+            if (now - row.received_at).total_seconds() <= days * _DAY:
+                break
+            if aged <= 0:
+                clock.kept_back(days, now)
+                break
+            aged -= 1
         surplus -= row.size_bytes
         rows -= 1
         gone.append(row)
+    clock.went("signals", may_go - aged)
     ids = [row.id for row in gone]
     connection.execute(update(windows).where(windows.c.id.in_(ids)).values(signal_let_go_at=now))
     return [row.block_path for row in gone]
 
 
-def forget(connection: Connection, retention: Retention, now: datetime) -> int:
+def forget(connection: Connection, retention: Retention, now: datetime, clock: Clock) -> int:
     """Fold the findings of the oldest windows beyond the age or the number into their hours, and delete the rows of both.
 
     A batch at most; returns how many. Only windows whose signal is gone; kept is what `let_go` keeps, and what any alarm names.
     """
     surplus = connection.execute(select(func.count()).select_from(windows)).scalar_one() - retention.rows
-    gone: list[int] = []
+    aged, gone = clock.rows(connection, retention.row_days, now), list[int]()
     for row in connection.execute(_may_go(windows.c.signal_let_go_at.is_not(None), alarming=alarms.c.window_id.is_not(None))):
-        if len(gone) >= surplus and (now - row.received_at).total_seconds() <= retention.row_days * _DAY:
-            break
+        if len(gone) >= surplus:
+            if (now - row.received_at).total_seconds() <= retention.row_days * _DAY:
+                break
+            if len(gone) - max(0, surplus) >= aged:
+                clock.kept_back(retention.row_days, now)
+                break
         gone.append(row.id)
     if gone:
+        clock.went("rows", len(gone) - max(0, surplus))
         theirs = findings.c.window_id.in_(gone)
         finding_notices.forget(connection, theirs)
         finding_hours.add(connection, connection.execute(select(findings).where(theirs).order_by(findings.c.id)).all())

@@ -127,6 +127,8 @@ alarms = Table(
     Column("condition", Boolean, nullable=False),
     Column("message", Text, nullable=False),
     Column("occurrences", Integer, nullable=False),
+    Column("worst", Float),
+    Column("worst_at", UtcDateTime),
     Column("raised_at", UtcDateTime),
     Column("cleared_at", UtcDateTime),
     Column("pending_since", UtcDateTime),
@@ -194,6 +196,13 @@ finding_notices = Table(
     metadata,
     Column("receiver_id", ForeignKey("receivers.id"), primary_key=True),
     Column("finding_id", ForeignKey("findings.id"), primary_key=True, index=True),
+)
+
+identity = Table(
+    "identity",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("folder", String(64), nullable=False),
 )
 
 records = Table(

@@ -6,7 +6,7 @@ The work of a job.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,7 +17,7 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.answers.plain import finite
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.certificates.time_domain import StepResponse, over_plants, step_response
+from residuum.robust_control.certificates.time_domain import StepResponse, control_response, over_plants, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.synthesis.pareto import Point
@@ -31,6 +31,9 @@ FloatArray = npt.NDArray[np.float64]
 _FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40
 _SHOWN_SETTLING_TIMES, _FEWEST_SAMPLES = 3.0, 40
 _DIGITS = 6
+
+Follow = Callable[[TransferFunction, TransferFunction, float], FloatArray]
+"""What follows a unit step of the reference: (plant, controller, seconds)."""
 
 
 def view_control_design(
@@ -63,7 +66,7 @@ def view_control_design(
         `feasible`, else `reason`; `frequency` [Hz] of all that is drawn; `uncertainty`; `input` and `output` of the plant;
         `points` of the front with `chosen`, the index of the preferred one. A point has its `controller`, certified `cost`, |S|,
         |T|, |W_S|, |W_T| and their `total`, the open `loop` with the range over drawn plants, step responses (`time` [s],
-        `nominal`, `drawn`), their `figures`, and `exports`.
+        `nominal`, `drawn`, and the same of the `control` signal u), their `figures`, and `exports`.
 
     Raises
     ------
@@ -224,14 +227,12 @@ class _Picture:
         end = max(min(_SHOWN_SETTLING_TIMES * settling, self._problem.horizon), _FEWEST_SAMPLES * sample_time)
         kept = _spread(max(2, round(end / sample_time)), _TIMES)
 
-        def response(plant: TransferFunction) -> list[float | None]:
-            return _plain(step_response(plant, controller, end)[kept])
+        def responses(follow: Follow) -> dict[str, Any]:
+            nominal, *drawn = [_plain(follow(plant, controller, end)[kept]) for plant in (self._problem.plant, *self._plants)]
+            return {"nominal": nominal, "drawn": drawn}
 
-        return {
-            "time": _plain(np.asarray(kept * sample_time, dtype=float)),
-            "nominal": response(self._problem.plant),
-            "drawn": [response(plant) for plant in self._plants],
-        }
+        time = _plain(np.asarray(kept * sample_time, dtype=float))
+        return {"time": time, **responses(step_response), "control": responses(control_response)}
 
 
 def _spread(n: int, most: int) -> npt.NDArray[np.intp]:

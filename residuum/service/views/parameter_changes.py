@@ -10,6 +10,7 @@ from typing import Any
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import PhysicalModel, read_model, write_model
 from residuum.identification.physics.effects.base import Parameter
+from residuum.nearest_names import known_names
 
 _UNBOUNDED = {"lower": -inf, "upper": inf}
 
@@ -21,7 +22,8 @@ def with_parameters(model: PhysicalModel, changes: Mapping[str, Mapping[str, Any
     bound) or `fixed`. BadModel for an unknown name, or for what no model file may hold (a value outside its bounds).
     """
     if unknown := [name for name in changes if name not in model.all_parameters]:
-        raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; there are {', '.join(model.all_parameters)}")
+        known = known_names(unknown[0], model.all_parameters, "there are")
+        raise BadModel(f"model {model.name!r}: no parameter {unknown[0][:60]!r}; {known}")
     changed = {name: _changed(parameter, changes.get(name, {})) for name, parameter in model.all_parameters.items()}
     for name, parameter in changed.items():
         if name in changes and not parameter.lower <= parameter.value <= parameter.upper:

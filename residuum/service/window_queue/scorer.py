@@ -16,6 +16,7 @@ import structlog
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.broker_address import BrokerAddress
 from residuum.service.machines.baselines.baseline_files import baseline_file
 from residuum.service.machines.baselines.deciding_method import deciding_method
@@ -121,7 +122,9 @@ class Scorer:
         digest = hashlib.sha256(payload).hexdigest()
         message = WindowMessage.unpack(payload)
         if message.diagnoser not in DIAGNOSERS:
-            raise BadInput(f"diagnoser {message.diagnoser[:60]!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+            raise BadInput(
+                f"diagnoser {message.diagnoser[:60]!r}: there is none of this name; {known_names(message.diagnoser, DIAGNOSERS)}"
+            )
         record = message.window.record()
         finding: Finding | None = None
         while not self._stopped.is_set():

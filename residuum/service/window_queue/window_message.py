@@ -10,6 +10,7 @@ import msgpack
 import numpy as np
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.machines.judging.scoring import PlainRecord
 
 _VERSION = 1
@@ -65,5 +66,5 @@ def _packed(signal: Any) -> tuple[str, bytes]:
 
 def _unpacked(name: str, kind: str, samples: bytes) -> Any:
     if kind not in _TYPES:
-        raise BadInput(f"window message, channel {name[:40]!r}: samples are {kind!r}; known are {', '.join(_TYPES)}")
+        raise BadInput(f"window message, channel {name[:40]!r}: samples are {kind!r}; {known_names(kind, _TYPES)}")
     return np.frombuffer(samples, kind)

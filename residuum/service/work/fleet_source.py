@@ -133,13 +133,15 @@ class StoredWindows:
         """The signals of a window, verified."""
         database, blocks = stored_in(self.url, self.data)
         asset, _, number = item.rpartition("/")
-        query = select(windows.c.block_path).where(windows.c.asset_id == asset, windows.c.id == int(number))
+        query = select(windows.c.block_path, windows.c.block_checksum).where(
+            windows.c.asset_id == asset, windows.c.id == int(number)
+        )
         with database.read() as connection:
-            path = connection.execute(query).scalar_one_or_none()
+            row = connection.execute(query).one_or_none()
         try:
-            if path is None:
+            if row is None:
                 raise BadInput(f"window {item}: was let go meanwhile")
-            return blocks.read(path)
+            return blocks.read(row.block_path, checksum=row.block_checksum)
         except BrokenBlock as error:
             raise BadInput(f"window {item}: {error}") from None
 

@@ -31,16 +31,18 @@ def test_a_fault_that_begins_during_the_recording_is_named_and_dated():
 
 
 def test_one_block_alone_is_no_fault_and_health_stays_health():
+    trained = Bearing(orders=ORDERS, speed_rpm=1800).fit([recording([None] * BLOCKS)])
     for faults in ([None] * BLOCKS, [None, "bpfi", None, None, None, None]):
-        assert judged(recording(faults)).verdict is Verdict.HEALTHY
+        assert score_in_blocks("bearing", trained.score, recording(faults), BLOCK).verdict is Verdict.HEALTHY
 
 
 def test_a_gap_is_never_healthy_and_a_fault_beside_it_still_counts():
+    trained = Bearing(orders=ORDERS, speed_rpm=1800).fit([recording([None] * BLOCKS)])
     for fault, expected in ((None, Verdict.NOT_ASSESSABLE), ("bpfi", Verdict.FAULTY)):
         record = recording([fault] * BLOCKS)
         x = record["a"].copy()
         x[3 * BLOCK + 5] = np.nan
-        found = judged(Record({"a": x}, {"a": "g"}, 1 / RATE))
+        found = score_in_blocks("bearing", trained.score, Record({"a": x}, {"a": "g"}, 1 / RATE), BLOCK)
         assert found.verdict is expected and ("block 4 of 6" in found.reason) is (fault is None)
 
 
@@ -55,3 +57,4 @@ def test_a_record_beyond_the_longest_is_cut_by_the_diagnoser_itself():
     x = np.tile(faulty_bearing(BLOCK, RATE, 30.0, ORDERS, None, seed=1).astype(np.float32), LONGEST // BLOCK + 1)
     finding = JUDGE.score(Record({"a": x}, {"a": "g"}, 1 / RATE))
     assert finding.evidence["blocks"] == 2 and all(np.isfinite(list(finding.indicators.values())))
+    assert finding.within_absolute_limits and finding.evidence["faulty_blocks"] == 0  # it has no baseline

@@ -19,10 +19,10 @@ outputs: {speed: {value: v, unit: m/s}}
 """
 
 
-def cart_record(load, n=1500):
+def cart_record(load, n=1500, strength=6.0, seed=4):
     """A cart under a load (n,) [N], by small Euler steps."""
-    rng, h = np.random.default_rng(4), 0.02
-    force, v, speed = np.repeat(rng.uniform(-6.0, 6.0, n // 50), 50), 0.0, np.empty(n)
+    rng, h = np.random.default_rng(seed), 0.02
+    force, v, speed = np.repeat(rng.uniform(-strength, strength, n // 50), 50), 0.0, np.empty(n)
     for i in range(n):
         speed[i] = v
         for _ in range(10):
@@ -43,3 +43,14 @@ def test_a_load_that_stays_is_kept():
 
 def test_a_load_that_is_gone_at_the_end_is_not():
     assert kept(np.where(np.arange(1500) < 1000, 1.5, 0.0)) == 0
+
+
+def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
+    """The last record, kept aside as a rule, has the load; the first, driven twice as far as any other, has
+    it the other way round."""
+    model, load = read_model(CART), np.full(600, 1.5)
+    records = [cart_record(load if k else -load, 600, 6.0 if k else 12.0, seed=k) for k in range(4)]
+    found = begun(climb(matched(model, records, None)))
+    models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
+    assert steps_that_hold(models, found, records[1:], None) == 1
+    assert steps_that_hold(models, found, records, None) == 0

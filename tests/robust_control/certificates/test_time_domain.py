@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.promise_in_time import cases
-from residuum.robust_control.certificates.time_domain import Measured, StepResponse
+from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.robust_control.certificates.time_domain import Measured, StepResponse, control_response, step_response
 from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.synthesis.controller_structure import PIDN
 
@@ -38,3 +39,16 @@ def test_a_design_reports_what_95_percent_of_many_other_plants_reach():
     fresh = Measured(told.nominal, told.drawn[: len(told.drawn) // 2]), Measured(told.nominal, told.drawn[len(told.drawn) // 2 :])
     for half in fresh:
         assert half.reached_by(0.95)[1] == pytest.approx(told.reached_by(0.95)[1], rel=0.1)
+
+
+def test_output_and_control_signal_of_a_step_are_those_of_the_loop_run_sample_by_sample():
+    """y(k) = .7 y(k−1) + .3 u(k−1) under the PI u(k) = u(k−1) + 1.2 e(k) − e(k−1)."""
+    plant, controller = TransferFunction([0.3], [1, -0.7], TS), TransferFunction([1.2, -1.0], [1, -1], TS)
+    y, u, e = np.zeros(60), np.zeros(60), np.ones(60)
+    for k in range(60):
+        y[k] = 0.7 * y[k - 1] + 0.3 * u[k - 1] if k else 0.0
+        e[k] = 1 - y[k]
+        u[k] = (u[k - 1] - e[k - 1] if k else 0.0) + 1.2 * e[k]
+    np.testing.assert_allclose(step_response(plant, controller, 60.0), y, atol=1e-9)
+    np.testing.assert_allclose(control_response(plant, controller, 60.0), u, atol=1e-9)
+    assert u[-1] == pytest.approx(1.0, abs=1e-2)  # what holds the output at 1 when the plant's gain is 1

@@ -38,14 +38,14 @@ def view(client, **asked):
 
 
 def closed_loop(b, a, samples):
-    """Step response of the true plant under u(k) = Σ b e(k−i) − Σ a u(k−i)."""
+    """Step response of the true plant, and the control signal, under u(k) = Σ b e(k−i) − Σ a u(k−i)."""
     e, u, y = np.zeros(samples), np.zeros(samples), np.zeros(samples)
     for k in range(samples):
         y[k] = A * y[k - 1] + B * u[k - 1] if k else 0.0
         e[k] = 1 - y[k]
         past = range(1, min(k, len(a)) + 1)
         u[k] = b[0] * e[k] + sum(b[i] * e[k - i] - a[i - 1] * u[k - i] for i in past)
-    return y
+    return y, u
 
 
 def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
@@ -57,9 +57,11 @@ def test_every_point_of_the_front_behaves_as_it_is_drawn(client, stored):
     for point in found["points"]:
         steps = point["steps"]
         samples = np.round(np.array(steps["time"]) / 0.1).astype(int)
-        truth = closed_loop(point["b"], point["a"], samples[-1] + 1)[samples]
-        np.testing.assert_allclose(steps["nominal"], truth, atol=0.08)
+        truth, asked = closed_loop(point["b"], point["a"], samples[-1] + 1)
+        np.testing.assert_allclose(steps["nominal"], truth[samples], atol=0.08)
         assert np.mean(np.ptp(np.array(steps["drawn"]), axis=0) > 0) > 0.8
+        np.testing.assert_allclose(steps["control"]["nominal"], asked[samples], rtol=0.1, atol=0.1)
+        assert len(steps["control"]["drawn"]) == len(steps["drawn"])
         assert point["cost"] < found["limit"] and max(point["total"]) <= 1.001 * point["cost"]
         S, T = np.array(point["S"]), np.array(point["T"])
         assert np.all(S * point["W_S"] < 1.001) and np.all(T * point["W_T"] < 1.001)

@@ -170,7 +170,7 @@ def test_the_demo_on_this_machine_has_no_rate_limit_unless_asked_for(tmp_path):
     [
         ("host: [1\n", "not YAML: line 2, column 1"),
         ("- host\n", "is no settings file"),
-        ("hoost: a\n", "setting hoost: is not known, the nearest is host"),
+        ("hoost: a\n", "setting hoost: is not known; did you mean 'host'?"),
         ("#" * 1_000_001, "1000001 bytes; a YAML file has at most 1000000"),
     ],
 )

@@ -26,7 +26,7 @@ def test_a_query_of_known_keys_is_heeded(client):
 def test_a_misspelt_key_is_refused_with_the_nearest(refused, wrong, nearest):
     query = {"speed_rpm": 1797, "orders": TOLD} | {wrong: TOLD}
     status, detail = refused("POST", "/api/v1/score/bearing", params=query, json=BODY)
-    assert status == 400 and f"query '{wrong}': is not known here; nearest" in detail
+    assert status == 400 and f"query '{wrong}': is not known here; did you mean" in detail
     assert nearest in detail.partition("known are")[0] and "speed_rpm" in detail.partition("known are")[2]
 
 

@@ -23,8 +23,8 @@ def files(tmp_path_factory):
     return folder
 
 
-def told(arguments, capsys):
-    assert run(arguments) == 0
+def told(arguments, capsys, status=0):
+    assert run(arguments) == status
     return json.loads(capsys.readouterr().out)
 
 
@@ -33,7 +33,7 @@ def test_a_model_file_and_healthy_records_make_a_baseline_that_names_causes(file
     model, base = str(files / "press.yaml"), str(files / "base")
     trained = told(["train", "model-based", *healthy, "--model", model, "--out", base, "--json"], capsys)
     assert trained["windows"] == 8 and trained["parameters"]["M"]["value"] == pytest.approx(95.0, rel=0.02)
-    found = told(["score", "model-based", str(files / "faulty.csv"), "--baseline", base, "--json"], capsys)
+    found = told(["score", "model-based", str(files / "faulty.csv"), "--baseline", base, "--json"], capsys, status=1)
     first = found["causes"][0]
     assert found["verdict"] == "faulty" and "M" in (first["name"], *first["indistinguishable_from"])
     assert set(first) >= {

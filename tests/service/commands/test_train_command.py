@@ -11,7 +11,7 @@ from residuum.diagnosis.gate.gate_examples import example_record
 from residuum.diagnosis.learning.labels_file import read_labels
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats.npz import write_npz
-from residuum.service.cli import BAD_INPUT, run
+from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, run
 
 RECORDS = [Path("here/a.npz"), Path("b.npz")]
 
@@ -78,7 +78,7 @@ def test_either_method_decides_and_both_are_shown(tmp_path, monkeypatch, capsys)
     capsys.readouterr()
     said = {}
     for method in ([], ["--method", "source"], ["--method", "default"]):
-        assert run(["score", "robust-residual", "drift.npz", "--baseline", "plant", *method, "--json"]) == 0
+        assert run(["score", "robust-residual", "drift.npz", "--baseline", "plant", *method, "--json"]) == ANSWER_IS_NO
         said[" ".join(method)] = json.loads(capsys.readouterr().out)
     assert said[""] == said["--method source"]
     assert said["--method source"]["thresholds"].keys() == {"robust_peak"}

@@ -27,7 +27,8 @@ def database(tmp_path):
 def see(connection, asset, verdict, seconds_ago, rule=PLAIN):
     now = NOW - timedelta(seconds=seconds_ago)
     assets.ensure(connection, asset, None, "bearing", now)
-    return alarms.follow(connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule)
+    followed = alarms.follow(connection, asset, None, Finding("bearing", verdict, reason="-"), now, rule)
+    return [each.alarm for each in followed]
 
 
 def test_a_flood_a_chattering_and_a_stale_alarm(database):
@@ -67,3 +68,11 @@ def test_delays_deadband_and_latch_hold_for_stored_alarms(database):
         near = Finding("bearing", "healthy", indicators={"rms": 0.95}, thresholds={"rms": 1.0}, reason="-")
         assert alarms.follow(connection, "a", None, near, NOW, AlarmRule(deadband=0.1)) == []
         assert len(alarms.follow(connection, "a", None, near, NOW, AlarmRule())) == 1
+
+
+def test_limits_that_hold_again_clear_the_alarm_of_a_machine_without_baseline(database):
+    calm = Finding("bearing", "healthy", indicators={"kurtosis": 3.0}, thresholds={"kurtosis": 6.0}).without_baseline("kurtosis")
+    with database.write() as connection:
+        see(connection, "a", "faulty", 100)
+        (cleared,) = alarms.follow(connection, "a", None, calm, NOW, PLAIN)
+        assert (cleared.alarm.kind, cleared.alarm.condition) == ("machine", False)

@@ -33,9 +33,11 @@ def client(left, run_service):
 
 
 def kept(before, now):
-    """What of `now` stands in `before`, too: an answer may have gained keys."""
+    """What of `now` stands in `before`, too: an answer may have gained keys, and an alarm's text since when it stands."""
     if isinstance(before, dict) and isinstance(now, dict):
         return {key: kept(value, now[key]) for key, value in before.items() if key in now and key != LIVE}
+    if isinstance(before, str) and isinstance(now, str) and now.startswith(f"{before}; since "):
+        return before
     if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         return [kept(*both) for both in zip(before, now, strict=True)]
     return now

@@ -45,6 +45,9 @@ def test_a_controller_is_designed_chosen_on_the_front_and_taken_to_the_target(se
     expect(page.get_by_text("No plant within the uncertainty is destabilised")).to_be_visible(timeout=LONG_WORK)
     for chart in ("Pareto front", "Step responses of drawn plants", "Constraints of the design", "Open loop with its range"):
         expect(page.get_by_label(chart).locator(".main-svg").first).to_be_visible()
+    drawn = page.evaluate("document.querySelector('[aria-label=\"Step responses of drawn plants\"]').data.map((t) => t.yaxis)")
+    assert drawn.count("y2") == 2 and len(drawn) == 4  # y above, u below it
+    expect(page.get_by_label("Step responses of drawn plants").locator(".y2title")).to_have_text("u [V / m]")
     controllers = page.get_by_label("controller", exact=True)
     first = controllers.input_value()
     others = [index for index, text in enumerate(controllers.locator("option").all_inner_texts()) if text != first]

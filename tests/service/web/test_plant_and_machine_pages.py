@@ -214,12 +214,12 @@ def test_what_happens_while_the_state_is_read_is_not_forgotten(service, open_pag
     page = open_page(service.url)
     alarm = page.locator(".alarm")
     expect(alarm).to_contain_text("Unacknowledged")
-    expect(page.locator("#connection")).to_have_text("live")
+    expect(page.locator("#connection")).to_have_text("connected")
     answered = []
 
     def late(route):
         answer = route.fetch()
-        if not answered and answer.json()["items"] and page.locator("#connection").inner_text() == "live":
+        if not answered and answer.json()["items"] and page.locator("#connection").inner_text() == "connected":
             answered.append(True)
             number = answer.json()["items"][0]["id"]
             httpx.post(f"{service.url}/api/v1/alarms/{number}/acknowledge", json={}, timeout=60).raise_for_status()
@@ -233,7 +233,7 @@ def test_what_happens_while_the_state_is_read_is_not_forgotten(service, open_pag
         expect(page.locator(".machine", has_text=f"New {service.port} {k}")).to_contain_text("Healthy")
         if answered:
             break
-        expect(page.locator("#connection")).to_have_text("live")
+        expect(page.locator("#connection")).to_have_text("connected")
     assert answered
     expect(alarm).to_contain_text("acknowledged by local")
     store(service, "press", 0.5)
@@ -293,12 +293,12 @@ def test_the_page_comes_back_after_a_restart_of_the_service(run_service, open_pa
     service = run_service()
     store(service, "press", 0.5)
     page = open_page(service.url, expected=["Failed to load resource", "ERR_"])
-    expect(page.locator("#connection")).to_have_text("live")
+    expect(page.locator("#connection")).to_have_text("connected")
     service.stop()
     expect(page.locator("#connection")).to_contain_text("connection lost")
     service.start()
     store(service, "press", 1.9)
-    expect(page.locator("#connection")).to_have_text("live")
+    expect(page.locator("#connection")).to_have_text("connected")
     expect(page.locator(".machine")).to_contain_text("1.9 m/s² above")
 
 
@@ -306,11 +306,11 @@ def test_a_connection_that_died_in_silence_is_made_anew(service, open_page):
     page = open_page(service.url)
     page.clock.install()
     page.reload()
-    expect(page.locator("#connection")).to_have_text("live")
+    expect(page.locator("#connection")).to_have_text("connected")
     page.clock.fast_forward(50_000)  # and not a word in that time
     expect(page.locator("#connection")).to_contain_text("connection lost")
     page.clock.fast_forward(2_000)
-    expect(page.locator("#connection")).to_have_text("live")
+    expect(page.locator("#connection")).to_have_text("connected")
 
 
 def test_hostile_names_are_shown_as_text(run_service, open_page, fits):

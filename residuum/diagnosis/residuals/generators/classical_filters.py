@@ -21,6 +21,7 @@ from residuum.diagnosis.systems.system_norms import h_infinity_norm
 from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
+from residuum.nearest_names import known_names
 
 _GRID = 1000
 _NEGLIGIBLE = 1e-4  # of the plant's gain
@@ -68,7 +69,7 @@ def classical_filter(method: str, given: Given) -> PostFilter:
     """
     if method not in CLASSICAL_METHODS:
         raise BadInput(
-            f"residual method {method!r}: there is none of this name; known are robust, {', '.join(CLASSICAL_METHODS)}"
+            f"residual method {method!r}: there is none of this name; {known_names(method, ['robust', *CLASSICAL_METHODS])}"
         )
     Q = CLASSICAL_METHODS[method](given)
     gamma = h_infinity_norm(Q @ noise_path(given.factors, given.W_T))[0]

@@ -11,6 +11,7 @@ import numpy as np
 from residuum.identification.errors import MAY_DIVERGE, BadInput, NotIdentifiable
 from residuum.identification.physics import PhysicalModel, estimate, match
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 PREDICTION = "prediction"
 
@@ -41,7 +42,9 @@ def with_prediction(model: PhysicalModel, record: Record, output: str, mapping: 
         The model diverges on the record.
     """
     if output not in model.outputs:
-        raise BadInput(f"prediction: model {model.name!r} has no output {output!r}; it has {', '.join(model.outputs)}")
+        raise BadInput(
+            f"prediction: model {model.name!r} has no output {output!r}; {known_names(output, model.outputs, 'it has')}"
+        )
     matched, (experiment,) = match(model, [record], mapping)
     simulated = estimate(matched, [experiment], free=()).predicted[0]
     if not np.isfinite(simulated).all():

@@ -23,6 +23,7 @@ from residuum.identification.kernel_based.multivariable import MultivariableMode
 from residuum.identification.kernel_based.multivariable_file import multivariable_from, multivariable_text
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -206,7 +207,9 @@ def _check(model: MultivariableModel, healthy: Sequence[Record], method: str, un
         raise BadInput(f"residual method {method!r}: unknown inputs belong to {UNKNOWN_INPUT}, which needs at least one")
     for name in unknown:
         if name not in model.inputs:
-            raise BadInput(f"unknown input {name!r}: the model has {', '.join(model.inputs)}")
+            raise BadInput(
+                f"unknown input {name!r}: the model has none of this name; {known_names(name, model.inputs, 'there are')}"
+            )
     if not healthy:
         raise BadInput("multivariable residual: needs healthy records, for its operating point and its noise")
 

@@ -8,6 +8,7 @@ from math import cos, radians
 from types import MappingProxyType
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 
 CLASS_OF = MappingProxyType({"bpfi": "inner-race", "bpfo": "outer-race", "bsf": "ball", "ftf": "cage"})
 
@@ -82,7 +83,7 @@ def orders_from_geometry(balls: int, ball_diameter: float, pitch_diameter: float
 def _check(lines: Mapping[str, float], what: str) -> None:
     for name, value in lines.items():
         if name not in CLASS_OF:
-            raise BadInput(f"{what}: {name!r} is no fault line; known are {', '.join(CLASS_OF)}")
+            raise BadInput(f"{what}: {name!r} is no fault line; {known_names(name, CLASS_OF)}")
         if not 0 < value < float("inf"):
             raise BadInput(f"{what}: {name} is {value!r}; must be a positive number")
     if not lines:

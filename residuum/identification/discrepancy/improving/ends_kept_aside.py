@@ -1,4 +1,5 @@
-"""The last question to an improvement: does it simulate better what none of it was estimated on, the end of a record?
+"""The last question to an improvement: does it simulate better what none of it was estimated on, the end of a record, or of
+several the most different one?
 
 Blocks between others are interpolated. Values that go astray outside of what was seen show at the end of a record, or on another
 one, so the model is estimated without it once more, with the effects and without them.
@@ -16,7 +17,7 @@ from residuum.identification.discrepancy.improving.held_out import Split, rmse_a
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, data_of
+from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import fitted
 
@@ -26,17 +27,47 @@ FloatArray = npt.NDArray[np.float64]
 def steps_that_hold(
     models: Sequence[PhysicalModel], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> int:
-    """How many of the `models` after the first, each with one effect more, can be kept so that no output is simulated worse at
-    the end than by the first. It is all of them where the records are too short to ask.
+    """How many of the `models` after the first, each with one effect more, can be kept so that no output is simulated worse than
+    by the first where data are kept aside: at the end, and on the most different record. It is all of them where the records are
+    too short to ask.
     """
-    parts = split(records)
-    if min(r.n for r in parts.training) < FEWEST_TO_CUT or not parts.testing:
-        return len(models) - 1
+    kept = len(models) - 1
+    for parts in _kept_aside(records):
+        if parts.testing and long_enough([r.n for r in parts.training]):
+            kept = _that_hold(models[: kept + 1], found, parts, mapping)
+    return kept
+
+
+def _that_hold(models: Sequence[PhysicalModel], found: Search, parts: Split, mapping: Mapping[str, str] | None) -> int:
     most = KEPT_RISE * _error(models[0], found, parts, mapping)
     for kept in reversed(range(1, len(models))):
         if not np.any(_error(models[kept], found, parts, mapping) > most):
             return kept
     return 0
+
+
+def _kept_aside(records: Sequence[Record]) -> list[Split]:
+    """The usual part, and of several records the one that goes furthest beyond the others, where the usual part is not that."""
+    usual = split(records)
+    if len(records) < 2:
+        return [usual]
+    most = max(records, key=lambda record: _beyond(record, [other for other in records if other is not record]))
+    if [record for record, _ in usual.testing] == [most]:
+        return [usual]
+    return [usual, Split([record for record in records if record is not most], [(most, 0)])]
+
+
+def _beyond(record: Record, others: Sequence[Record]) -> float:
+    """By how much a record's signals leave the range of the same signals of the others, in units of that range, at most."""
+    far = 0.0
+    for name, values in record.channels.items():
+        known = [other.channels[name] for other in others if name in other.channels]
+        there = np.concatenate(known) if known else np.empty(0)
+        if np.isfinite(values).any() and np.isfinite(there).any():
+            low, high = float(np.nanmin(there)), float(np.nanmax(there))
+            out = max(low - float(np.nanmin(values)), float(np.nanmax(values)) - high)
+            far = max(far, out / max(high - low, 1e-300))
+    return far
 
 
 def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> FloatArray:

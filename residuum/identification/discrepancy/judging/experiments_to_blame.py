@@ -117,8 +117,11 @@ def searched(
     mapping: Mapping[str, str] | None,
     effects: Iterable[str] | None,
     tell: Tell,
+    first: Turned | None = None,
 ) -> tuple[Search, list[Experiment], int]:
     """What is missing, the experiments that say so, and how many times finer than usual they are cut.
+
+    It begins at `first`, the usual experiments and the model as it is on them, where these are known.
 
     Over a window a machine that holds on what it lacks (a cog, a friction) takes another course at the least difference of its
     first state, and no structure reaches the top of its likelihood. Over a shorter one it does not.
@@ -144,7 +147,7 @@ def searched(
         return search(base, experiments, nominal=model, effects=wanted, leave=astray, tell=told), experiments
 
     tell(0.0, "estimating the model as it is")
-    usual, base = experiments_and_base(model, records, mapping)
+    usual, base = first or experiments_and_base(model, records, mapping)
     cut = any(after.follows(before) for before, after in pairwise(usual))
     found, experiments = found_on(base, usual, 0.27, 0.6, limit=SLOW if cut else np.inf)
     left = times_its_innovations(found.best)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from residuum.identification.discrepancy.policy.likelihood import COARSER
 from residuum.identification.discrepancy.policy.trials import MOVED_AT_REST
 from residuum.identification.discrepancy.screening.in_blocks import Sampled
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics import PhysicalModel, Simulator
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ def simulation_error(model: PhysicalModel, there: Sampled) -> float:
     """Sum of the outputs' log mean square simulation errors; ∞ where the model diverges."""
     try:
         simulator = Simulator(model)
-    except (BadInput, NotImplementedError):
+    except NoExplicitEquations:
         return np.inf
     base, experiments = there.base, there.experiments
     initial = _beside(base.initial, simulator)
@@ -42,7 +42,7 @@ def at_rest(model: PhysicalModel, own: list[str], there: Sampled) -> Linear | No
     base, experiments = there.base, there.experiments
     try:
         simulator = Simulator(model)
-    except (BadInput, NotImplementedError):
+    except NoExplicitEquations:
         return None
     if len(simulator.states) > len(base.initial[0]):
         return None
@@ -61,7 +61,7 @@ def linearised(model: PhysicalModel, names: list[str], there: Sampled) -> Linear
     """The model linearised in these parameters and its free first states; None where it diverges or is too fast to be seen."""
     try:
         simulator = Simulator(model)
-    except (BadInput, NotImplementedError):  # this combination of effects has no explicit equations
+    except NoExplicitEquations:  # this combination of effects has no explicit equations
         return None
     states = [f"initial:{name}" for name in simulator.free_states]
     p = simulator.p()

@@ -111,7 +111,7 @@ def _tried(screen: Screen, model: PhysicalModel, keys: Sequence[Key], stretches:
         (id, target), start = one
         try:
             return _shot(model.with_effect(id, target, find_effect(id).at_rest(start)), stretches, SHOT_TRIAL_STEPS)
-        except (BadInput, NotImplementedError):
+        except BadInput:
             return None
 
     return [shot for shot in side_by_side(tried, starts) if shot is not None]

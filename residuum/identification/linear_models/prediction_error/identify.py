@@ -31,6 +31,7 @@ from residuum.identification.linear_models.prediction_error.search import Minimu
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def identify(
     """
     started = time.perf_counter()
     if criterion not in CRITERIA:
-        raise BadInput(f"criterion {criterion!r}: must be one of {', '.join(CRITERIA)}")
+        raise BadInput(f"criterion {criterion!r}: {known_names(criterion, CRITERIA, 'must be one of')}")
     data = signals(records, input if structure.has_input else None, output, offset=offset)
     wanted = (
         [orders] if orders is not None else [structure.orders(k, delay) for k in ([order] if order is not None else candidates)]

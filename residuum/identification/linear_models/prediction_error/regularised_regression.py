@@ -34,6 +34,7 @@ from residuum.identification.linear_models.prediction_error.polynomials import O
 from residuum.identification.linear_models.prediction_error.result import description, identified_model
 from residuum.identification.linear_models.prediction_error.starts import regression
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -149,7 +150,7 @@ def identify_regularised(
 
 def _check(orders: Orders, penalty: str, strength: float | None, mix: float | None) -> None:
     if penalty not in PENALTIES:
-        raise BadInput(f"penalty {penalty!r}: must be one of {', '.join(PENALTIES)}")
+        raise BadInput(f"penalty {penalty!r}: {known_names(penalty, PENALTIES, 'must be one of')}")
     if orders.nf or orders.nc or orders.nd or not orders.nb:
         raise BadInput(f"regularised regression: orders are {orders}; must have B, may have A, nothing else")
     if strength is not None and not (np.isfinite(strength) and strength > 0):

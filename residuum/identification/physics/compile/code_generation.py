@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 import sympy as sp
 
+from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.compile.composition import TIME, Equations
 from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
@@ -184,14 +185,14 @@ class _Function:
         if e in (sp.true, sp.false):
             return "true" if e else "false"
         if e.is_number and not e.is_Boolean:
-            return _constant(float(e))
+            return _constant(_real_number(e))
         if type(e) in _INTRINSICS:
             return self._call(f"llvm.{_INTRINSICS[type(e)]}.f64", e.args[0])
         if e.is_Relational:
             return self._new(f"fcmp {_COMPARISONS[e.rel_op]} double {self.value(e.lhs)}, {self.value(e.rhs)}")
         rule = self._RULES.get(type(e))
         if rule is None:
-            raise NotImplementedError(f"no code for {type(e).__name__}")
+            raise NoExplicitEquations(f"model: its equations hold a {type(e).__name__}, which has no code; write it otherwise")
         return rule(self, *e.args)
 
     def _add(self, *terms: sp.Expr) -> str:
@@ -328,6 +329,13 @@ class _Function:
 
 def _is_reciprocal(factor: sp.Expr) -> bool:
     return bool(factor.is_Pow and factor.exp.is_number and factor.exp.is_negative)
+
+
+def _real_number(e: sp.Expr) -> float:
+    """The number; NoExplicitEquations where a term divides by zero or has a negative root, whatever the values."""
+    if e is sp.nan or e.is_extended_real is False:
+        raise NoExplicitEquations(f"model: its equations hold {e}, no real number: a term divides by zero or has no root")
+    return float(e)
 
 
 def _constant(value: float) -> str:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 
 import sympy as sp
 
-from residuum.identification.errors import BadModel
+from residuum.identification.errors import BadModel, NoExplicitEquations
 from residuum.identification.physics.compile.expression_meaning import meaning, number
 from residuum.identification.physics.effects.base import Contribution, Scene
 from residuum.identification.physics.files.consistency import owners_of
@@ -76,8 +76,8 @@ def compose(model: PhysicalModel) -> Equations:
 
     Raises
     ------
-    BadModel
-        A balance without storage that cannot be solved for its variable (algebraic loop), a storage that is zero.
+    NoExplicitEquations
+        A balance without storage that cannot be solved for its variable (algebraic loop), a storage that is zero or given twice.
     """
     return _Composer(model).equations()
 
@@ -216,7 +216,7 @@ class _Composer:
     def _give_storage(self, side: _Sides, inductance: sp.Expr, use: EffectUse) -> None:
         name = side.balance.defines
         if side.state is not None or name is None or side.defines is None:
-            raise BadModel(f"effect {use.label!r}: balance {side.balance.name!r} has a storage already")
+            raise NoExplicitEquations(f"effect {use.label!r}: balance {side.balance.name!r} has a storage already")
         state = sp.Symbol(f"x_{len(self.x)}", real=True)
         resting = self._solve(side.defines, sum(side.terms.values()), side.balance)
         direction = self.directions.setdefault(name, sp.Symbol(f"s_{len(self.directions)}", real=True))
@@ -257,7 +257,7 @@ class _Composer:
             if not ready:
                 names = ", ".join(side.balance.name for side in open_sides)
                 place = open_sides[0].balance.storage.place
-                raise place.refuse(f"algebraic loop: balances {names} define each other's variables")
+                raise place.refuse(f"algebraic loop: balances {names} define each other's variables", NoExplicitEquations)
             for side in ready:
                 solved[side.defines] = self._solve(side.defines, sum(side.terms.values()).subs(solved), side.balance)
                 open_sides.remove(side)
@@ -287,7 +287,8 @@ class _Composer:
 
     def _loop(self, balance: Balance) -> BadModel:
         return balance.storage.place.refuse(
-            f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {balance.defines!r}, which it defines"
+            f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {balance.defines!r}, which it defines",
+            NoExplicitEquations,
         )
 
     def _symbolic(self, tree: Node, surface: str | None, derivative: sp.Symbol | None = None) -> sp.Expr:

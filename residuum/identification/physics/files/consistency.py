@@ -7,10 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
+from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.files.dimension import Dimension, dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Call, Expression, Name, Node, Operation, Place, evaluate, walk
 from residuum.identification.physics.files.yaml_tree import Table
 from residuum.identification.physics.model import Balance, Output, PhysicalModel, State
+from residuum.nearest_names import known_names
 
 _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
     "torque": ("mN*m", "N*cm", "N*mm", "kN*m"),
@@ -57,7 +59,9 @@ def _known_names(model: PhysicalModel) -> None:
     for expression in _expressions(model):
         for node in walk(expression.tree):
             if isinstance(node, Name) and node.name not in known:
-                raise node.place.refuse(f"name {node.name!r} is not declared; there are {', '.join(sorted(known))}")
+                raise node.place.refuse(
+                    f"name {node.name!r} is not declared; {known_names(node.name, sorted(known), 'there are')}"
+                )
 
 
 def _inputs(model: PhysicalModel, tree: Table) -> None:
@@ -169,17 +173,21 @@ def _defined_variables_can_be_solved(model: PhysicalModel) -> None:
         for term in balance.terms.values():
             if _degree(term.tree, variable) > 1:
                 raise term.place.refuse(
-                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, which it defines"
+                    f"algebraic loop: balance {balance.name!r} has no storage and is not linear in {variable!r}, "
+                    "which it defines",
+                    NoExplicitEquations,
                 )
         zero = dict.fromkeys([*model.states, *model.inputs, *defined], 0.0) | dict(model.values)
         slope = [evaluate(t.tree, zero | {variable: 1.0}) - evaluate(t.tree, zero) for t in balance.terms.values()]
         if sum(slope) == 0:
             raise balance.storage.place.refuse(
-                f"division by zero: the terms with {variable!r}, which balance {balance.name!r} defines, add up to 0"
+                f"division by zero: the terms with {variable!r}, which balance {balance.name!r} defines, add up to 0",
+                NoExplicitEquations,
             )
         if _reaches(needs, variable, variable):
             raise balance.storage.place.refuse(
-                f"algebraic loop: balance {balance.name!r} and another define each other's variables"
+                f"algebraic loop: balance {balance.name!r} and another define each other's variables",
+                NoExplicitEquations,
             )
 
 

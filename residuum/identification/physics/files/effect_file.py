@@ -36,6 +36,7 @@ from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import BALANCE_KINDS
 from residuum.identification.units import compatible, convert
+from residuum.nearest_names import known_names
 
 OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
 DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
@@ -234,7 +235,9 @@ def _check(what: str, equation: Expression, states: Mapping[str, OwnState], defi
     allowed = own | ({"signal"} if on_path else {*_ROLES, "supply"})
     for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
         if unknown := sorted(expression.names - allowed):
-            raise expression.place.refuse(f"{what}: {unknown[0]!r} is not known here; there are {', '.join(sorted(allowed))}")
+            raise expression.place.refuse(
+                f"{what}: {unknown[0]!r} is not known here; {known_names(unknown[0], sorted(allowed), 'there are')}"
+            )
     sizes = [name for name, entry in definition["parameters"].items() if entry.get("size")]
     if not sizes or states:
         return

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from residuum.identification.errors import BadModel
+from residuum.nearest_names import known_names
 
 FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "der": (1, 1),
@@ -54,9 +55,9 @@ class Place:
         """The place `columns` characters further on the same line."""
         return Place(self.source, self.line, self.column + columns)
 
-    def refuse(self, message: str) -> BadModel:
-        """The BadModel that says `message` of this place."""
-        return BadModel(f"{self.source}, line {self.line}, column {self.column}: {message}")
+    def refuse(self, message: str, error: type[BadModel] = BadModel) -> BadModel:
+        """The error that says `message` of this place."""
+        return error(f"{self.source}, line {self.line}, column {self.column}: {message}")
 
 
 @dataclass(frozen=True)
@@ -294,7 +295,9 @@ class _Parser:
 
     def _call(self, function: _Token) -> Node:
         if function.text not in FUNCTIONS:
-            raise function.place.refuse(f"function {function.text!r} is not known; there are {', '.join(FUNCTIONS)}")
+            raise function.place.refuse(
+                f"function {function.text!r} is not known; {known_names(function.text, FUNCTIONS, 'there are')}"
+            )
         operands = [self._sum()]
         while self._accept(","):
             operands.append(self._sum())

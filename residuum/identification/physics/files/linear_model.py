@@ -25,6 +25,7 @@ from scipy.linalg import logm
 from scipy.signal import tf2ss
 
 from residuum.identification.errors import BadModel
+from residuum.nearest_names import known_names
 
 Array = npt.NDArray[np.float64]
 _MOST_STATES = 30
@@ -77,7 +78,7 @@ def read_linear_file(path: Path) -> str:
     if not isinstance(found, dict):
         raise BadModel(f"model {str(path)!r}: holds no transfer function and no state space")
     if unknown := [key for key in found if key not in _KEYS and path.suffix.lower() == ".json"]:
-        raise BadModel(f"model {str(path)!r}: {unknown[0]!r} is not part of a linear model; known are {', '.join(_KEYS)}")
+        raise BadModel(f"model {str(path)!r}: {unknown[0]!r} is not part of a linear model; {known_names(unknown[0], _KEYS)}")
     signals = LinearSignals(_names(found.get("inputs")), _names(found.get("outputs")), found.get("units"))
     step = next((found[key] for key in ("sample_time", "dt", "Ts") if key in found), None)
     name = str(found.get("name", path.stem))
@@ -241,7 +242,7 @@ def _file(
 def _units(signals: LinearSignals, names: Sequence[str]) -> dict[str, str]:
     given = dict(signals.units or {})
     if unknown := [name for name in given if name not in names]:
-        raise BadModel(f"units: there is no signal {unknown[0]!r}; there are {', '.join(names)}")
+        raise BadModel(f"units: there is no signal {unknown[0]!r}; {known_names(unknown[0], names, 'there are')}")
     return {name: str(given.get(name, "")) for name in names}
 
 

@@ -30,6 +30,7 @@ from residuum.identification.physics.model import (
     State,
 )
 from residuum.identification.units import parse_unit
+from residuum.nearest_names import known_names
 
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 LINEAR = (".json", ".mat")
@@ -65,7 +66,9 @@ def load_model(name_or_path: str | Path) -> PhysicalModel:
             f"model {str(path)!r}: is an FMU; `residuum compare` and `residuum explain` take it, in a process of its own"
         )
     if not path.is_file():
-        raise BadModel(f"model {str(name_or_path)!r}: no such file, and the built-in models are {', '.join(BUILT_IN)}")
+        raise BadModel(
+            f"model {str(name_or_path)!r}: no such file; {known_names(path.stem, BUILT_IN, 'the built-in models are')}"
+        )
     if path.suffix.lower() in LINEAR:
         from residuum.identification.physics.files.linear_model import read_linear_file  # noqa: PLC0415  SciPy, for these alone
 
@@ -214,7 +217,7 @@ def _balance(name: str, section: Table) -> Balance:
     table = section.table(name, "balances")
     kind = table.scalar("kind", what)
     if kind.text not in BALANCE_KINDS:
-        raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; there are {', '.join(BALANCE_KINDS)}")
+        raise kind.place.refuse(f"{what}: kind {kind.text!r} is not known; {known_names(kind.text, BALANCE_KINDS, 'there are')}")
     roles = BALANCE_KINDS[kind.text][1]
     table.only(("kind", "storage", "terms", *roles), what)
     terms = table.table("terms", what, required=True)
@@ -239,7 +242,7 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
     table = tree.table("initial", "model file")
     for name, place in table.keys.items():
         if name not in model.states:
-            raise place.refuse(f"initial: {name!r} is not a state; there are {', '.join(model.states)}")
+            raise place.refuse(f"initial: {name!r} is not a state; {known_names(name, model.states, 'there are')}")
     return {name: table.scalar(name, "initial").number(f"initial: {name}") for name in table}
 
 

@@ -10,6 +10,7 @@ from sympy.printing.str import StrPrinter
 
 from residuum.identification.errors import BadModel
 from residuum.identification.physics.model import BALANCE_KINDS
+from residuum.nearest_names import known_names
 
 _FUNCTIONS = {
     sp.sin: "sin",
@@ -34,9 +35,9 @@ class _Text(StrPrinter):
     def _print_Function(self, expression: Any) -> str:
         name = _FUNCTIONS.get(type(expression))
         if name is None:
-            raise BadModel(
-                f"equations: {expression.func.__name__} is not known in models; there are {', '.join(_FUNCTIONS.values())}"
-            )
+            written = expression.func.__name__
+            known = known_names(written, _FUNCTIONS.values(), "there are")
+            raise BadModel(f"equations: {written} is not known in models; {known}")
         return f"{name}({', '.join(map(self._print, expression.args))})"
 
     _print_Abs = _print_sign = _print_Min = _print_Max = _print_LatticeOp = _print_ExpBase = _print_Function
@@ -81,7 +82,7 @@ def model_table(
 def _balance(state: str, rate: str, unit: str, kinds: Mapping[str, str], positions: Mapping[str, str]) -> dict[str, Any]:
     kind = kinds.get(state, "signal")
     if kind not in BALANCE_KINDS:
-        raise BadModel(f"equations, kind of {state!r}: {kind!r} is not known; there are {', '.join(BALANCE_KINDS)}")
+        raise BadModel(f"equations, kind of {state!r}: {kind!r} is not known; {known_names(kind, BALANCE_KINDS, 'there are')}")
     balance: dict[str, Any] = {"kind": kind, "storage": f"der({state})", "terms": {"rate": rate}}
     if kind in _ROLES:
         balance[_ROLES[kind]] = state

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import yaml
 
 from residuum.identification.physics.files.expression import Place
+from residuum.nearest_names import known_names
 
 MOST_CHARACTERS = 200_000
 """Of a model file: the largest here has 3 000. Parsing more takes seconds, so a longer text is refused before that."""
@@ -63,7 +64,9 @@ class Table:
         """Refuse a key that is not allowed."""
         for key, place in self.keys.items():
             if key not in allowed:
-                raise place.refuse(f"{what}: key {key!r} is not known; there are {', '.join(allowed)}{self._remedy(key)}")
+                raise place.refuse(
+                    f"{what}: key {key!r} is not known; {known_names(key, allowed, 'there are')}{self._remedy(key)}"
+                )
 
     def table(self, key: str, what: str, *, required: bool = False) -> Table:
         """The mapping under `key` (empty when absent and not required)."""

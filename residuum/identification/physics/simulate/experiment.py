@@ -13,6 +13,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.block_means import block_means
 from residuum.identification.record import Record
+from residuum.nearest_names import known_names
 
 Array = npt.NDArray[np.float64]
 PART = "(part "
@@ -149,7 +150,7 @@ def _columns(model: PhysicalModel, mapping: Mapping[str, str]) -> dict[str, str]
     for name in mapping:
         if name not in known:
             raise BadRecord(
-                f"map {name}={mapping[name]}: the model has no input or output {name!r}; there are {', '.join(known)}"
+                f"map {name}={mapping[name]}: the model has no input or output {name!r}; {known_names(name, known, 'there are')}"
             )
     return {name: mapping.get(name, name) for name in known}
 
@@ -163,10 +164,8 @@ def _experiment(model: PhysicalModel, record: Record, columns: Mapping[str, str]
     for k, output in enumerate(model.outputs.values()):
         column = columns[output.name]
         if column not in (output.name, *record.names):
-            there = ", ".join(record.names)
-            raise BadRecord(
-                f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; the columns are {there}"
-            )
+            there = known_names(column, record.names, "the columns are")
+            raise BadRecord(f"{_named(record)}: output {output.name!r} is mapped to {column!r}, which is not there; {there}")
         if column in record.names:
             Y[:, k] = record.in_unit(column, output.unit)
     if np.all(np.isnan(Y)):
@@ -191,7 +190,7 @@ def _spare(record: Record, used: set[str]) -> dict[str, Spare]:
 def _input(record: Record, column: str, name: str, unit: str) -> Array:
     if column not in record.names:
         how = f"map one of them: --map {name}=COLUMN, in Python map={{{name!r}: 'COLUMN'}}"
-        there = f"the columns are {', '.join(record.names)}; {how}"
+        there = f"{known_names(column, record.names, 'the columns are')}; {how}"
         lacking = "is missing" if column == name else f"is mapped to {column!r}, which is not there"
         raise BadRecord(f"{_named(record)}: input {name!r} {lacking}; {there}")
     gaps = np.flatnonzero(record.missing(column))

@@ -4,7 +4,6 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from itertools import pairwise
 from typing import Any
 
@@ -36,6 +35,7 @@ from residuum.identification.record_formats.loggers.logger_time import (
     stamp_form,
 )
 from residuum.identification.record_formats.loggers.no_value import without_overload
+from residuum.nearest_names import known_names, nearest_names
 
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
@@ -84,7 +84,7 @@ def understand(
     """
     for option, value, known in (("--decimal", decimal, (".", ",")), ("--time", time_form, FORMS)):
         if value is not None and value not in known:
-            raise BadRecord(f"option {option} {value!r}: must be one of {', '.join(known)}")
+            raise BadRecord(f"option {option} {value!r}: {known_names(value, known, 'must be one of')}")
     text, encoding, why = decoded(content, source)
     guesses = {"encoding": (encoding, why)}
     delimiter, why = find_delimiter(text, source)
@@ -317,7 +317,7 @@ def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[s
 
 def _index(name: str, names: list[str], source: str) -> int:
     if name not in names:
-        near = get_close_matches(name, names, n=3, cutoff=0.0)
+        near = nearest_names(name, names, 3, like=0.0)
         raise BadRecord(f"{source}: has no column {name!r} for the time; the nearest are {', '.join(near)}")
     return names.index(name)
 

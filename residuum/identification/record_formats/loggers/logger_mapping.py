@@ -18,6 +18,7 @@ from residuum.identification.record_formats.loggers.logger_time import FORMS, SI
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.yaml_text import read_yaml
+from residuum.nearest_names import known_names
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
@@ -118,9 +119,10 @@ def read_mapping(path: Path) -> LoggerMapping:
     """The mapping of a YAML file; BadRecord names the file and the field."""
     found = read_yaml(path, BadRecord)
     known = [part.name for part in fields(LoggerMapping)]
-    if not isinstance(found, dict) or (unknown := [key for key in found if key not in known]):
-        what = repr(unknown[0]) if isinstance(found, dict) else "no table"
-        raise BadRecord(f"{path}: {what} is not part of a mapping; known are {', '.join(known)}")
+    if not isinstance(found, dict):
+        raise BadRecord(f"{path}: is no table, as a mapping is; known are {', '.join(known)}")
+    if unknown := [key for key in found if key not in known]:
+        raise BadRecord(f"{path}: {unknown[0]!r} is not part of a mapping; {known_names(unknown[0], known)}")
     if lacking := [name for name in known[:9] if name not in found]:
         raise BadRecord(f"{path}: lacks {lacking[0]!r}; `residuum inspect` writes it")
     try:

@@ -99,7 +99,7 @@ def locate(
 
     Returns
     -------
-    Regions, the most telling first, at most one an axis; empty when no axis beats chance.
+    Regions, the most telling first, at most one an axis, none whose error is within the noise; empty when no axis beats chance.
 
     References
     ----------
@@ -111,7 +111,7 @@ def locate(
         interval = _scan(error, axis, correlation_samples)
         if interval is not None:
             found.append(_region(error, axis, interval, noise_rms, of, direction, total))
-    return sorted(found, key=lambda region: -region.score)
+    return sorted((region for region in found if region.times_noise > 1.0), key=lambda region: -region.score)
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,14 @@ BEYOND_NOISE_CHANCE = 1 / 600
 """Bound on how often noise stands there: none in those trials."""
 AN_EVENT = 3.0 * BEYOND_NOISE
 """Times the noise of its quieter parts beyond which an error is an event (noise of up to ρ = .995 reaches half of it)."""
+ABOVE_A_DRIFT = 0.05
+"""[of the sampling rate] Above it a model's error is its drift's and its steps' tail, a power of the frequency. Chosen."""
+DRIFTS = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 33)])
+"""Powers of that tail over the noise's that a spectrum is compared with."""
+STILL_LIKELY = 6.0
+"""Twice the log-likelihood by which a reading of a spectrum may lie under the best one and still be believed (p = .014)."""
+AGREED = 1.25
+"""Ratio of the largest to the least believed noise up to which it is told as a size. Chosen: the middle is then within 12 %."""
 SPECTRUM_SAMPLES, FEWEST_FOR_A_FLOOR = 1024, 64
 """[samples] Of a spectrum at most, and in a row at least. Chosen."""
 QUIET_WINDOW = 256

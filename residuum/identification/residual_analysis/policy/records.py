@@ -56,3 +56,9 @@ COARSE_REPEATS = 0.5
 """Share of the samples that repeat the one before where an output is read in coarse steps. Chosen."""
 COARSE_EVENNESS = 1e-3
 """Part of a step by which a change may differ from a whole number of steps. Chosen."""
+
+ENOUGH_SAMPLES, LOST = 5000, 1e-6
+"""[samples] Of all records, above which a lower rate may do; and the part of the first error's power that it may lose: next to
+nothing of what is left at the end. Chosen."""
+FEWEST_AT_A_RATE = 100
+"""[samples] That a lower rate leaves of each record. Chosen."""

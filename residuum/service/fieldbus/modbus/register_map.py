@@ -47,6 +47,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
+from residuum.nearest_names import known_names
 from residuum.service.fieldbus.block import Samples, StreamFormat
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map_text
@@ -256,4 +257,4 @@ def _known(error: Any) -> str:
         return ""
     of = ChannelRegisters if "channels" in error["loc"] else Poll if "poll" in error["loc"] else None
     names = [field.alias or name for name, field in of.model_fields.items()] if of else []
-    return f"; known are {', '.join(names)}" if names else ""
+    return f"; {known_names(error['loc'][-1], names)}" if names else ""

@@ -19,6 +19,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from residuum.nearest_names import known_names
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.modbus.register_map import RegisterMap, first_error
 
@@ -111,7 +112,7 @@ def _rows(text: str, where: str) -> list[tuple[int, dict[str, str]]]:
     heads = [_heading(cell) for cell in table[0]]
     for needed in ("name", "register"):
         if needed not in heads:
-            raise BadBusDescription(f"{where}: has no column {needed!r}; the columns are {', '.join(table[0])}")
+            raise BadBusDescription(f"{where}: has no column {needed!r}; {known_names(needed, table[0], 'the columns are')}")
     found = []
     for number, row in enumerate(table[1:], start=2):
         if len(row) > len(heads):
@@ -130,7 +131,7 @@ def _channel(row: dict[str, str], where: str) -> dict[str, Any]:
     kind = re.sub(r"[_\s-]+", "", row["type"].lower()) or "uint16"
     known = next((name for name, aliases in TYPES.items() if kind in aliases), None)
     if known is None:
-        raise BadBusDescription(f"{where}: type {row['type']!r} is not known; known are {', '.join(TYPES)}")
+        raise BadBusDescription(f"{where}: type {row['type']!r} is not known; {known_names(row['type'], TYPES)}")
     channel: dict[str, Any] = {"type": known, "unit": row["unit"]}
     if known == "bit":
         channel["bit"] = _whole(row, "bit", where) if row["bit"] else 0

@@ -13,7 +13,6 @@ import re
 import time
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from datetime import UTC
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
 from residuum.identification.errors import in_one_line
+from residuum.nearest_names import nearest_names
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import StreamFormat
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
@@ -153,7 +153,7 @@ class OpcuaSource(Source):
         if status.value != ua.StatusCodes.BadNodeIdUnknown:
             return f"channel {name!r}, node {each.node!r}: {status.name}"
         there = [node async for node, _ in variables(client, _MOST_BROWSED)]
-        near = get_close_matches(each.node, there, n=3, cutoff=0.0)
+        near = nearest_names(each.node, there, 3, like=0.0)
         return f"channel {name!r}: the server has no node {each.node!r}; the nearest are {', '.join(near) or 'none'}"
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:

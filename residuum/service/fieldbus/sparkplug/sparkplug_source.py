@@ -13,12 +13,12 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from typing import Any
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from residuum.nearest_names import nearest_names
 from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.fieldbus.block import StreamFormat
@@ -189,7 +189,7 @@ class SparkplugSource(Source):
                 continue
             for channel, wanted in each.channels.items():
                 if wanted.metric not in known:
-                    near = ", ".join(get_close_matches(wanted.metric, names, n=3, cutoff=0.0)) or "none"
+                    near = ", ".join(nearest_names(wanted.metric, names, 3, like=0.0)) or "none"
                     lacks = f"channel {channel!r}: the birth has no metric {wanted.metric!r}; the nearest are {near}"
                     self.health.count("undecodable", 1, lacks)
             if stream in self._changes:

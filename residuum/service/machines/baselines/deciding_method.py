@@ -5,6 +5,7 @@ from __future__ import annotations
 import orjson
 
 from residuum.identification.errors import BadInput
+from residuum.nearest_names import did_you_mean
 from residuum.service.machines.adding.kept_machines import KIND, document_name, kept_document
 from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.store import Store
@@ -52,6 +53,6 @@ def choose_method(store: Store, asset: str, method: str | None, by: str) -> None
         raise BadInput(f"asset {asset!r}: has no diagnoser yet, so no method can decide")
     known = diagnoser_class(diagnoser).methods
     if method is not None and method not in known:
-        raise BadInput(f"diagnoser {diagnoser!r}, method {method!r}: must be {' or '.join(known)}")
+        raise BadInput(f"diagnoser {diagnoser!r}, method {method!r}: {did_you_mean(method, known)}must be {' or '.join(known)}")
     document_name(asset)  # refuses a name that is too long
     store.add_model_version(_name(asset), KIND, orjson.dumps({"method": method}), "method", by)

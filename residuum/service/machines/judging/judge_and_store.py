@@ -6,6 +6,7 @@ is judged.
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections.abc import Callable
 
@@ -52,10 +53,10 @@ class JudgeAndStore:
         judged = self._judged(machine, window, baseline)
 
         def store() -> Finding | None:
-            finding = judged()
+            finding, key = judged(), secrets.token_hex(16)  # tried again under one key: a first try may have been kept
             while True:
                 try:
-                    self._store.add_window(asset=machine.asset, record=window, finding=finding)
+                    self._store.add_window(asset=machine.asset, record=window, finding=finding, idempotency_key=key)
                     return finding
                 except StorageUnavailable as error:
                     log.error("window not stored, trying again", machine=machine.asset, reason=str(error))

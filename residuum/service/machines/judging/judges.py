@@ -7,6 +7,7 @@ from typing import Any
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
+from residuum.nearest_names import known_names
 from residuum.service.machines.judging.kept_diagnosers import KeptDiagnosers, diagnoser_of_content
 from residuum.service.store import NotFound
 
@@ -39,5 +40,5 @@ class Judges:
 def diagnoser_class(name: str) -> type[Diagnoser]:
     """The class of this name; NotFound lists the names there are."""
     if name not in DIAGNOSERS:
-        raise NotFound(f"diagnoser {name[:60]!r}: there is none of this name; known are {', '.join(DIAGNOSERS)}")
+        raise NotFound(f"diagnoser {name[:60]!r}: there is none of this name; {known_names(name, DIAGNOSERS)}")
     return DIAGNOSERS[name]

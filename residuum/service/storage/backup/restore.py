@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, delete
 
+from residuum.service.storage import identity
 from residuum.service.storage.backup.backup_contents import BackupReader, BadBackup, Contents
 from residuum.service.storage.database import Database, known_revisions, newest_revision
 from residuum.service.storage.durable_folder import make_folder, sync_folder
@@ -43,6 +44,7 @@ def restore_backup(file: Path, database: Database, blocks: Path) -> Contents:
         with database.write() as connection:
             _Restorer(connection, blocks, written).read(file)
         database.migrate()
+        identity.forget(database)
     except BaseException:
         database.migrate("base")
         for block in written:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -10,7 +11,7 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
-from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband
+from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband, severity
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
 from residuum.service.storage import audit, outbox
 from residuum.service.storage.rows import paging
@@ -27,23 +28,36 @@ _SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
 }
 
 
-def follow(connection: Connection, asset: str, window: int, finding: Finding, now: datetime, rule: AlarmRule) -> list[Alarm]:
-    """Let an asset's alarms follow a finding; returns the alarms that changed their state."""
+def follow(connection: Connection, asset: str, window: int, finding: Finding, now: datetime, rule: AlarmRule) -> list[Followed]:
+    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their text with a worse finding."""
     if finding.only_recorded:
         return []
     rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
     changed = []
-    for kind, faulty in _SHOWN[finding.verdict]:
+    # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing keeps it.
+    for kind, faulty in _SHOWN[Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict]:
         row = rows.get(kind)
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
         held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds)
         seen = faulty or held
-        alarm = _follow_one(connection, row, seen, rule, window=window, message=_message(finding) if faulty else None, now=now)
+        alarm = _follow_one(connection, row, seen, rule, window=window, finding=finding if faulty else None, now=now)
         if alarm is not None:
             changed.append(alarm)
     return changed
+
+
+@dataclass(frozen=True)
+class Followed:
+    """An alarm after a finding that changed its state, or its text alone."""
+
+    alarm: Alarm
+    text_alone: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """The alarm; with `text_alone` where its state is the one of before."""
+        return self.alarm.to_json() | ({"text_alone": True} if self.text_alone else {})
 
 
 def operate(
@@ -122,13 +136,17 @@ def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
 
 
 def _follow_one(
-    connection: Connection, row: Row[Any], seen: bool, rule: AlarmRule, *, window: int, message: str | None, now: datetime
-) -> Alarm | None:
+    connection: Connection, row: Row[Any], seen: bool, rule: AlarmRule, *, window: int, finding: Finding | None, now: datetime
+) -> Followed | None:
     before = _status(row)
     after, event = alarm_states.follow(before, seen, rule, now)
     changes: dict[str, Any] = {"state": after.state.value, "condition": after.condition, "pending_since": after.pending_since}
-    if after.condition and message is not None:
-        changes |= {"message": message, "window_id": window}
+    told = {}
+    if after.condition and finding is not None:
+        worst = severity(finding.indicators, finding.thresholds)
+        if event is AlarmEvent.RAISE or row.worst is None or worst >= row.worst:
+            told = {"message": _message(finding), "window_id": window, "worst": worst, "worst_at": now}
+    changes |= told
     if event is AlarmEvent.RAISE:
         changes |= {"raised_at": now, "cleared_at": None, "occurrences": row.occurrences + 1}
         if after.state is AlarmState.UNACKNOWLEDGED:
@@ -136,9 +154,9 @@ def _follow_one(
     if event is AlarmEvent.CLEAR:
         changes["cleared_at"] = now
     if event is not None:
-        return _change(connection, row.id, changes, event, by=None, comment=None, now=now)
-    connection.execute(update(alarms).where(alarms.c.id == row.id).values(changes))
-    return None
+        return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
+    changed = connection.execute(update(alarms).where(alarms.c.id == row.id).values(changes).returning(alarms)).one()
+    return Followed(_alarm(changed), text_alone=True) if told and changed.message != row.message else None
 
 
 def _status(row: Row[Any]) -> AlarmStatus:
@@ -176,6 +194,14 @@ def _row(connection: Connection, alarm: int) -> Row[Any]:
     return row
 
 
+def _with_times(row: Row[Any]) -> str:
+    """The text, with when the alarm was raised and when what it tells was seen."""
+    if row.raised_at is None:
+        return str(row.message)
+    since = f"{row.message}; since {row.raised_at:%Y-%m-%d %H:%M:%S} UTC"
+    return since if row.worst_at in (None, row.raised_at) else f"{since}, at its worst {row.worst_at:%Y-%m-%d %H:%M:%S} UTC"
+
+
 def _alarm(row: Row[Any]) -> Alarm:
     return Alarm(
         row.id,
@@ -183,7 +209,8 @@ def _alarm(row: Row[Any]) -> Alarm:
         row.kind,
         AlarmState(row.state),
         row.condition,
-        row.message,
+        _with_times(row),
+        row.worst_at,
         row.occurrences,
         row.raised_at,
         row.cleared_at,

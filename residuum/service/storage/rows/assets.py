@@ -98,8 +98,10 @@ def finding_of(connection: Connection, window: int) -> StoredFinding:
     return stored_finding(row)
 
 
-def indicators(connection: Connection, asset: str, limit: int) -> IndicatorHistory:
-    """Indicators and thresholds of the newest findings, oldest first."""
+def indicators(
+    connection: Connection, asset: str, limit: int, span: tuple[datetime | None, datetime | None] | None = None
+) -> IndicatorHistory:
+    """Indicators and thresholds of the newest findings, oldest first; with a span, of findings spread over all of it."""
     require(connection, asset)
     columns = (
         findings.c.at,
@@ -109,7 +111,8 @@ def indicators(connection: Connection, asset: str, limit: int) -> IndicatorHisto
         findings.c.thresholds,
         findings.c.units,
     )
-    query = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit)
+    newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit)
+    query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
     rows = connection.execute(query).all()[::-1]
     units: dict[str, str] = {}
     for row in rows:
@@ -122,6 +125,25 @@ def indicators(connection: Connection, asset: str, limit: int) -> IndicatorHisto
         thresholds=_columns([row.thresholds for row in rows]),
         units=units,
     )
+
+
+_WORST_FIRST = (Verdict.FAULTY.value, Verdict.NOT_ASSESSABLE.value)
+
+
+def _spread(connection: Connection, asset: str, span: tuple[datetime | None, datetime | None], most: int) -> Sequence[int]:
+    """Findings of [begin, end), at most so many: of each stretch the worst verdict's, so that no fault is thinned away."""
+    c = findings.c
+    query = select(c.id, c.verdict).where(c.asset_id == asset).order_by(c.id)
+    begin, end = span
+    if begin is not None:
+        query = query.where(c.at >= begin)
+    if end is not None:
+        query = query.where(c.at < end)
+    rows = connection.execute(query).all()
+    stride = max(1, -(-len(rows) // most))
+    stretches = (rows[first : first + stride] for first in range(0, len(rows), stride))
+    rank = {verdict: place for place, verdict in enumerate(_WORST_FIRST)}
+    return [min(stretch, key=lambda row: rank.get(row.verdict, len(rank))).id for stretch in stretches]
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float | None]]:

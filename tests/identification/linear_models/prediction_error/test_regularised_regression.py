@@ -130,7 +130,11 @@ def test_an_input_without_effect_is_said_to_be_one():
 @pytest.mark.parametrize(
     ("change", "error", "rule"),
     [
-        ({"penalty": "elastic"}, BadInput, "penalty 'elastic': must be one of ridge, lasso, elastic-net"),
+        (
+            {"penalty": "elastic"},
+            BadInput,
+            "penalty 'elastic': did you mean 'elastic-net'. must be one of ridge, lasso, elastic-net",
+        ),
         ({"orders": Orders(nb=2, nf=2)}, BadInput, "must have B, may have A, nothing else"),
         ({"mix": 0.5}, BadInput, "mix 0.5: belongs to the elastic net"),
         ({"penalty": "elastic-net", "mix": 0.0}, BadInput, "must lie between 0 and 1"),

@@ -1,12 +1,15 @@
 // Start: theme, connection, pages by address (#/ and #/machines/NAME).
 
 import { apiKey } from "./lib/api.js";
-import { h, notify, refresh, reveal, show } from "./lib/dom.js";
+import { h, notify, refresh, show } from "./lib/dom.js";
 import { readEffectTitles } from "./lib/effect_titles.js";
-import { assetTitle } from "./lib/format.js";
+import { assetTitle, capital } from "./lib/format.js";
 import { Live } from "./lib/live.js";
-import { plant, readAll, readStatus, subscribe, take } from "./lib/plant_state.js";
+import { machinesOfPlant, readAll, readStatus, subscribe, take } from "./lib/plant_state.js";
 import { savePicture, saveReport } from "./lib/report_file.js";
+import { interfacePage, settingsPage } from "./pages/about.js";
+import { alarmHistoryPage } from "./pages/alarm_history.js";
+import { bearingPage } from "./pages/bearing.js";
 import { controlPage } from "./pages/control.js";
 import { effectsPage } from "./pages/effects.js";
 import { identifyPage } from "./pages/identify.js";
@@ -22,11 +25,15 @@ const PAGES = [
   [/^#\/workbench(?:\?(.*))?$/, (place, query) => workbenchPage(place, query)],
   [/^#\/identify(?:\?(.*))?$/, (place, query) => identifyPage(place, query)],
   [/^#\/control(?:\?(.*))?$/, (place, query) => controlPage(place, query)],
+  [/^#\/alarms(?:\?(.*))?$/, (place, query) => alarmHistoryPage(place, query)],
+  [/^#\/bearing(?:\?(.*))?$/, (place, query) => bearingPage(place, query)],
+  [/^#\/interface$/, (place) => interfacePage(place)],
+  [/^#\/settings$/, (place) => settingsPage(place)],
   [/^#\/effects$/, (place) => effectsPage(place)],
   [/^#\/failure-modes(?:\?(.*))?$/, (place) => risksPage(place)],
   [/^(#\/?)?$/, (place) => plantPage(place)],
 ];
-const MOST_LINKED = 6;
+const CONNECTION = { connected: "connected", locked: "no key, no events", lost: "connection lost, trying again …" };
 const main = document.getElementById("main");
 let leave = null;
 
@@ -38,26 +45,41 @@ function open() {
 }
 
 function navigation() {
-  const machines = [...plant.assets.values()];
-  const few = machines.length <= MOST_LINKED ? machines : [];
   const links = [
     ["#/", "Plant"],
+    ["#/alarms", "Alarms"],
     ["#/watch", "Watch a machine"],
     ["#/workbench", "Workbench"],
     ["#/identify", "Identify"],
     ["#/control", "Control"],
+    ["#/bearing", "Bearing"],
     ["#/effects", "Effects"],
     ["#/failure-modes", "Failure modes"],
-    ...few.map((asset) => [`#/machines/${encodeURIComponent(asset.id)}`, assetTitle(asset)]),
   ];
   const here = (location.hash || "#/").split("?")[0];
-  const nav = document.getElementById("nav");
-  refresh(nav, () =>
+  refresh(document.getElementById("nav"), () => [
     links.map(([address, text]) =>
-      h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text.slice(0, 40)),
+      h("a", { href: address, "data-key": address, "aria-current": address === here ? "page" : null }, text),
     ),
+    machineChoice(here),
+  ]);
+}
+
+// One choice for however many machines: it takes the same room for three as for three hundred.
+function machineChoice(here) {
+  const machines = machinesOfPlant().map(([asset]) => [`#/machines/${encodeURIComponent(asset.id)}`, assetTitle(asset)]);
+  if (!machines.length) return null;
+  const go = (event) => {
+    if (event.target.value) location.hash = event.target.value;
+  };
+  const chosen = machines.some(([address]) => address === here);
+  const options = machines.map(([value, text]) => h("option", { value, selected: value === here }, text.slice(0, 40)));
+  return h(
+    "select",
+    { "aria-label": "Machine", "data-key": "machine", "data-chosen": chosen, onchange: go },
+    h("option", { value: "" }, `Machine … (${machines.length})`),
+    options,
   );
-  reveal(nav, nav.querySelector("[aria-current]"));
 }
 
 function theme() {
@@ -86,7 +108,7 @@ function connection(state) {
   const place = document.getElementById("connection");
   if (place.dataset.state === state) return;
   place.dataset.state = state;
-  place.textContent = state === "live" ? "live" : "connection lost, trying again …";
+  place.textContent = CONNECTION[state];
 }
 
 // The view of now as a file, named after its address.
@@ -101,8 +123,18 @@ function reports() {
     document.getElementById(id).addEventListener("click", () => save(main, name()).catch((problem) => notify(problem.message)));
 }
 
-function askForKey() {
-  const input = h("input", { type: "password", autocomplete: "off", id: "key", required: true });
+// `refusal` is what the service says of the key that it was shown: one that it does not know, or whose role may not read.
+function askForKey(refusal) {
+  const given = apiKey.get();
+  const input = h("input", {
+    type: "password",
+    autocomplete: "off",
+    id: "key",
+    required: true,
+    pattern: "[!-~]+",
+    title: "Letters, digits and signs of ASCII, without a space",
+    "aria-describedby": given ? "key-refused" : null,
+  });
   const form = h(
     "form",
     {
@@ -116,6 +148,7 @@ function askForKey() {
     h("h1", {}, "API key"),
     h("label", { for: "key" }, "This service asks for a key. It is kept until this tab is closed."),
     input,
+    given ? h("p", { id: "key-refused", class: "above", role: "alert" }, `${capital(refusal)}. Enter another key.`) : null,
     h("button", {}, "Continue"),
   );
   leave?.();
@@ -128,14 +161,17 @@ async function start() {
   theme();
   reports();
   let asked = false;
-  document.addEventListener("key-needed", () => {
-    if (!asked) askForKey();
+  const ask = (refusal) => {
+    connection("locked");
+    if (!asked) askForKey(refusal.replace(/[.]$/, ""));
     asked = true;
-  });
+  };
+  document.addEventListener("key-needed", (event) => ask(event.detail));
   try {
     await Promise.all([readAll(), readEffectTitles()]);
   } catch (problem) {
-    if (problem.status === 401) return;
+    if (problem.status === 403) ask(problem.message);
+    if (asked) return;
     notify(problem.message);
   }
   open();
@@ -150,7 +186,7 @@ async function start() {
     (kind, payload) => take(kind, payload)?.catch?.((problem) => notify(problem.message)),
     (state, resumed) => {
       connection(state);
-      if (state === "live" && !resumed) reread();
+      if (state === "connected" && !resumed) reread();
     },
   );
   setInterval(() => {

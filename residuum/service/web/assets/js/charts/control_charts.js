@@ -1,5 +1,6 @@
 // Charts of a robust design: its Pareto front, constraints, open loop and step responses.
 
+import { unitText } from "../lib/format.js";
 import { draw, series, tones } from "./charts.js";
 
 const LEGEND = {
@@ -76,44 +77,60 @@ export async function drawFront(place, view, chosen, choose) {
   });
 }
 
-export function drawSteps(place, view, point) {
+// y above, and below it u, what the controller asks of the actuator for the same step; `limits` are the actuator's, null: none.
+export function drawSteps(place, view, point, limits) {
   const [blue, orange] = series();
-  const { time, drawn } = point.steps;
-  const cloud = {
+  const { time, drawn, nominal, control } = point.steps;
+  const cloud = (rows, more) => ({
     ...line(
-      drawn.flatMap(() => [...time, null]),
-      drawn.flatMap((row) => [...row, null]),
+      rows.flatMap(() => [...time, null]),
+      rows.flatMap((row) => [...row, null]),
       `${blue}59`,
-      { name: "drawn plants", hoverinfo: "skip", hovertemplate: null },
+      { name: "drawn plants", hoverinfo: "skip", hovertemplate: null, ...more },
     ),
     line: { width: 1, color: `${blue}59` },
-  };
+  });
+  const middle = (values, more) =>
+    line(time, values, orange, {
+      name: "plant in the middle",
+      line: { width: 2.4, color: orange },
+      hovertemplate: "%{x:.4~g} s<br>%{y:.4~g}<extra></extra>",
+      ...more,
+    });
   const wild = drawn.flat().some((value) => value === null || Math.abs(value) > 4);
-  const limit = (at) => ({
+  const asked = control.nominal.filter(Number.isFinite);
+  const reach = 2 * Math.max(...asked.map(Math.abs));
+  const limit = (at, yref = "y") => ({
     type: "line",
     xref: "paper",
+    yref,
     x0: 0,
     x1: 1,
     y0: at,
     y1: at,
     line: { dash: "dot", width: 1, color: tones().limit },
   });
-  return draw(
-    place,
-    [
-      cloud,
-      line(time, point.steps.nominal, orange, {
-        name: "plant in the middle",
-        line: { width: 2.4, color: orange },
-        hovertemplate: "%{x:.4~g} s<br>%{y:.4~g}<extra></extra>",
-      }),
-    ],
-    {
-      x: { title: { text: "time [s]" }, exponentformat: "SI" },
-      y: { title: { text: `${view.output.name.slice(0, 40)} ÷ step of its reference` }, ...(wild ? { range: [-0.5, 3] } : {}) },
-      more: { ...LEGEND, shapes: [limit(0.98), limit(1.02)] },
+  const lower = { yaxis: "y2", showlegend: false };
+  const unit = unitText(view.input.unit).slice(0, 24) || "1";
+  const per = unitText(view.output.unit).slice(0, 24) || "1";
+  return draw(place, [cloud(drawn), middle(nominal), cloud(control.drawn, lower), middle(control.nominal, lower)], {
+    x: { title: { text: "time [s]" }, exponentformat: "SI", anchor: "y2" },
+    y: {
+      title: { text: `${view.output.name.slice(0, 40)} ÷ step` },
+      domain: [0.46, 1],
+      ...(wild ? { range: [-0.5, 3] } : {}),
     },
-  );
+    y2: {
+      title: { text: `${view.input.name.slice(0, 40)} [${unit} / ${per}]` },
+      domain: [0, 0.36],
+      exponentformat: "SI",
+      ...(wild ? { range: [-reach, reach] } : {}),
+    },
+    more: {
+      ...LEGEND,
+      shapes: [limit(0.98), limit(1.02), ...limits.filter(Number.isFinite).map((each) => limit(each, "y2"))],
+    },
+  });
 }
 
 // |S| and |T| below their bounds, and the whole cost below its limit (Fig. 46 of the source).

@@ -39,8 +39,9 @@ export async function call(path, { method = "GET", body, file, signal } = {}) {
     if (method !== "GET") document.dispatchEvent(new CustomEvent("succeeded"));
     return content;
   }
-  if (response.status === 401) document.dispatchEvent(new CustomEvent("key-needed"));
-  throw new Problem(response.status, content?.detail ?? `The service answered ${response.status}.`);
+  const refusal = content?.detail ?? `The service answered ${response.status}.`;
+  if (response.status === 401) document.dispatchEvent(new CustomEvent("key-needed", { detail: refusal }));
+  throw new Problem(response.status, refusal);
 }
 
 export const path = (...parts) => `/${parts.map((part) => encodeURIComponent(part)).join("/")}`;

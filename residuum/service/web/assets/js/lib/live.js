@@ -1,7 +1,8 @@
 // Server-sent events by fetch (so that an API key can be sent along), resumed after every break with the last event's id.
 
-import { headers } from "./api.js";
+import { headers, Problem } from "./api.js";
 
+const NO_KEY = [401, 403];
 const SLOWEST = 10000;
 const SILENCE = 45000; // the service says something every 15 s, if only that it is still there
 
@@ -16,12 +17,14 @@ export class Live {
 
   async run() {
     for (;;) {
+      let state = "lost";
       try {
         await this.read();
-      } catch {
+      } catch (problem) {
         // the connection broke or could not be made: said by the state, tried again below
+        if (NO_KEY.includes(problem.status)) state = "locked";
       }
-      this.onState("lost");
+      this.onState(state);
       await new Promise((resume) => setTimeout(resume, this.wait * (0.75 + Math.random() / 2)));
       this.wait = Math.min(this.wait * 1.7, SLOWEST);
     }
@@ -46,9 +49,9 @@ export class Live {
   async listen(signal, heard) {
     const resume = this.last ? { "Last-Event-ID": this.last } : {};
     const response = await fetch("/api/v1/events", { headers: headers(resume), cache: "no-store", signal });
-    if (!response.ok) throw new Error(String(response.status));
+    if (!response.ok) throw new Problem(response.status, "no events");
     const missedNothing = this.last !== null;
-    this.onState("live", missedNothing);
+    this.onState("connected", missedNothing);
     this.wait = 500;
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
     let text = "";

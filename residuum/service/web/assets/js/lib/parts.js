@@ -12,6 +12,8 @@ const STATES = {
   "no-data": ["idle", "No data yet"],
   "no-baseline": ["idle", "Waiting for a baseline"],
   training: ["idle", "Training"],
+  waiting: ["idle", "Waiting"],
+  failed: ["faulty", "Failed"],
   unacknowledged: ["faulty", "Unacknowledged"],
   acknowledged: ["unsure", "Acknowledged"],
   "returned-unacknowledged": ["unsure", "Returned, unacknowledged"],
@@ -21,6 +23,7 @@ const STATES = {
   uncounted: ["unsure", "No counter: losses cannot be seen"],
   doubtful: ["unsure", "Values look wrong"],
   stale: ["faulty", "Stale"],
+  losing: ["unsure", "Loses samples"],
   "never-seen": ["idle", "Never seen"],
 };
 // A shape each, so that no meaning rests on colour alone.
@@ -158,15 +161,20 @@ export const worst = (finding) => ranked(finding)[0]?.ratio ?? null;
 export const placed = (text) =>
   text.replaceAll(/\b([a-z]+(?:-[a-z]+)*)@([\w-]+)\b(?!\.\w)/g, (_, effect, place) => `${effectTitle(effect)} of the ${place}`);
 
+// A sentence that begins with a parameter's name, which keeps its letters: `k 1.2 N·m, healthy …` is not said of a `K`.
+const NAMES_A_PARAMETER = /^\w+(?= -?\d|, of a size )|^[b-z]\b/;
+
 // A line that the service wrote as a sentence: an indicator's name in words, decimals of the browser's language, a capital, a
 // full stop.
 export function said(line) {
-  const text = unitsIn(placed(localised(line.replace(/^[a-z0-9]+(?:_[a-z0-9]+)+/, title))));
-  return `${capital(text)}${/[.!?…]$/.test(text) ? "" : "."}`;
+  const begun = NAMES_A_PARAMETER.test(line) ? line : capital(line.replace(/^[a-z0-9]+(?:_[a-z0-9]+)+/, title));
+  const text = unitsIn(placed(localised(begun)));
+  return `${text}${/[.!?…]$/.test(text) ? "" : "."}`;
 }
 
-// What is said of a machine: its finding, or how it comes to a baseline.
+// What is said of a machine: why it failed, its finding, or how it comes to a baseline.
 export function saidOf(finding, machine) {
+  if (machine?.state === "failed") return said(machine.doing);
   const unjudged = !finding || stateOf(finding) === "no-baseline";
   return unjudged && machine?.state === "recording" ? said(machine.doing) : sentence(finding);
 }

@@ -4,7 +4,8 @@ import { call, path } from "./api.js";
 import { stateOf, worst } from "./parts.js";
 
 const TREND = 60;
-const all = async (address) => {
+// Every item of a list that comes in pages.
+export const all = async (address) => {
   const items = [];
   for (let cursor = null; ; ) {
     const page = await call(address + (cursor ? `${address.includes("?") ? "&" : "?"}cursor=${encodeURIComponent(cursor)}` : ""));
@@ -87,7 +88,7 @@ async function readTrend(asset) {
       const ratio = values[row] / history.thresholds[name]?.[row];
       if (Number.isFinite(ratio) && values[row] !== null && (largest === null || ratio > largest)) largest = ratio;
     }
-    return { window, ratio: largest };
+    return { window, at: history.at[row], ratio: largest };
   });
   return [asset, points];
 }
@@ -126,9 +127,44 @@ function judged(finding) {
   if (!known) return;
   const trend = plant.trends.get(finding.asset) ?? [];
   if (!trend.some((point) => point.window === finding.window))
-    plant.trends.set(finding.asset, [...trend, { window: finding.window, ratio: worst(finding) }].slice(-TREND));
+    plant.trends.set(finding.asset, [...trend, { window: finding.window, at: finding.at, ratio: worst(finding) }].slice(-TREND));
   if (known.last_finding?.window >= finding.window) return;
   Object.assign(known, { last_finding: finding, state: stateOf(finding), windows: known.windows + 1 });
+}
+
+// Every machine that is known, by its windows or by the pipeline: [asset, its state in the pipeline or undefined].
+export function machinesOfPlant() {
+  const watched = new Map(named(plant.status.machines));
+  return [...new Set([...plant.assets.keys(), ...watched.keys()])]
+    .sort((a, b) => a.localeCompare(b))
+    .map((name) => [
+      plant.assets.get(name) ?? { id: name, title: name, state: "no-data", last_finding: null },
+      watched.get(name),
+    ]);
+}
+
+// What a machine shows: that it failed goes before what was found of it once.
+export function shownState(asset, machine) {
+  if (machine?.state === "failed") return "failed";
+  const unseen = !asset?.last_finding && ["training", "waiting"].includes(machine?.state);
+  return unseen ? machine.state : (asset?.state ?? "no-data");
+}
+
+const GAPS = 4; // windows that may be late before a machine is no longer live
+const AT_LEAST = 30; // seconds
+const OF_THE_FIRST = 60; // seconds, while one window does not yet say how often they come
+
+// Whether windows of a machine are judged now: nothing else is told of it, and the last is no older than a few of the usual gaps.
+export function isLive(asset, machine) {
+  const last = asset?.last_finding;
+  if (!last || stateOf(last) === "no-baseline" || (machine && machine.state !== "running")) return false;
+  const times = (plant.trends.get(asset.id) ?? []).map((point) => new Date(point.at) / 1000).sort((a, b) => a - b);
+  const gaps = times
+    .slice(1)
+    .map((time, index) => time - times[index])
+    .sort((a, b) => a - b);
+  const usual = gaps.length ? gaps[Math.floor(gaps.length / 2)] : OF_THE_FIRST / GAPS;
+  return Date.now() / 1000 - new Date(last.at) / 1000 <= Math.max(AT_LEAST, GAPS * usual);
 }
 
 export const named = (states) =>

@@ -20,12 +20,17 @@ async function operate(alarm, verb, body) {
   }
 }
 
+// What nobody has seen first, a machine's fault before a signal's, then the newest.
+const UNSEEN_FIRST = ["unacknowledged", "returned-unacknowledged", "acknowledged"];
+const rank = ({ state }) => (UNSEEN_FIRST.indexOf(state) + UNSEEN_FIRST.length + 1) % (UNSEEN_FIRST.length + 1);
+const byUrgency = (a, b) => rank(a) - rank(b) || a.kind.localeCompare(b.kind) || b.id - a.id;
+
 export function alarmList(alarms, { withAsset = true } = {}) {
   if (!alarms.length) return h("p", { class: "empty" }, "No alarms.");
   return h(
     "ul",
     { class: "alarm-list" },
-    alarms.map((alarm) => item(alarm, withAsset)),
+    alarms.sort(byUrgency).map((alarm) => item(alarm, withAsset)),
   );
 }
 
@@ -69,9 +74,11 @@ function item(alarm, withAsset) {
 }
 
 function remarks(alarm) {
+  const says = alarm.comment ? `: ${alarm.comment}` : "";
+  const acknowledged = alarm.acknowledged_by ? `acknowledged by ${alarm.acknowledged_by}${says}` : null;
   const lines = [
-    alarm.state === "shelved" ? `shelved until ${moment(alarm.shelved_until)}` : null,
-    alarm.acknowledged_by ? `acknowledged by ${alarm.acknowledged_by}${alarm.comment ? `: ${alarm.comment}` : ""}` : null,
+    alarm.state === "shelved" ? `shelved until ${moment(alarm.shelved_until)}${acknowledged ? "" : says}` : null,
+    acknowledged,
   ];
   return lines.filter(Boolean).map((line) => h("div", { class: "muted small" }, line));
 }
@@ -85,13 +92,14 @@ function actions(alarm) {
         type: "button",
         "data-key": `${verb}-${alarm.id}`,
         "aria-label": `${text} the alarm of ${alarm.asset}`,
-        onclick: () => operate(alarm, verb, body),
+        onclick: () => operate(alarm, verb, body()),
       },
       text,
     );
-  if (alarm.state === "shelved") return button("unshelve", "Unshelve");
-  const shelve = button("shelve", "Shelve 1 h", { minutes: 60 });
-  return alarm.state === "acknowledged" ? shelve : [button("acknowledge", "Acknowledge", {}), commentForm(alarm), shelve];
+  if (alarm.state === "shelved") return button("unshelve", "Unshelve", () => undefined);
+  const remark = () => (drafts.get(alarm.id) ? { comment: drafts.get(alarm.id) } : {}); // what was typed goes with either button
+  const shelve = button("shelve", "Shelve 1 h", () => ({ minutes: 60, ...remark() }));
+  return alarm.state === "acknowledged" ? shelve : [button("acknowledge", "Acknowledge", remark), commentForm(alarm), shelve];
 }
 
 // Acknowledge with a comment; what is being typed outlives the list's next drawing, as does the form's being open.

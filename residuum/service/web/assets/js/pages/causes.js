@@ -77,15 +77,11 @@ function cause(each) {
     ? ` This window cannot tell it from ${each.indistinguishable_from.map(placed).join(", ")}.`
     : "";
   const beside = each.beside?.length ? ` Beside it: ${each.beside.map(effectTitle).join(", ")}.` : "";
-  return h(
-    "li",
-    {},
-    h("b", {}, `${percent(each.probability)}: ${capital(effectTitle(each.name))}${place}. `),
-    said(each.says),
-    alike,
-    beside,
-  );
+  return h("li", {}, h("b", {}, `${percent(each.probability)}: ${nameOf(each)}${place}. `), said(each.says), alike, beside);
 }
+
+// A parameter keeps its letters: `k` and `K` may be two of them.
+const nameOf = ({ kind, name }) => (kind === "parameter" ? name : capital(effectTitle(name)));
 
 // Physics that healthy windows show too is no fault: just these windows lead to the workbench.
 function missingPhysics(asset, finding) {

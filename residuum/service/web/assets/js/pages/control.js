@@ -397,6 +397,7 @@ function drawDesign(place, view, asked, pick) {
     constraints: chart("Constraints of the design", "chart overlay"),
     loop: chart("Open loop with its range", "chart overlay"),
   };
+  const limits = [asked.lower, asked.upper].map((each) => (each === "" ? null : Number(each)));
   const parts = { says: h("div"), code: h("div") };
   const many = view.points.length > 1;
   const select = h(
@@ -436,6 +437,12 @@ function drawDesign(place, view, asked, pick) {
         "Step responses",
         `${view.drawn_plants} plants drawn, ${view.points[0].steps.drawn.length} shown`,
         charts.steps,
+        h(
+          "p",
+          { class: "muted small" },
+          "Below: what the controller asks of the actuator, for a step of the reference by 1. ",
+          limits.some(Number.isFinite) ? "Dotted: the actuator's limits, which no step that large may reach." : "",
+        ),
       ),
     ),
     h(
@@ -455,7 +462,7 @@ function drawDesign(place, view, asked, pick) {
     show(parts.code, exportPanel(view, point));
     const drawing = [
       drawFront(charts.front, view, index, choose),
-      drawSteps(charts.steps, view, point),
+      drawSteps(charts.steps, view, point, limits),
       drawConstraints(charts.constraints, view, point),
       drawLoop(charts.loop, view, point),
     ];

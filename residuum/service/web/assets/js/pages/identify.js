@@ -8,6 +8,8 @@ import { number, percent, quantity, unitText } from "../lib/format.js";
 import { runIn } from "../lib/jobs.js";
 import { offer, PROCESS, simulateIn } from "../steps/example.js";
 import { uploadedRecords } from "../steps/record_step.js";
+import { checkPanels } from "./model_checks.js";
+import { compareModels } from "./model_comparison.js";
 import { trustPanels } from "./trust.js";
 
 const METHODS = {
@@ -29,7 +31,7 @@ const UNCERTAINTIES = {
   "set-membership": "set membership",
   "stochastic-embedding": "stochastic embedding",
 };
-const KEPT = ["record", "input", "output", "method", "order", "uncertainty", "bound", "name", "watch", "offset"];
+const KEPT = ["record", "input", "output", "method", "order", "also", "uncertainty", "bound", "name", "watch", "offset"];
 
 const HINT =
   "Choose a record's input and output and press Identify, or try a simulated process. " +
@@ -39,6 +41,7 @@ export function identifyPage(place, query) {
   document.title = "Identify · Residuum";
   const asked = Object.fromEntries(new URLSearchParams(query ?? ""));
   const form = h("div");
+  const compared = h("div");
   const result = h("div", { class: "stack" });
   const leaving = [];
   show(
@@ -50,6 +53,7 @@ export function identifyPage(place, query) {
       h("p", { class: "muted about" }, "A linear model from one input to one output, with its uncertainty."),
     ),
     panel("Inputs and outputs", null, form),
+    compared,
     result,
   );
 
@@ -74,21 +78,73 @@ export function identifyPage(place, query) {
     },
   };
 
+  const orders = () =>
+    (asked.order ?? "")
+      .split(/[\s,;]+/)
+      .map(Number)
+      .filter((order) => order > 0);
+  const bodyOf = (method, order) => ({
+    records: [Number(asked.record)],
+    input: asked.input,
+    output: asked.output,
+    method,
+    save_as: asked.name,
+    check: true,
+    ...(order ? { order } : {}),
+    uncertainty: asked.uncertainty,
+    ...([asked.uncertainty, method].includes("set-membership") && Number(asked.bound)
+      ? { noise_bound: Number(asked.bound) }
+      : {}),
+  });
+
   function begin() {
     save();
-    const body = {
-      records: [Number(asked.record)],
-      input: asked.input,
-      output: asked.output,
-      method: asked.method,
-      save_as: asked.name,
-      ...(Number(asked.order) ? { order: Number(asked.order) } : {}),
-      uncertainty: asked.uncertainty,
-      ...([asked.uncertainty, asked.method].includes("set-membership") && Number(asked.bound)
-        ? { noise_bound: Number(asked.bound) }
-        : {}),
+    const methods = [asked.method, ...also().filter((method) => method !== asked.method)];
+    const wanted = methods.flatMap((method) =>
+      (orders().length ? orders() : [null]).map((order) => ({
+        title: `${METHODS[method]}${order ? `, order ${order}` : ""}`,
+        body: bodyOf(method, order),
+      })),
+    );
+    if (wanted.length === 1) {
+      show(compared);
+      const [{ body }] = wanted;
+      return runIn(result, "Identifying", "/identify", body, (model, signal) => drawModel(result, model, bench, signal), leaving);
+    }
+    show(result);
+    const shown = (model) => drawModel(result, model, bench, undefined).catch((problem) => notify(problem.message));
+    return compareModels(compared, wanted, shown, leaving);
+  }
+
+  const also = () => (asked.also ?? "").split(",").filter((method) => method in METHODS);
+
+  // Other methods that are to be identified by, too, and compared.
+  function otherMethods() {
+    const tick = (method, on) => {
+      asked.also = [...also().filter((each) => each !== method), ...(on ? [method] : [])].join(",");
     };
-    runIn(result, "Identifying", "/identify", body, (model, signal) => drawModel(result, model, bench, signal), leaving);
+    return h(
+      "details",
+      { open: also().length > 0 },
+      h("summary", { "data-key": "compare-methods" }, "Compare with other methods"),
+      h(
+        "div",
+        { class: "controls" },
+        Object.entries(METHODS).map(([method, title]) =>
+          h(
+            "label",
+            {},
+            h("input", {
+              type: "checkbox",
+              "data-key": `also-${method}`,
+              checked: also().includes(method),
+              onchange: (event) => tick(method, event.target.checked),
+            }),
+            title,
+          ),
+        ),
+      ),
+    );
   }
 
   function drawForm() {
@@ -164,7 +220,7 @@ export function identifyPage(place, query) {
           channels.map((name) => [name, name.slice(0, 60)]),
         ),
         choose("method", "method", Object.entries(METHODS)),
-        type("order", "order (empty: chosen)", { type: "number", min: 1, max: 5000 }),
+        type("order", "order (empty: chosen; several: 1, 2, 4)", { pattern: "[0-9,; ]*", inputmode: "numeric" }),
         choose("uncertainty", "uncertainty from", Object.entries(UNCERTAINTIES)),
         [asked.uncertainty, asked.method].includes("set-membership")
           ? type("bound", "largest noise (empty: 1.1 × least)", { type: "number", step: "any", min: 0 })
@@ -172,6 +228,7 @@ export function identifyPage(place, query) {
         type("name", "store as", { pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]{0,63}", required: true }),
         h("button", {}, "Identify"),
       ),
+      otherMethods(),
     );
   }
 
@@ -244,6 +301,7 @@ async function drawModel(place, model, bench, signal) {
         h("div", { class: "body" }, bode),
       ),
     ),
+    checkPanels(model),
     trustPanels(model, bench),
   );
   drawImpulse(impulse, model);

@@ -2,9 +2,9 @@
 
 import { h, panel, refresh, show } from "../lib/dom.js";
 import { effectTitle } from "../lib/effect_titles.js";
-import { ago, assetTitle, count, moment, number, quantity, title } from "../lib/format.js";
+import { assetTitle, count, number, quantity, title } from "../lib/format.js";
 import { badge, meter, methodsSay, ranked, saidOf, sentence } from "../lib/parts.js";
-import { hasView, named, plant, subscribe } from "../lib/plant_state.js";
+import { hasView, named, plant, shownState, subscribe } from "../lib/plant_state.js";
 import { tableHead } from "../lib/table_head.js";
 import { activeModel } from "../steps/acceptance.js";
 import { methodChoice } from "../steps/deciding_method.js";
@@ -12,7 +12,7 @@ import { alarmList } from "./alarms.js";
 import { causesPanel } from "./causes.js";
 import { faultPanel } from "./faults.js";
 import { featurePanels } from "./features.js";
-import { progress } from "./plant.js";
+import { freshness, progress, wayOn } from "./plant.js";
 import { sourceTable } from "./sources.js";
 import { tracksPanel } from "./tracks.js";
 import { trendPanel } from "./trend.js";
@@ -46,7 +46,12 @@ export function machinePage(place, name, query) {
     h("header", {}, h("h2", {}, "Indicators of the last window")),
     h("div", { class: "body" }, places.now),
   );
-  const right = h("div", { class: "span-5 stack" }, places.faults, panel("Alarms", null, places.alarms));
+  const right = h(
+    "div",
+    { class: "span-5 stack" },
+    places.faults,
+    panel("Alarms", h("a", { href: `#/alarms?asset=${encodeURIComponent(name)}` }, "History"), places.alarms),
+  );
   show(
     place,
     places.head,
@@ -117,7 +122,7 @@ export function machinePage(place, name, query) {
 function head(name, asset, machine) {
   const finding = asset?.last_finding;
   const busy = machine?.state === "training";
-  const state = busy && !finding ? "training" : (asset?.state ?? "no-data");
+  const state = shownState(asset, machine);
   return h(
     "div",
     {},
@@ -129,6 +134,7 @@ function head(name, asset, machine) {
     ),
     busy ? progress(machine) : null,
     h("p", { class: "says-large" }, saidOf(finding, machine)),
+    wayOn(name, machine),
     machine?.state === "recording"
       ? h(
           "p",
@@ -141,7 +147,7 @@ function head(name, asset, machine) {
       { class: "facts" },
       fact("Diagnoser", asset?.diagnoser ?? machine?.diagnoser ?? "–"),
       ...methods(finding),
-      fact("Last window", finding ? `${finding.window}, ${ago(finding.at)}` : "none yet", finding && moment(finding.at)),
+      fact("Judged last", finding ? freshness(asset, machine) : "none yet"),
       fact("Windows kept", count(asset?.windows ?? 0)),
     ),
   );
@@ -152,7 +158,7 @@ const methods = (finding) =>
 
 const fact = (name, value, hint) => h("div", { title: hint }, h("dt", {}, name), h("dd", {}, value));
 
-function indicatorTable(finding) {
+export function indicatorTable(finding) {
   const rows = ranked(finding);
   if (!rows.length) return h("p", { class: "empty" }, "This finding has no indicators: ", sentence(finding));
   return h(

@@ -1,13 +1,13 @@
 // The plant: all machines by state, alarms, ingest health.
 
 import { h, panel, refresh, show } from "../lib/dom.js";
-import { ago, assetTitle, moment } from "../lib/format.js";
-import { badge, indicatorList, methodsLine, saidOf, sparkline, stateName, tone } from "../lib/parts.js";
-import { named, plant, subscribe } from "../lib/plant_state.js";
+import { ago, assetTitle, capital, count, moment } from "../lib/format.js";
+import { badge, indicatorList, methodsLine, said, saidOf, sparkline, stateName, tone } from "../lib/parts.js";
+import { isLive, machinesOfPlant, plant, shownState, subscribe } from "../lib/plant_state.js";
 import { alarmList } from "./alarms.js";
 import { sourceTable } from "./sources.js";
 
-const WORST_FIRST = ["faulty", "not-assessable", "no-baseline", "no-data", "healthy"];
+const WORST_FIRST = ["failed", "faulty", "not-assessable", "no-baseline", "training", "no-data", "healthy"];
 
 export function plantPage(place) {
   const tally = h("div", { class: "tally" });
@@ -18,7 +18,7 @@ export function plantPage(place) {
     place,
     h("div", { class: "title" }, h("h1", {}, "Plant"), tally),
     machines,
-    panel("Alarms", null, alarms),
+    panel("Alarms", h("a", { href: "#/alarms" }, "History"), alarms),
     panel("Ingest", "every loss is counted", sources),
   );
   document.title = "Plant · Residuum";
@@ -26,7 +26,7 @@ export function plantPage(place) {
   const draw = () => {
     show(tally, tallyOf());
     refresh(machines, cards);
-    refresh(alarms, () => alarmList([...plant.alarms.values()].sort((a, b) => b.id - a.id)));
+    refresh(alarms, () => alarmList([...plant.alarms.values()]));
   };
   const drawSources = () => show(sources, sourceTable(plant.status.sources));
   const leave = subscribe((kind) => {
@@ -44,16 +44,15 @@ export function plantPage(place) {
 }
 
 function tallyOf() {
-  const counts = Object.groupBy([...plant.assets.values()], (asset) => asset.state);
+  const counts = Object.groupBy(machinesOfPlant(), ([asset, machine]) => shownState(asset, machine));
   return WORST_FIRST.filter((state) => counts[state]).map((state) =>
     badge(state, `${counts[state].length} ${stateName(state).toLowerCase()}`),
   );
 }
 
 function cards() {
-  const training = new Map(named(plant.status.machines));
-  const names = new Set([...plant.assets.keys(), ...training.keys()]);
-  if (!names.size)
+  const machines = machinesOfPlant();
+  if (!machines.length)
     return h(
       "p",
       { class: "empty" },
@@ -65,19 +64,14 @@ function cards() {
       h("a", { href: "#/workbench" }, "try the workbench's example"),
       ".",
     );
-  return [...names]
-    .map((name) => [
-      plant.assets.get(name) ?? { id: name, title: name, state: "no-data", last_finding: null },
-      training.get(name),
-    ])
-    .sort(([a], [b]) => (b.state === "faulty") - (a.state === "faulty") || a.id.localeCompare(b.id))
-    .map(([asset, machine]) => card(asset, machine));
+  const bad = ([asset, machine]) => ["failed", "faulty"].includes(shownState(asset, machine));
+  return machines.sort((a, b) => bad(b) - bad(a)).map(([asset, machine]) => card(asset, machine));
 }
 
 function card(asset, machine) {
   const finding = asset.last_finding;
   const busy = machine && machine.state === "training";
-  const state = busy && !finding ? "training" : asset.state;
+  const state = shownState(asset, machine);
   return h(
     "article",
     { class: "panel machine", "data-tone": tone(state) },
@@ -101,14 +95,38 @@ function card(asset, machine) {
         busy && !finding ? "Learning what healthy looks like." : saidOf(finding, machine),
       ),
     ),
+    wayOn(asset.id, machine),
     methodsLine(finding),
     finding ? indicatorList(finding, 4) : null,
     finding ? sparkline((plant.trends.get(asset.id) ?? []).map((point) => point.ratio)) : null,
-    h(
-      "p",
-      { class: "muted small" },
-      finding ? h("span", { title: moment(finding.at) }, `window ${finding.window}, ${ago(finding.at)}`) : null,
-    ),
+    h("p", { class: "muted small" }, freshness(asset, machine)),
+  );
+}
+
+// When the last window was judged, and whether windows are being judged now.
+export function freshness(asset, machine) {
+  const finding = asset?.last_finding;
+  if (!finding) return null;
+  const live = isLive(asset, machine);
+  const told = h("span", { title: moment(finding.at) }, `window ${finding.window}, ${ago(finding.at)}`);
+  return [live ? h("span", { class: "live" }, "live") : null, told];
+}
+
+// What keeps windows from being judged, and how the machine comes to work again.
+export function wayOn(name, machine) {
+  const { state, doing, way_on: way, scoring_errors: errors, simulated } = machine ?? {};
+  const lines = [];
+  if (state === "waiting") lines.push(said(doing));
+  if (state === "failed" || way) lines.push(capital(`${way || "the service's log says more"}.`));
+  if (errors && state !== "failed")
+    lines.push(`${count(errors)} ${errors === 1 ? "window" : "windows"} could not be judged; the service's log says more.`);
+  if (!lines.length) return null;
+  const change = state === "failed" && !simulated;
+  return h(
+    "p",
+    { class: state === "failed" || way || errors ? "above" : "muted small" },
+    lines.join(" "),
+    change ? [" ", h("a", { href: `#/watch?machine=${encodeURIComponent(name)}` }, "Change it or train it again")] : null,
   );
 }
 

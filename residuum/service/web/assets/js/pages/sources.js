@@ -32,7 +32,7 @@ function row(name, source) {
     "tr",
     {},
     h("td", { "data-label": "Source" }, name),
-    h("td", { "data-label": "Quality" }, badge(source.quality ?? "never-seen")),
+    h("td", { "data-label": "Quality" }, badge(source.quality ?? "never-seen", losing(source))),
     h("td", { class: "number", "data-label": "Frames/s" }, count(source.frames_per_second)),
     h("td", { class: "number", "data-label": "Samples/s" }, count(source.samples_per_second)),
     h(
@@ -53,6 +53,10 @@ function row(name, source) {
     ),
   );
 }
+
+// How many samples are missing of late, in the badge itself: a source that loses is not called good.
+const losing = ({ quality, lost_lately: lost, lost_within_seconds: within }) =>
+  quality === "losing" && lost > 0 ? `Lost ${count(lost)} in the last ${span(within)}` : undefined;
 
 function losses(counters) {
   const found = Object.entries(counters)

@@ -4,6 +4,7 @@ import { draw, forget, series, tones } from "../charts/charts.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, show } from "../lib/dom.js";
 import { inBrackets, title } from "../lib/format.js";
+import { periods, since } from "../lib/periods.js";
 import { plant } from "../lib/plant_state.js";
 
 const KEPT = 500;
@@ -12,6 +13,11 @@ export const SYMBOLS = { healthy: "circle", faulty: "triangle-up", "not-assessab
 export function trendPanel(asset, told = () => {}) {
   const chart = h("div", { class: "chart", role: "img", "aria-label": "Indicator over time" });
   const select = h("select", { "aria-label": "Indicator", "data-key": "trend-indicator", onchange: () => redraw() });
+  const period = h(
+    "select",
+    { "aria-label": "Period", "data-key": "trend-period", onchange: () => read() },
+    periods(`last ${KEPT} windows`).map(([value, text]) => h("option", { value }, text)),
+  );
   const empty = h("p", { class: "empty" });
   const element = h(
     "section",
@@ -20,7 +26,7 @@ export function trendPanel(asset, told = () => {}) {
       "header",
       {},
       h("h2", {}, "Trend"),
-      h("div", { class: "controls" }, select),
+      h("div", { class: "controls" }, select, period),
       h("div", { class: "aside" }, "● healthy   ▲ faulty   ◇ not assessable   - - threshold"),
     ),
     h("div", { class: "body" }, empty, chart),
@@ -32,7 +38,7 @@ export function trendPanel(asset, told = () => {}) {
     if (!plant.assets.has(asset)) return redraw();
     const came = [];
     meanwhile = came;
-    const found = await call(`${path("assets", asset, "indicators")}?limit=${KEPT}`).catch(
+    const found = await call(`${path("assets", asset, "indicators")}?limit=${KEPT}${since(period.value)}`).catch(
       (problem) => notify(problem.message) ?? null,
     );
     if (came !== meanwhile) return undefined; // a later reading is under way
@@ -44,7 +50,7 @@ export function trendPanel(asset, told = () => {}) {
 
   function redraw() {
     const names = history ? Object.keys(history.indicators) : [];
-    empty.textContent = names.length ? "" : "No indicator yet.";
+    empty.textContent = names.length ? "" : period.value ? "No window was judged in this period." : "No indicator yet.";
     chart.hidden = !names.length;
     select.hidden = names.length < 2;
     if (!names.length) return;

@@ -15,6 +15,7 @@ import { structured } from "./compare_step.js";
 import { describe, modelTitle } from "./models.js";
 
 const NARROW = 520; // pixels
+const SPANS_DECADES = 30; // largest over least error, from which on bars of one length scale hide the small ones
 
 export async function addStep(place, bench) {
   const body = h("div", { class: "stack" });
@@ -264,8 +265,13 @@ function drawBars(place, made, units) {
     marker: { color: colours[index % 4], pattern: { shape: ["", "/", "x", "."][index % 4] } },
     hovertemplate: "%{customdata:.3~g} % of the first error<extra></extra>",
   }));
-  const largest = Math.max(...traces.flatMap((trace) => trace.customdata));
-  const figures = { title: { text: "error [% of the first]" }, range: [0, largest * (narrow ? 1.5 : 1.15)] };
+  const figures = {
+    title: { text: "error [% of the first]" },
+    ...scale(
+      traces.flatMap((trace) => trace.customdata),
+      narrow,
+    ),
+  };
   const category = { type: "category", ...(narrow ? { autorange: "reversed" } : {}) };
   return draw(place, traces, {
     x: narrow ? figures : category,
@@ -277,6 +283,15 @@ function drawBars(place, made, units) {
       margin: { l: 64, r: 12, t: 40, b: 42 },
     },
   });
+}
+
+// The axis of the bars: by length, or by factors where they span decades; with room for the numbers beside them.
+function scale(shares, narrow) {
+  const positive = shares.filter((share) => share > 0);
+  const [least, largest] = [Math.min(...positive), Math.max(...positive)];
+  if (largest / least < SPANS_DECADES) return { range: [0, largest * (narrow ? 1.5 : 1.15)] };
+  const [low, high] = [Math.log10(least) - 0.5, Math.log10(largest)];
+  return { type: "log", range: [low, high + (high - low) * (narrow ? 0.5 : 0.15)], tickformat: "~g", dtick: 1 };
 }
 
 async function drawOverlay(place, bench, before) {

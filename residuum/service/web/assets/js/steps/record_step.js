@@ -1,9 +1,11 @@
 // Step 1: drop a record, choose a model, and say which column is which signal.
 
+import { forget } from "../charts/charts.js";
+import { recordCharts } from "../charts/record_charts.js";
 import { call, path } from "../lib/api.js";
 import { h, notify, once, panel, show } from "../lib/dom.js";
 import { balanceEquation } from "../lib/equations.js";
-import { count, span, unitText } from "../lib/format.js";
+import { count, quantity, span, unitText } from "../lib/format.js";
 import { modelName } from "../lib/model_name.js";
 import { download } from "../lib/report_file.js";
 import { tableHead } from "../lib/table_head.js";
@@ -49,7 +51,7 @@ export async function uploadedRecords() {
 }
 
 export async function recordStep(place, bench) {
-  const parts = { example: h("div"), record: h("div"), model: h("div"), map: h("div"), equations: h("div") };
+  const parts = { example: h("div"), record: h("div"), model: h("div"), signals: h("div"), map: h("div"), equations: h("div") };
   show(
     place,
     parts.example,
@@ -59,6 +61,7 @@ export async function recordStep(place, bench) {
       h("section", { class: "panel span-6" }, h("header", {}, h("h2", {}, "Record")), h("div", { class: "body" }, parts.record)),
       h("section", { class: "panel span-6" }, h("header", {}, h("h2", {}, "Model")), h("div", { class: "body" }, parts.model)),
     ),
+    parts.signals,
     parts.map,
     parts.equations,
   );
@@ -77,6 +80,7 @@ export async function recordStep(place, bench) {
     drawExample(parts.example, bench, known, redraw);
     drawRecord(parts.record, bench, known, redraw);
     drawModel(parts.model, bench, known, redraw);
+    drawSignals(parts.signals, bench, known);
     await drawMap(parts, bench, known, redraw, () => mine === drawing && parts.map.isConnected).catch((problem) =>
       notify(problem.message),
     );
@@ -204,6 +208,24 @@ function drawRecord(place, bench, known, redraw) {
     rows.length
       ? h("div", { class: "choices", role: "group", "aria-label": "Records" }, rows)
       : h("p", { class: "empty" }, "No record yet. Several records may be used together; each is a separate experiment."),
+  );
+}
+
+// The records that are chosen, as they were read; what is drawn already stays as it is zoomed.
+function drawSignals(place, bench, known) {
+  const chosen = known.records.filter((each) => bench.records.includes(each.id));
+  const ids = chosen.map((each) => each.id).join();
+  if (place.dataset.records === ids) return;
+  place.dataset.records = ids;
+  for (const chart of place.querySelectorAll(".chart")) forget(chart);
+  const about = (each) => `${count(each.n)} samples, one every ${quantity(each.sample_time, "s")}`;
+  show(
+    place,
+    h(
+      "div",
+      { class: "stack" },
+      chosen.map((each) => panel(`Record ${each.id} · ${each.name.slice(0, 60)}`, about(each), recordCharts(each))),
+    ),
   );
 }
 

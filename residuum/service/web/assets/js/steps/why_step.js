@@ -59,6 +59,8 @@ function adequate(explanation) {
 
 function drawExplanation(body, bench, explanation, effects) {
   const candidates = explanation.candidates.slice(0, LISTED);
+  // Each effect of a joint answer has its row: what is missing besides the first is no less missing.
+  const besides = explanation.also_missing.filter((each) => each.probability >= WORTH_SAYING);
   const [tone, word] = VERDICTS[explanation.verdict] ?? ["idle", explanation.verdict];
   const leading = candidates[0];
   const named =
@@ -76,7 +78,7 @@ function drawExplanation(body, bench, explanation, effects) {
         "p",
         { class: "says-large" },
         named
-          ? headline(named, leading, effects)
+          ? headline(named, leading, effects) + andBesides(besides, effects)
           : explanation.verdict === "adequate"
             ? adequate(explanation)
             : "The structured error has a shape that no effect of the catalogue makes.",
@@ -112,7 +114,7 @@ function drawExplanation(body, bench, explanation, effects) {
       `nothing missing ${percent(explanation.probability_nothing_missing)} · something unknown ` +
         `${percent(explanation.probability_unknown_effect)}`,
       candidates.length
-        ? ranking(candidates, effects, bench)
+        ? ranking(candidates, besides, effects, bench)
         : h("p", { class: "empty" }, "No effect of the catalogue lowers the error."),
     ),
     notes(explanation, effects),
@@ -121,7 +123,7 @@ function drawExplanation(body, bench, explanation, effects) {
     advice(explanation, effects),
   );
   if (explanation.blocks) drawErrors(places.blocks, bench, explanation.blocks, effects);
-  drawCurves(places.cloud, bench, candidates).catch((problem) => {
+  drawCurves(places.cloud, bench, [...candidates, ...besides]).catch((problem) => {
     if (problem.name !== "AbortError") notify(problem.message);
   });
 }
@@ -137,9 +139,6 @@ function notes(explanation, effects) {
   const titled = (id) => effects.get(id)?.title ?? id;
   const term = explanation.missing_term;
   const said = [
-    ...explanation.also_missing
-      .filter((each) => each.probability >= LIKELY)
-      .map((each) => `Then ${titled(each.effect)} in ${each.balance}, ${percent(each.probability)}.`),
     ...(term && explanation.probability_unknown_effect > WORTH_SAYING
       ? [
           `A term outside the catalogue in ${term.balance}, a function of ${term.axis}, explains ` +
@@ -170,7 +169,7 @@ function notes(explanation, effects) {
     : null;
 }
 
-function ranking(candidates, effects, bench) {
+function ranking(candidates, besides, effects, bench) {
   const heads = ["Effect", "Probability", "Size", "Error, before → after", ""];
   const row = (candidate, index) =>
     h(
@@ -183,6 +182,7 @@ function ranking(candidates, effects, bench) {
           "div",
           {},
           h("b", {}, effects.get(candidate.effect)?.title ?? candidate.effect),
+          index < candidates.length ? null : h("span", { class: "small" }, " besides the first"),
           h("div", { class: "muted small" }, `in ${candidate.balance}: ${effects.get(candidate.effect)?.equation ?? ""}`),
           candidate.indistinguishable_from.length
             ? h(
@@ -269,7 +269,7 @@ function ranking(candidates, effects, bench) {
       "table",
       { class: "reflow" },
       tableHead([...heads.slice(0, 4), h("span", { class: "visually-hidden" }, "Action")], [1]),
-      h("tbody", {}, candidates.map(row)),
+      h("tbody", {}, [...candidates, ...besides].map(row)),
     ),
   );
 }
@@ -352,6 +352,15 @@ function headline(named, leading, effects) {
   if (!alike.length) return `Most probably ${named}, ${percent(leading.probability)}.`;
   const together = Math.min(1, leading.probability * (1 + alike.length));
   return `Most probably ${named} or ${alike.join(" or ")}, together ${percent(together)}: this record cannot tell them apart.`;
+}
+
+// The other effects of a joint answer.
+function andBesides(besides, effects) {
+  const likely = besides.filter((each) => each.probability >= LIKELY);
+  const named = likely.map(
+    (each) => `${effects.get(each.effect)?.title ?? each.effect} in ${each.balance}, ${percent(each.probability)}`,
+  );
+  return named.length ? ` Besides it ${named.join("; ")}.` : "";
 }
 
 function advice(explanation, effects) {

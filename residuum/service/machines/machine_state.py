@@ -1,0 +1,68 @@
+"""MachineState: whether a machine's windows are being judged now, and if not, what it waits for and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+STATES = ("idle", "recording", "training", "running", "waiting", "failed")
+"""Every state that a machine can be in."""
+LATE = 3.0
+"""Lengths of a window without a judged one, after which a machine is late."""
+SOON = 30.0
+"""Seconds within which no machine is late, however short its windows are."""
+
+_NEXT = {"movement": "the machine's next movement", "round": "the next whole round", "sliding": "the next whole window"}
+_BUS = "look at the device and its bus; `residuum doctor` tries each"
+_WORKERS = "give the service more `workers`, or see in its log whether the disk takes what it stores"
+_LOSSES = "see at its sources how many samples are lost: no window reaches across a pause"
+
+
+@dataclass(frozen=True)
+class MachineState:
+    """A state, a sentence on what is being done or waited for, and what a person can do; nothing where nothing is wrong."""
+
+    state: str
+    doing: str
+    way_on: str = ""
+
+
+def state_of_judging(cut: str, silent: Sequence[str], waiting: int, *, judged: bool, late: bool) -> MachineState:
+    """The state of a machine that has a baseline.
+
+    Parameters
+    ----------
+    cut : str
+        How its windows are cut.
+    silent : sequence of str
+        Its sources that give nothing, each with what is known of it.
+    waiting : int
+        Windows that are not judged and stored yet.
+    judged : bool
+        Whether any window was judged since the baseline was taken up.
+    late : bool
+        Whether the last one is longer ago than some lengths of a window.
+    """
+    if judged and not late:
+        return MachineState("running", "judging windows")
+    if silent:
+        return MachineState("waiting", f"waiting for data: {'; '.join(silent)}", _BUS if late else "")
+    if waiting:
+        return MachineState("waiting", "waiting until windows are judged and stored", _WORKERS if late else "")
+    lacking = late and cut == "sliding"  # a machine that stands still moves nothing and turns no round
+    return MachineState("waiting", f"waiting for {_NEXT[cut]}", _LOSSES if lacking else "")
+
+
+def counted(states: Mapping[str, Mapping[str, object]]) -> dict[str, int]:
+    """How many machines are in each state, from what each of them tells."""
+    told = [state.get("state") for state in states.values()]
+    return {state: told.count(state) for state in STATES}
+
+
+def troubled(states: Mapping[str, Mapping[str, object]]) -> dict[str, dict[str, object]]:
+    """The machines that somebody should look after: state, reason and way on of each."""
+    return {
+        name: {"state": told.get("state"), "reason": told.get("doing"), "way_on": told["way_on"]}
+        for name, told in states.items()
+        if told.get("way_on")
+    }

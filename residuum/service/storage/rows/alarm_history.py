@@ -1,0 +1,97 @@
+"""What alarms were raised in a span of time, and what became of each, out of their journal."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, select
+
+from residuum.service.alarms.alarm_states import AlarmEvent
+from residuum.service.storage.rows import paging
+from residuum.service.storage.tables import alarm_journal, alarms, findings
+from residuum.service.store import AlarmOccurrence, Page
+
+
+def page(
+    connection: Connection,
+    span: tuple[datetime | None, datetime | None],
+    *,
+    asset: str | None,
+    cursor: str | None,
+    limit: int,
+    sites: Collection[str] | None,
+) -> Page[AlarmOccurrence]:
+    """Alarms that were raised in [begin, end), None for an open end, the newest first."""
+    begin, end = span
+    query: Select[Any] = (
+        select(alarm_journal.c.id, alarm_journal.c.alarm_id, alarm_journal.c.at, alarms.c.asset_id, alarms.c.kind)
+        .join_from(alarm_journal, alarms)
+        .where(alarm_journal.c.event == AlarmEvent.RAISE.value, paging.of_sites(alarms.c.asset_id, sites))
+        .order_by(alarm_journal.c.id.desc())
+        .limit(limit + 1)
+    )
+    if asset is not None:
+        query = query.where(alarms.c.asset_id == asset)
+    if begin is not None:
+        query = query.where(alarm_journal.c.at >= begin)
+    if end is not None:
+        query = query.where(alarm_journal.c.at < end)
+    if cursor:
+        query = query.where(alarm_journal.c.id < paging.decode_number(cursor))
+    raised = connection.execute(query).all()
+    later, causes = _what_followed(connection, raised), _findings_that_raised(connection, raised)
+    return paging.page(raised, limit, "id", lambda row: _occurrence(row, later[row.id], causes.get((row.asset_id, row.at))))
+
+
+def _what_followed(connection: Connection, raised: Sequence[Row[Any]]) -> dict[int, list[Row[Any]]]:
+    """By the entry that raised an alarm, the entries of it until it was raised again."""
+    followed: dict[int, list[Row[Any]]] = defaultdict(list)
+    if not raised:
+        return followed
+    alarm_ids = {row.alarm_id for row in raised}
+    since = alarm_journal.c.id >= raised[-1].id
+    entries = select(alarm_journal).where(alarm_journal.c.alarm_id.in_(alarm_ids), since).order_by(alarm_journal.c.id)
+    last: dict[int, int] = {}
+    for entry in connection.execute(entries):
+        if entry.event == AlarmEvent.RAISE.value:
+            last[entry.alarm_id] = entry.id
+        elif entry.alarm_id in last:
+            followed[last[entry.alarm_id]].append(entry)
+    return followed
+
+
+def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) -> dict[tuple[str, datetime], Row[Any]]:
+    """By asset and moment: a change of an alarm by a finding has its finding's moment."""
+    if not raised:
+        return {}
+    c = findings.c
+    there = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
+    return {(row.asset_id, row.at): row for row in connection.execute(select(findings).where(there))}
+
+
+def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:
+    first = {event: next((each for each in entries if each.event == event.value), None) for event in AlarmEvent}
+    cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
+    return AlarmOccurrence(
+        id=row.id,
+        alarm=row.alarm_id,
+        asset=row.asset_id,
+        kind=row.kind,
+        raised_at=row.at,
+        cleared_at=None if cleared is None else cleared.at,
+        acknowledged_at=None if acknowledged is None else acknowledged.at,
+        acknowledged_by=None if acknowledged is None else acknowledged.by,
+        comments=[entry.comment for entry in entries if entry.comment],
+        message=None if cause is None else cause.reason or f"{cause.diagnoser}: {cause.fault_class or cause.verdict}",
+        times_threshold=None if cause is None else _times_threshold(cause),
+        window=None if cause is None else cause.window_id,
+    )
+
+
+def _times_threshold(cause: Row[Any]) -> float | None:
+    """How far the indicator that is furthest above its threshold lies above it; None where none has a threshold."""
+    limits = {name: limit for name, limit in cause.thresholds.items() if limit is not None and limit > 0}
+    return max((cause.indicators[n] / limits[n] for n in limits if cause.indicators.get(n) is not None), default=None)
