@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import os
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +21,9 @@ from residuum.service.fieldbus.settings import MachineSettings
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
 """Environment variable that names the YAML file."""
+
+_FILE_GIVEN: ContextVar[Path | None] = ContextVar("_FILE_GIVEN", default=None)
+"""The YAML file that `load_settings` was given, while it builds the settings."""
 
 
 _RATE_LIMIT = 200.0
@@ -165,7 +169,7 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Arguments before environment before file (pydantic-settings asks for this)."""
-        named = os.environ.get(SETTINGS_FILE)
+        named = _FILE_GIVEN.get() or os.environ.get(SETTINGS_FILE)
         file = InitSettingsSource(settings_cls, _content(Path(named)) if named else {})
         return init_settings, env_settings, file
 
@@ -190,14 +194,15 @@ def load_settings(file: Path | None = None, **arguments: Any) -> Settings:
 
     Raises BadSettings with one line: which setting, what it is, which rule.
     """
-    if file is not None:
-        os.environ[SETTINGS_FILE] = str(file)
-    if (named := os.environ.get(SETTINGS_FILE)) and not Path(named).is_file():
+    if (named := file or os.environ.get(SETTINGS_FILE)) and not Path(named).is_file():
         raise BadSettings(f"{'--settings' if file else SETTINGS_FILE}: no such file: {named}")
+    given = _FILE_GIVEN.set(file)
     try:
         return Settings(**{name: value for name, value in arguments.items() if value is not None})
     except ValidationError as error:
         raise BadSettings(_one_line(error)) from None
+    finally:
+        _FILE_GIVEN.reset(given)
 
 
 def _content(file: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import json
+import os
 import re
 import socket
 
@@ -174,10 +175,17 @@ def test_the_demo_on_this_machine_has_no_rate_limit_unless_asked_for(tmp_path):
         ("#" * 1_000_001, "1000001 bytes; a YAML file has at most 1000000"),
     ],
 )
-def test_a_settings_file_that_cannot_be_read_is_refused_in_one_line(tmp_path, monkeypatch, text, says):
-    monkeypatch.setenv(SETTINGS_FILE, "")  # the file's name is left there for child processes, and must not outlive the test
+def test_a_settings_file_that_cannot_be_read_is_refused_in_one_line(tmp_path, text, says):
     file = tmp_path / "settings.yaml"
     file.write_text(text)
     with pytest.raises(BadSettings, match=says) as refused:
         load_settings(file)
     assert "\n" not in str(refused.value)
+
+
+def test_a_settings_file_that_is_given_holds_for_these_settings_alone(tmp_path, monkeypatch):
+    monkeypatch.delenv(SETTINGS_FILE, raising=False)
+    file = tmp_path / "settings.yaml"
+    file.write_text("port: 9000\n")
+    assert load_settings(file).port == 9000
+    assert load_settings().port == 8000 and SETTINGS_FILE not in os.environ

@@ -6,7 +6,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import httpx
 import yaml
@@ -29,21 +31,21 @@ def wait_for(look):
 def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tmp_path, free_port):
     silent = {"kind": "modbus", "port": free_port(), "map": "process_plant.yaml"}
     machine = {"asset": "press", "diagnoser": "robust-residual", "window": {"cut": "sliding", "length": 1}, "sources": [silent]}
-    settings, temporary, log = tmp_path / "settings.yaml", tmp_path / "temporary", tmp_path / "log"
+    settings, log = tmp_path / "settings.yaml", tmp_path / "log"
     settings.write_text(yaml.safe_dump({"machines": [machine]}))
-    temporary.mkdir()
     with (
+        tempfile.TemporaryDirectory(dir="/tmp") as folder,  # processes meet at sockets in it, whose names may have 107 bytes
         log.open("w") as written,
         subprocess.Popen(
             [*COMMAND, "--data", str(tmp_path / "data"), "--settings", str(settings)],
-            env=os.environ | {"TMPDIR": str(temporary)},
+            env=os.environ | {"TMPDIR": folder},
             stdout=subprocess.PIPE,
             stderr=written,
             text=True,
         ) as service,
     ):
         try:
-            (training,) = wait_for(lambda: list(temporary.glob("residuum-training-*")))
+            (training,) = wait_for(lambda: list(Path(folder).glob("residuum-training-*")))
             shutil.rmtree(training)  # where the trainings write: each of them fails
             address = service.stdout.readline().split()[-1]
             with httpx.Client(base_url=address, timeout=60) as client:

@@ -61,7 +61,7 @@ def test_init_without_anything_is_a_form_and_doctor_says_what_to_fill_in(capsys)
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"channels": {"speed": "n_motor"}}, "the bus has no signal 'n_motor'; did you mean 'i_mot'? it has i_mot, n_fan, u_mot"),
+        ({"channels": {"speed": "n_motor"}}, "the bus has no signal 'n_motor'; did you mean 'u_mot'? it has i_mot, n_fan, u_mot"),
         ({"channels": {"speed": "n_fan"}}, "voltage: the model needs this input"),
         ({"channels": {"voltage": "n_fan"}}, "voltage: the model has it in V, the bus has n_fan in rpm"),
         ({"model": None}, "model: is missing"),
