@@ -70,6 +70,7 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
             service.send_signal(signal.SIGINT)
         assert service.wait(60) in (0, 130)
     lines = log.read_text().splitlines()
-    (line,) = [line for line in lines if "training failed" in line and "[error" in line and "plant" in line and "way_on" in line]
+    failed = [line for line in lines if "training failed" in line and "[error" in line and "is not judged" not in line]
+    (line,) = [line for line in failed if "process-plant" in line and "way_on" in line]
     assert "FileNotFoundError" in line
     assert any("[error" in line and "a machine is not judged" in line and "machine=press" in line for line in lines)
