@@ -19,8 +19,9 @@ from residuum.identification.errors import BadInput
 
 _REFUSED = 2
 _FILES = 64
-_PATIENCE = 3
-"""Waiting time a second of processor time: a busy machine gives less than one processor."""
+_PATIENCE = 20
+"""Waiting time a second of processor time, after which a process that only waits is ended. Long, because a busy machine gives a
+small part of a processor, and whether a file can be read must not hang on that."""
 
 
 def run_limited(module: str, arguments: Sequence[str], folder: Path, *, memory: int, seconds: int) -> tuple[str, str] | None:

@@ -12,6 +12,7 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.identification.record_formats.npz import read_npz
 from residuum.service.bad_bodies import BadBody
+from residuum.service.work import limited_process
 from residuum.service.work.upload_reader import read_upload
 
 LIMITS = {"memory": 512 * 2**20, "seconds": 10}
@@ -76,6 +77,7 @@ def test_a_reader_that_breaks_a_limit_or_dies_harms_nobody(monkeypatch, tmp_path
 )
 def test_a_reader_that_never_ends_is_ended(monkeypatch, tmp_path, body, says):
     replaced(monkeypatch, tmp_path, body)
+    monkeypatch.setattr(limited_process, "_PATIENCE", 3)
     with pytest.raises(BadRecord, match=says):
         read_upload(b"", ".csv", "mine.csv", memory=2**29, seconds=3)
 
