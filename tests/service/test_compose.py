@@ -11,7 +11,6 @@ import urllib.parse
 import urllib.request
 from pathlib import Path
 
-import jsonschema
 import pytest
 import yaml
 
@@ -30,6 +29,8 @@ KEYS = "/var/lib/residuum-keys"
 
 
 def test_it_is_valid_by_the_compose_schema():
+    import jsonschema  # takes seconds to load, which every process that collects tests would spend
+
     jsonschema.validate(COMPOSE, json.loads(Path(__file__).with_name("compose_schema.json").read_text()))
 
 
