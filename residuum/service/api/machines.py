@@ -115,8 +115,9 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
         raise BadInput(
             f"machine {machine!r}: {error.errors(include_url=False)[0]['msg'].removeprefix('Value error, ')}"
         ) from None
-    if settings.model is not None:
-        await run_in_threadpool(stored_model, running.store, settings.model)
+    for model in (settings.model, None if settings.second is None else settings.second.model):
+        if model is not None:  # a file of this computer is read for its settings' file alone
+            await run_in_threadpool(stored_model, running.store, model)
     before = await run_in_threadpool(kept_maps, running.store, machine)
     names = {source.map for source in settings.sources}
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}
