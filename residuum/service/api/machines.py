@@ -85,9 +85,10 @@ class WindowsAsRecords(BaseModel, extra="forbid"):
 
 
 @router.post("/bus-descriptions")
-def read_bus_description(asked: BusText) -> Response:
+async def read_bus_description(running: Running, asked: BusText) -> Response:
     """Understand a DBC file, a register map or a table of registers: its streams, and the file to add a machine with."""
-    return Json(bus_description(asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id).to_json())
+    given = (asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id)
+    return await running.reading(lambda: Json(bus_description(*given).to_json()))
 
 
 @router.get("/assets/{asset}/machine")
