@@ -46,7 +46,7 @@ QUESTIONS = (
     "alarms/history?limit=500",
     "audit?limit=500",
     "models?limit=500",
-    "assets/press/windows/1/signal?points=20000",
+    "assets/press/windows/2/signal?points=20000",
 )
 
 
