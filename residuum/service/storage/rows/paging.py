@@ -58,7 +58,8 @@ def by_bytes(
     """
     size: ColumnElement[int] = sum((func.coalesce(func.length(cast(each, Text)), 0) for each in documents), literal(0))
     sizes = connection.execute(query.with_only_columns(key, size, maintain_column_froms=True).limit(limit + 1)).all()
-    kept, held = [], 0
+    kept: list[Any] = []
+    held = 0
     for number, each in sizes[:limit]:
         held += each
         if kept and held > most:
