@@ -16,6 +16,9 @@ from residuum.nearest_names import known_names
 
 Signal = npt.NDArray[np.floating]
 
+MOST_UNITS = 100
+"""Different units of a record: each that is not common is looked up, which takes up to .7 ms."""
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -69,9 +72,9 @@ class Record:
         if not np.isfinite(self.t0):
             raise BadRecord(f"{where}: t0 is {self.t0!r}; must be finite")
         signals = self._checked_signals(where)
-        units = self._checked_units(where)
-        if nul := [text for text in (*units, *units.values(), *self.notes) if "\x00" in text]:
+        if nul := [text for text in (*self.channels, *self.units.values(), *self.notes) if "\x00" in text]:
             raise BadRecord(f"{where}: {nul[0][:60]!r} holds the character NUL, which no database keeps")
+        units = self._checked_units(where)
         object.__setattr__(self, "channels", MappingProxyType(signals))
         object.__setattr__(self, "units", MappingProxyType(units))
         object.__setattr__(self, "notes", tuple(self.notes))
@@ -87,6 +90,8 @@ class Record:
         if unitless := [name for name in self.channels if name not in self.units]:
             raise BadRecord(f"{where}: channel {unitless[0]!r} has no unit; every channel needs one")
         units = {name: self.units[name] for name in self.channels}
+        if (different := len(set(units.values()))) > MOST_UNITS:
+            raise BadUnit(f"{where}: its channels have {different} different units; at most {MOST_UNITS} are read")
         for name, unit in units.items():
             try:
                 parse_unit(unit)

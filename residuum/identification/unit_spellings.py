@@ -14,7 +14,7 @@ _SAME = str.maketrans(
         **dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-", strict=True)),
     }
 )
-_POWER = re.compile(r"(?<![A-Za-z_])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?\(?(-?[1-9])\)?(?![\dA-Za-z.*])")
+_POWER = re.compile(r"(?<![A-Za-z_\d.])([A-Za-zµ]{1,4})\s?(?:\^|\*\*)?(?:\((-?[1-9])\)|(-?[1-9]))(?![\dA-Za-z.*])")
 """A short word with its exponent right behind it: `m3`, `s-2`, `min^-1`, `cm**2`."""
 _DOT = re.compile(r"(?<=[A-Za-z])\.(?=[A-Za-z])")
 _JOINED = re.compile(r"(?<![A-Za-zµ])((?:da|[kMmµ])?N)(m{1,2}|cm)(?![A-Za-z0-9])")
@@ -222,4 +222,4 @@ def is_spelled(text: str) -> bool:
 
 
 def _powers(text: str) -> str:
-    return _POWER.sub(lambda found: f"{found[1]}**{found[2]}", _DOT.sub("*", text)).replace("^", "**")
+    return _POWER.sub(lambda found: f"{found[1]}**{found[2] or found[3]}", _DOT.sub("*", text)).replace("^", "**")

@@ -19,11 +19,19 @@ import numpy.typing as npt
 
 from residuum.identification.common_units import COMMON_UNITS, NamedUnit
 from residuum.identification.errors import BadUnit
+from residuum.identification.unit_grammar import LARGEST_POWER
 from residuum.identification.unit_spellings import canonical
 
 _LONGEST = 80
 _COUNTS = {"radian", "bit", "count", "decibel"}
 """Base units without a dimension."""
+_BASES = frozenset(
+    (
+        *("ampere", "bit", "candela", "count", "kelvin", "kilogram", "meter", "mole", "radian", "second", "absorbance_unit"),
+        *("pixel", "refractive_index_unit", "A", "K", "kg", "m", "rad", "s"),
+    )
+)
+"""What units that are known are made of, by name and, where `dimension` shortens it, by symbol."""
 _FACTOR = re.compile(r"([*/]?)(1|[A-Za-zµ%_]+)(?:\*\*(-?\d+(?:\.\d+)?))?")
 _REGISTRY = "residuum.identification.unit_registry"
 
@@ -77,6 +85,7 @@ class Unit:
 def parse_unit(text: str) -> Unit:
     """Return the unit that `text` names; a word that nobody knows (`ticks`) is a unit of its own dimension.
 
+    What it takes is bounded before anything is computed: length, words, parentheses inside each other, exponents.
     Raises BadUnit when the text is no unit, or one whose size in base units is no number; the message repeats the text.
 
     >>> compatible("ticks/s", "ticks/min"), compatible("ticks", "rad")
@@ -92,6 +101,8 @@ def parse_unit(text: str) -> Unit:
     factors = _common(spelled)
     try:
         unit = Unit(_merged(factors if factors is not None else import_module(_REGISTRY).factors(spelled)))
+        if any(abs(power) > LARGEST_POWER for _, power in unit.factors):
+            raise BadUnit(f"unit {text!r}: not a known unit: an exponent is larger than {LARGEST_POWER:g}")
         if not 0 < unit.scale < np.inf:
             raise OverflowError(spelled)
     except BadUnit:
@@ -127,15 +138,23 @@ def _merged(factors: Any) -> tuple[tuple[NamedUnit, float], ...]:
     return tuple((named, power) for named, power in powers.items() if power)
 
 
+def read_registry() -> None:
+    """Read the registry of units that are not common, which takes .3 s: for who cannot wait when the first of them comes."""
+    import_module(_REGISTRY)
+
+
+def registry_is_read() -> bool:
+    """Whether any unit is read in less than a millisecond from now on."""
+    return hasattr(sys.modules.get(_REGISTRY), "factors")
+
+
 def is_own(word: str) -> bool:
     """Whether a base unit is a word that nobody knows.
 
-    >>> unit = parse_unit("ticks/s")
     >>> is_own("ticks"), is_own("second")
     (True, False)
     """
-    registry = sys.modules.get(_REGISTRY)
-    return registry is not None and registry.is_own(word)
+    return word not in _BASES
 
 
 def compatible(first: str, second: str) -> bool:

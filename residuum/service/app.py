@@ -15,6 +15,7 @@ import structlog
 from fastapi import FastAPI
 from sqlalchemy.engine import make_url
 
+from residuum.identification.units import read_registry
 from residuum.service import problems
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
@@ -40,6 +41,7 @@ from residuum.service.storage.disk_store import SETTLED
 from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
 from residuum.service.web import web_routes
+from residuum.service.window_queue.set_aside import SetAside
 from residuum.service.window_queue.stored_windows import StoredWindows, Told
 from residuum.service.work.jobs import Jobs
 from residuum.service.work.worker_pool import WorkerPool
@@ -67,7 +69,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
     def pipeline_status() -> Mapping[str, Any]:
         return app.state.services.pipeline.status()
 
-    metrics = Metrics(pipeline_status)
+    metrics = Metrics(pipeline_status, lambda: SetAside(settings.data).count)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -156,6 +158,7 @@ async def _running(
             started.callback(asyncio.create_task(watch).cancel)
         if (file := sqlite_file(settings.database_url)) is not None and file.stat().st_size > LOOKED_THROUGH:
             threading.Thread(target=_look_for_damage, args=(store,), name="look for damage", daemon=True).start()
+        threading.Thread(target=read_registry, name="read units", daemon=True).start()
         await pipeline.start()
         await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
         if settings.mqtt:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
@@ -24,7 +24,7 @@ class Metrics:
     A registry of its own, so that several services can live in one process (tests).
     """
 
-    def __init__(self, status: Callable[[], Mapping[str, Any]]) -> None:
+    def __init__(self, status: Callable[[], Mapping[str, Any]], set_aside: Callable[[], int] = lambda: 0) -> None:
         self._registry = CollectorRegistry()
         labels = ("method", "route", "status")
         self._requests = Counter("residuum_http_requests", "HTTP requests", labels, registry=self._registry)
@@ -42,6 +42,8 @@ class Metrics:
             buckets=_STALLS,
             registry=self._registry,
         )
+        aside = Gauge("residuum_set_aside_messages", "Messages of the broker that were set aside", registry=self._registry)
+        aside.set_function(set_aside)
         self._children: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._registry.register(_Status(status))
 

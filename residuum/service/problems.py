@@ -16,6 +16,7 @@ from starlette.responses import Response
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.bad_bodies import BadBody, TooLarge, UnsupportedBody
+from residuum.service.memory_budget import TooBusy
 from residuum.service.remedies_over_http import said_over_http
 from residuum.service.request_ids import HEADER, request_id
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
@@ -33,6 +34,7 @@ _STATUS: dict[type[Exception], int] = {
     UnsupportedBody: 415,
     TooLarge: 413,
     TooManyJobs: 429,
+    TooBusy: 503,
     BadInput: 422,
 }
 _MOST_SHOWN = 500
@@ -60,7 +62,10 @@ def install(app: FastAPI) -> None:
     async def _bad_input(_request: Request, error: BadInput) -> Response:
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
         return problem(
-            status, said_over_http(str(error)), _kebab(type(error).__name__), {"Retry-After": "5"} if status == 429 else None
+            status,
+            said_over_http(str(error)),
+            _kebab(type(error).__name__),
+            {"Retry-After": "5"} if status in (429, 503) else None,
         )
 
     @app.exception_handler(RequestValidationError)

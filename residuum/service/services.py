@@ -15,6 +15,7 @@ from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
 from residuum.service.machines.judging.judges import Judges
+from residuum.service.memory_budget import MIB, MemoryBudget
 from residuum.service.metrics import Metrics
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller
 from residuum.service.settings import Settings
@@ -25,6 +26,12 @@ P = ParamSpec("P")
 T = TypeVar("T")
 _READERS = 2
 """Long bodies that are read at once."""
+_MEMORY = 160 * MIB
+"""Bytes that answers may take together while they are made."""
+_LISTED = 16 * MIB
+"""Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as JSON."""
+_COPIES = 3
+"""Times its samples that a question about a stored signal takes: the block, what is made of it, the answer."""
 
 
 class LivePipeline(Protocol):
@@ -81,6 +88,17 @@ class Services:
     keys: ApiKeys
     _readers: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(_READERS))
     _writer: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(1))
+    _memory: MemoryBudget = field(default_factory=lambda: MemoryBudget(_MEMORY))
+
+    async def listing(self, page: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
+        """Make a page of a list in a thread, when there is room for it; TooBusy when there is none in time."""
+        async with self._memory.hold(_LISTED):
+            return await run_sync(partial(page, *arguments, **more))
+
+    async def sampling(self, size: int, make: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
+        """Make something of stored samples of `size` bytes in a thread, when there is room for it; TooBusy as `listing`."""
+        async with self._memory.hold(_COPIES * size):
+            return await run_sync(partial(make, *arguments, **more))
 
     async def reading(self, read: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
         """Read something long in a thread, with few others; the rest wait, and take no thread from other requests meanwhile."""

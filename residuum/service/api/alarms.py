@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.api.answers import PROBLEMS, AlarmAnswer, AlarmOccurrenceAnswer, AlarmRatesAnswer, PageOf
-from residuum.service.api.json_response import Json, StrictRoute, page_json
+from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import NAME, TEXT, AlarmId, Begin, Cursor, End, Limit
 from residuum.service.results.time_span import open_span
 from residuum.service.services import Running, Services, caller_of
@@ -32,7 +32,7 @@ class Shelving(Remark):
 
 
 @router.get("", response_model=PageOf[AlarmAnswer])
-def list_alarms(
+async def list_alarms(
     request: Request,
     running: Running,
     asset: Annotated[str | None, Query(description="Only this asset's.", pattern=NAME)] = None,
@@ -41,7 +41,7 @@ def list_alarms(
     limit: Limit = 100,
 ) -> Response:
     """Alarms (of the caller's sites), newest first."""
-    return page_json(running.store.alarms(asset, active, cursor, limit, caller_of(request).sites))
+    return await page_answer(running, running.store.alarms, asset, active, cursor, limit, caller_of(request).sites)
 
 
 @router.get("/rates", response_model=AlarmRatesAnswer)
@@ -51,7 +51,7 @@ def alarm_rates(running: Running) -> Response:
 
 
 @router.get("/history", response_model=PageOf[AlarmOccurrenceAnswer])
-def alarm_history(
+async def alarm_history(
     request: Request,
     running: Running,
     asset: Annotated[str | None, Query(description="Only this asset's.", pattern=NAME)] = None,
@@ -62,7 +62,7 @@ def alarm_history(
 ) -> Response:
     """Every time that an alarm was raised (of the caller's sites) in a span of time, newest first, and what became of it."""
     span = open_span(begin, end)
-    return page_json(running.store.alarm_history(span, asset, cursor, limit, caller_of(request).sites))
+    return await page_answer(running, running.store.alarm_history, span, asset, cursor, limit, caller_of(request).sites)
 
 
 @router.get("/{alarm}", response_model=AlarmAnswer)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from residuum.service.api.answers import PROBLEMS, AssetAnswer, FindingAnswer, PageOf
-from residuum.service.api.json_response import Json, StrictRoute, page_json
+from residuum.service.api.json_response import Json, StrictRoute, page_answer
 from residuum.service.api.parameters import TEXT, AssetName, Begin, Cursor, End, Limit
 from residuum.service.machines.judging.judges import diagnoser_class
 from residuum.service.results.time_span import open_span
@@ -25,9 +25,9 @@ class AssetSettings(BaseModel, extra="forbid"):
 
 
 @router.get("", response_model=PageOf[AssetAnswer])
-def list_assets(request: Request, running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
+async def list_assets(request: Request, running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
     """All assets by name (of the caller's sites), each with its latest finding."""
-    return page_json(running.store.assets(cursor, limit, caller_of(request).sites))
+    return await page_answer(running, running.store.assets, cursor, limit, caller_of(request).sites)
 
 
 @router.get("/{asset}", response_model=AssetAnswer)
@@ -46,7 +46,7 @@ def put_asset(running: Running, asset: AssetName, settings: AssetSettings) -> Re
 
 
 @router.get("/{asset}/findings", response_model=PageOf[FindingAnswer])
-def list_findings(
+async def list_findings(
     running: Running,
     asset: AssetName,
     cursor: Cursor = None,
@@ -54,11 +54,11 @@ def list_findings(
     verdict: Annotated[Literal["healthy", "faulty", "not-assessable"] | None, Query(description="Only these.")] = None,
 ) -> Response:
     """Findings on an asset's windows, newest first."""
-    return page_json(running.store.findings(asset, cursor, limit, verdict))
+    return await page_answer(running, running.store.findings, asset, cursor, limit, verdict)
 
 
 @router.get("/{asset}/indicators")
-def get_indicators(
+async def get_indicators(
     running: Running,
     asset: AssetName,
     limit: Annotated[int, Query(description="Most findings.", ge=1, le=5000)] = 500,
@@ -67,15 +67,16 @@ def get_indicators(
 ) -> Response:
     """Indicators and thresholds of the newest findings as columns, oldest first (null where a finding lacks one).
 
-    With `from` or `to`, of findings spread over that time: where there are more than `limit`, the worst of every stretch.
+    With `from` or `to`, of findings spread over that time: where there are more than `limit`, the worst of every stretch. Of what
+    would take more than 3 MiB the newest are told.
     """
     span = None if begin is None and end is None else open_span(begin, end)
-    return Json(vars(running.store.indicators(asset, limit, span)))
+    return await running.listing(lambda: Json(vars(running.store.indicators(asset, limit, span))))
 
 
 @router.get("/{asset}/history")
-def get_history(
+async def get_history(
     running: Running, asset: AssetName, limit: Annotated[int, Query(description="Newest hours.", ge=1, le=24 * 366)] = 24 * 30
 ) -> Response:
     """Findings whose rows were let go, an entry an hour, oldest first: verdicts, and each indicator's extremes and mean."""
-    return Json({"hours": [hour.to_json() for hour in running.store.finding_hours(asset, limit)]})
+    return await running.listing(lambda: Json({"hours": [hour.to_json() for hour in running.store.finding_hours(asset, limit)]}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 
 from residuum.service.api.answers import PROBLEMS, AuditAnswer, PageOf
-from residuum.service.api.json_response import page_json
+from residuum.service.api.json_response import page_answer
 from residuum.service.api.parameters import Cursor, Limit
 from residuum.service.services import Running
 
@@ -13,6 +13,6 @@ router = APIRouter(prefix="/audit", tags=["audit"], responses=PROBLEMS)
 
 
 @router.get("", response_model=PageOf[AuditAnswer])
-def list_audit(running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
+async def list_audit(running: Running, cursor: Cursor = None, limit: Limit = 100) -> Response:
     """What was done to alarms and models, and by whom, newest first; `residuum doctor` verifies the chain of digests."""
-    return page_json(running.store.audit(cursor, limit))
+    return await page_answer(running, running.store.audit, cursor, limit)

@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, StreamingResponse
 
 from residuum.diagnosis.finding import TOLD_BESIDE, Finding
+from residuum.service.services import Services
 from residuum.service.store import Page, T
 
 _LARGEST, _MOST_NESTED = 2 * 2**20, 50_000
@@ -59,6 +60,11 @@ def _plain(value: Any) -> Any:
 def page_json(page: Page[T]) -> Json:
     """One page of a list: `items` and the `next_cursor` to ask for the next."""
     return Json({"items": [item.to_json() for item in page.items], "next_cursor": page.next_cursor})  # type: ignore[attr-defined]
+
+
+async def page_answer(running: Services, page: Callable[..., Page[T]], *arguments: Any) -> Json:
+    """A page of a list, made in a thread when there is room for it."""
+    return await running.listing(lambda: page_json(page(*arguments)))
 
 
 def in_pieces(content: bytes, media_type: str, headers: Mapping[str, str]) -> Response:

@@ -85,9 +85,10 @@ class WindowsAsRecords(BaseModel, extra="forbid"):
 
 
 @router.post("/bus-descriptions")
-def read_bus_description(asked: BusText) -> Response:
+async def read_bus_description(running: Running, asked: BusText) -> Response:
     """Understand a DBC file, a register map or a table of registers: its streams, and the file to add a machine with."""
-    return Json(bus_description(asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id).to_json())
+    given = (asked.kind, asked.name, asked.text, asked.sample_time, asked.unit_id)
+    return await running.reading(lambda: Json(bus_description(*given).to_json()))
 
 
 @router.get("/assets/{asset}/machine")
@@ -115,8 +116,9 @@ async def put_machine(request: Request, running: Running, machine: MachineName, 
         raise BadInput(
             f"machine {machine!r}: {error.errors(include_url=False)[0]['msg'].removeprefix('Value error, ')}"
         ) from None
-    if settings.model is not None:
-        await run_in_threadpool(stored_model, running.store, settings.model)
+    for model in (settings.model, None if settings.second is None else settings.second.model):
+        if model is not None:  # a file of this computer is read for its settings' file alone
+            await run_in_threadpool(stored_model, running.store, model)
     before = await run_in_threadpool(kept_maps, running.store, machine)
     names = {source.map for source in settings.sources}
     maps = {name: text for name, text in {**before, **asked.maps}.items() if name in names}

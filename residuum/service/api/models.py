@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.service.api.answers import PROBLEMS, ModelVersionAnswer, PageOf
-from residuum.service.api.json_response import Json, in_pieces, page_json
+from residuum.service.api.json_response import Json, in_pieces, page_answer
 from residuum.service.api.parameters import TEXT, Cursor, Limit, ModelName, NewModelName
 from residuum.service.api.signal_body import body_of
 from residuum.service.model_files import MODEL_KINDS, check_long_model_file, check_model_file, is_read_apart
@@ -51,14 +51,14 @@ async def add_model(
 
 
 @router.get("", response_model=PageOf[ModelVersionAnswer])
-def list_models(
+async def list_models(
     running: Running,
     kind: Annotated[Kind | None, Query(description="Only these.")] = None,
     cursor: Cursor = None,
     limit: Limit = 100,
 ) -> Response:
     """The newest version of every model, by name."""
-    return page_json(running.store.models(kind, cursor, limit))
+    return await page_answer(running, running.store.models, kind, cursor, limit)
 
 
 @router.get("/{model}/versions", response_model=PageOf[ModelVersionAnswer])

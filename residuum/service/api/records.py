@@ -15,7 +15,7 @@ from residuum.identification.record_formats import CAN_LOGS, LOGGERS, OLDER, REA
 from residuum.identification.record_formats.loggers.logger_time import FORMS
 from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, RecordAnswer, SignalAnswer
-from residuum.service.api.json_response import Json, page_json
+from residuum.service.api.json_response import Json, page_answer
 from residuum.service.api.parameters import TEXT, Cursor, Limit, RecordId
 from residuum.service.api.reading_options import READING_OPTIONS, reading, remedies_in_query
 from residuum.service.api.signal_body import body_of
@@ -94,9 +94,9 @@ async def add_record(
 
 
 @router.get("", response_model=PageOf[RecordAnswer])
-def list_records(running: Running, cursor: Cursor = None, limit: Limit = 50) -> Response:
+async def list_records(running: Running, cursor: Cursor = None, limit: Limit = 50) -> Response:
     """Uploaded records, newest first."""
-    return page_json(running.store.records(cursor, limit))
+    return await page_answer(running, running.store.records, cursor, limit)
 
 
 @router.get("/{record}", response_model=RecordAnswer)
@@ -113,7 +113,7 @@ def delete_record(running: Running, record: RecordId) -> Response:
 
 
 @router.get("/{record}/signal", response_model=SignalAnswer)
-def get_record_signal(
+async def get_record_signal(
     running: Running,
     record: RecordId,
     channels: ChannelNames = None,
@@ -122,11 +122,16 @@ def get_record_signal(
     end: Annotated[float | None, Query(alias="to", description="Seconds after the record's begin.", gt=0)] = None,
 ) -> Response:
     """A stretch of the signals, reduced as a window's are."""
-    units = running.store.record(record).units
+    known = await run_in_threadpool(running.store.record, record)
     for name in channels or ():
-        if name not in units:
-            raise BadInput(f"channel {name[:60]!r}: the record has none of this name; {known_names(name, units, 'there are')}")
-    return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
+        if name not in known.units:
+            says = known_names(name, known.units, "there are")
+            raise BadInput(f"channel {name[:60]!r}: the record has none of this name; {says}")
+
+    def view() -> Response:
+        return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
+
+    return await running.sampling(known.size_bytes, view)
 
 
 def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object], bus: Path | None) -> Record:

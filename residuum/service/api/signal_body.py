@@ -18,6 +18,7 @@ from starlette.datastructures import QueryParams
 from residuum.diagnosis.diagnosers.base import Channel
 from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS
+from residuum.identification.units import registry_is_read
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
 from residuum.service.machines.adding.known_dbc import known_dbc
@@ -174,7 +175,8 @@ async def body_of(request: Request) -> bytes:
 
 
 async def _off_the_loop(body: bytes, read: Callable[..., Record], *arguments: Any) -> Record:
-    return read(*arguments) if len(body) <= READ_ON_THE_LOOP else await run_in_threadpool(read, *arguments)
+    short = len(body) <= READ_ON_THE_LOOP and registry_is_read()
+    return read(*arguments) if short else await run_in_threadpool(read, *arguments)
 
 
 def _from_npy(body: bytes, query: bytes, expected: Sequence[Channel]) -> Record:

@@ -13,6 +13,7 @@ from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import NAME
 from residuum.service.security.access import Caller
 from residuum.service.services import Running, Services, caller_of
+from residuum.service.window_queue.set_aside import SetAside
 
 router = APIRouter(tags=["live"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -30,9 +31,13 @@ class FaultSwitch(BaseModel, extra="forbid"):
 def get_status(running: Running, request: Request) -> Response:
     """State of every machine's pipeline (training, running) and of every source; to a key of some sites, of theirs.
 
-    `compiled`: whether all is compiled that explanations need; until then the first one waits for it.
+    `compiled`: whether all is compiled that explanations need; until then the first one waits for it. `set_aside`: how many
+    messages of the broker were set aside, and the newest with their reasons; not told to a key of some sites.
     """
-    return Json({**_status(running, caller_of(request)), "compiled": is_compiled()})
+    told = {**_status(running, caller_of(request)), "compiled": is_compiled()}
+    if caller_of(request).sites is None:
+        told["set_aside"] = SetAside(running.settings.data).to_json()
+    return Json(told)
 
 
 @router.get("/sources")

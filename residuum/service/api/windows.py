@@ -17,14 +17,14 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import write_record
 from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
-from residuum.service.api.json_response import Json, in_pieces, page_json
+from residuum.service.api.json_response import Json, in_pieces, page_answer
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, record_of
 from residuum.service.machines.baselines.deciding_method import deciding_method
 from residuum.service.machines.baselines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
-from residuum.service.store import NotFound
+from residuum.service.store import NotFound, StoredWindow
 from residuum.service.views.signal_view import extremes
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
@@ -68,9 +68,9 @@ async def add_window(
 
 
 @router.get("", response_model=PageOf[WindowAnswer])
-def list_windows(running: Running, asset: AssetName, cursor: Cursor = None, limit: Limit = 50) -> Response:
+async def list_windows(running: Running, asset: AssetName, cursor: Cursor = None, limit: Limit = 50) -> Response:
     """Windows of an asset, newest first."""
-    return page_json(running.store.windows(asset, cursor, limit))
+    return await page_answer(running, running.store.windows, asset, cursor, limit)
 
 
 @router.get("/{window}", response_model=StoredWindowAnswer)
@@ -80,18 +80,16 @@ def get_window(running: Running, asset: AssetName, window: WindowId) -> Response
 
 
 @router.get("/{window}/record", response_class=Response)
-def get_record(running: Running, asset: AssetName, window: WindowId) -> Response:
+async def get_record(running: Running, asset: AssetName, window: WindowId) -> Response:
     """The window as a record file (NPZ), its signals called as the diagnoser has them."""
-    record = running.store.window_record(asset, window)
-    with tempfile.TemporaryDirectory() as folder:
-        write_record(record, Path(folder) / "window.npz")
-        content = (Path(folder) / "window.npz").read_bytes()
+    size = (await run_in_threadpool(running.store.window, asset, window)).size_bytes
+    content = await running.sampling(size, _record_file, running, asset, window)
     headers = {"Content-Disposition": f'attachment; filename="{asset}-{window}.npz"'}
     return in_pieces(content, "application/zip", headers)
 
 
 @router.get("/{window}/signal", response_model=SignalAnswer)
-def get_signal(
+async def get_signal(
     running: Running,
     asset: AssetName,
     window: WindowId,
@@ -101,13 +99,17 @@ def get_signal(
     end: Annotated[float | None, Query(alias="to", description="Seconds after the window's begin.", gt=0)] = None,
 ) -> Response:
     """A stretch of the signals: all samples when there are few, else minimum and maximum of every interval."""
-    known = running.store.window(asset, window)
-    record = running.store.window_record(asset, window, _known(channels, known.units))
-    return Json({"window": window, **signal_view(record, points, begin, end)})
+    known = await run_in_threadpool(running.store.window, asset, window)
+    wanted = _known(channels, known.units)
+
+    def view() -> Response:
+        return Json({"window": window, **signal_view(running.store.window_record(asset, window, wanted), points, begin, end)})
+
+    return await running.sampling(_bytes(known, wanted), view)
 
 
 @router.get("/{window}/spectrum", response_model=SpectrumAnswer)
-def get_spectrum(
+async def get_spectrum(
     running: Running,
     asset: AssetName,
     window: WindowId,
@@ -116,14 +118,30 @@ def get_spectrum(
     highest: Annotated[float | None, Query(alias="to", description="Highest frequency to show [Hz].", gt=0)] = None,
 ) -> Response:
     """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval kept."""
-    known = running.store.window(asset, window)
+    known = await run_in_threadpool(running.store.window, asset, window)
     name = channel if channel is not None else next(iter(known.units))
-    record = running.store.window_record(asset, window, _known([name], known.units))
+    wanted = _known([name], known.units)
+    return await running.sampling(_bytes(known, wanted), lambda: _spectrum(running, known, name, points, highest))
+
+
+def _bytes(window: StoredWindow, channels: list[str] | None) -> int:
+    """Bytes that some channels of a window take in memory."""
+    return window.size_bytes if channels is None else window.size_bytes * len(channels) // max(1, len(window.units))
+
+
+def _record_file(running: Services, asset: str, window: int) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write_record(running.store.window_record(asset, window), Path(folder) / "window.npz")
+        return (Path(folder) / "window.npz").read_bytes()
+
+
+def _spectrum(running: Services, window: StoredWindow, name: str, points: int, highest: float | None) -> Response:
+    record = running.store.window_record(window.asset, window.id, [name])
     spectrum = amplitude_spectrum(record[name], record.sample_time)
     wanted = len(spectrum.amplitude) if highest is None else max(2, int(highest / spectrum.step) + 1)
     reduced = extremes(spectrum.amplitude[:wanted], points)
     answer = {
-        "window": window,
+        "window": window.id,
         "channel": name,
         "unit": record.units[name],
         "step": spectrum.step * reduced.samples,

@@ -43,6 +43,7 @@ from residuum.service.storage.identity import claim
 from residuum.service.storage.rows import block_rows
 from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.store import StorageUnavailable
+from residuum.service.window_queue.set_aside import FOLDER, SetAside
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -307,11 +308,15 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
     return f"{address} answers; {source.map}: {len(readings)} channels read", "; ".join(remarks)
 
 
-def _broker(settings: Settings) -> str:
+def _broker(settings: Settings) -> tuple[str, str]:
     address = broker_address(settings.mqtt)
     _let_in(address)
     node = f"; Sparkplug B as {settings.sparkplug}" if settings.sparkplug else ""
-    return f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
+    says = f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"
+    aside = SetAside(settings.data)
+    newest = aside.newest(1)
+    remark = f"{aside.count} messages were set aside in {settings.data / FOLDER}, the last: {newest[0].reason}" if newest else ""
+    return says, remark
 
 
 def _let_in(address: BrokerAddress) -> None:

@@ -1,6 +1,7 @@
 """`residuum serve`: the service, with `--demo` together with its simulated machines."""
 
 import asyncio
+import os
 import shutil
 import signal
 import socket
@@ -154,6 +155,12 @@ def _refuse_damage(database: Database) -> None:
         raise BadInput(f"setting database: {database.url.database}: is damaged: {damage}; restore a backup into a new folder")
 
 
+def _end(reason: str) -> None:
+    """End this service in good order: another one has what it needs."""
+    sys.stderr.write(f"residuum: {reason}\n")
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
 @contextmanager
 def _owned(settings: Settings) -> Iterator[None]:
     """Hold data folder and database for this service alone, with the newest schema and the same identity.
@@ -171,7 +178,7 @@ def _owned(settings: Settings) -> Iterator[None]:
             if (file := sqlite_file(settings.database_url)) and file.is_file() and file.stat().st_size <= LOOKED_THROUGH:
                 _refuse_damage(database)
             database.migrate()
-            held.enter_context(database_lock(database, claim(settings.data, database)))
+            held.enter_context(database_lock(database, claim(settings.data, database), _end))
         except StorageUnavailable as error:
             raise BadInput(f"setting database: {error}") from None
         except OSError as error:

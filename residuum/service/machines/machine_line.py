@@ -28,7 +28,9 @@ from residuum.service.machines.windows.cut_windows import make_cutter
 log = structlog.get_logger()
 
 _MOST_BLOCKS = 4096
-_MOST_WINDOWS = 32
+_MOST_WINDOWS, _MOST_BYTES = 32, 16 * 2**20
+"""So many windows wait at least, and more as long as their samples take no more than so many bytes: a database that is away for
+ten minutes is waited for."""
 _AT_ONCE = 2
 _WAIT = 0.2
 _LAST_WINDOW = 3.0
@@ -221,10 +223,10 @@ class MachineLine:
 
     def _add_window(self, window: Record) -> None:
         self._window_seconds = max(self._window_seconds, window.duration)
-        if len(self._windows) >= _MOST_WINDOWS:
+        self._windows.append(window)
+        while len(self._windows) > _MOST_WINDOWS and sum(map(_bytes, self._windows)) > _MOST_BYTES:
             self._windows.popleft()
             self._dropped += 1
-        self._windows.append(window)
         self._window_came.set()
 
     def _judge(self) -> None:
@@ -262,6 +264,10 @@ class MachineLine:
             self._judged += 1
             self._not_judged, self._waits_since = None, time.monotonic()
             self._last = (time.time(), finding)
+
+
+def _bytes(window: Record) -> int:
+    return sum(signal.nbytes for signal in window.channels.values())
 
 
 def unreadable(settings: MachineSettings, reason: str) -> dict[str, Any]:

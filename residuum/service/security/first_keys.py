@@ -11,6 +11,7 @@ from residuum.service.settings import BadSettings
 
 API_KEYS, METRICS_KEY = "api_keys", "metrics_key"
 """Names of the files: what the setting `api_keys` reads, and the plain key for Prometheus."""
+_MODE = 0o640
 
 
 def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
@@ -51,8 +52,10 @@ def _without(file: Path, name: str) -> list[str]:
 
 
 def _beside(file: Path, content: str) -> Path:
-    """The content in a file beside `file`, to be put in its place."""
+    """The content in a file beside `file`, for its owner and the owner's group alone, to be put in its place."""
     part = file.with_name(f".{file.name}.part")
-    part.write_text(content, encoding="utf-8")
-    os.chmod(part, 0o644)  # another user's container reads it; the folder is the deployment's own
+    part.unlink(missing_ok=True)
+    with os.fdopen(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, _MODE), "w", encoding="utf-8") as opened:
+        os.fchmod(opened.fileno(), _MODE)  # whatever the umask takes away: another container reads it by the group
+        opened.write(content)
     return part

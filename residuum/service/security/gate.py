@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -33,10 +34,11 @@ _PATIENCE = 5.0
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
 _BURST = 2.0
 """Seconds of the allowed rate that a client may ask for at once."""
-_HEALTH = ("/health/live", "/health/ready")
+_HEALTH = frozenset(f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready"))
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _METRICS = ("/metrics", "/api/v1/metrics")
-_OPERATOR_VERBS = ("acknowledge", "reset", "shelve", "unshelve")
+_OPERATORS = re.compile(r"/api/v1/alarms/[^/]+/(acknowledge|reset|shelve|unshelve)/?")
+"""Paths of what an operator does with an alarm: the whole path, for an asset may be called `acknowledge`, too."""
 # The hash is that of an empty style element, which Plotly fills rule by rule through the style sheet interface.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'sha256-47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU='; "
@@ -47,6 +49,8 @@ _EVERY_ANSWER = [
     (b"x-content-type-options", b"nosniff"),
     (b"cross-origin-resource-policy", b"same-origin"),
 ]
+_BY_TLS = [(b"strict-transport-security", b"max-age=31536000")]
+"""A browser that was here by HTTPS comes by nothing else for a year, whatever a link or somebody in between says."""
 _DATA = [*_EVERY_ANSWER, (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'")]
 _PAGES = [
     *_EVERY_ANSWER,
@@ -88,6 +92,7 @@ class Gate:
         status = 500
         headers = dict(scope["headers"])
         more = [begin_request(headers), *(_DATA if scope["path"].startswith("/api/") else _PAGES)]
+        more += _BY_TLS if scope["scheme"] == "https" else []
 
         async def send_with_headers(message: Message) -> None:
             nonlocal status
@@ -151,7 +156,7 @@ class Gate:
 
     def _too_often(self, scope: Scope, caller: Caller | None) -> Any:
         """A client is the key it shows, or without a known one its address. Health is always told."""
-        if self.rate_limit is None or scope["path"].endswith(_HEALTH):
+        if self.rate_limit is None or scope["path"] in _HEALTH:
             return None
         address = (scope.get("client") or ("unknown", 0))[0]
         client = address if caller is None or caller is ANYBODY else f"key {caller.name}"
@@ -244,11 +249,9 @@ def _bearer(headers: dict[bytes, bytes]) -> str | None:
 
 def _role_for(method: str, path: str) -> Role:
     """Metrics and health ask for a monitor, reading for a viewer, handling an alarm for an operator, all else for an engineer."""
-    if path in _METRICS or path.endswith(_HEALTH):
-        return Role.MONITOR
     if method in _SAFE:
-        return Role.VIEWER
-    return Role.OPERATOR if path.rsplit("/", 1)[-1] in _OPERATOR_VERBS else Role.ENGINEER
+        return Role.MONITOR if path in _METRICS or path in _HEALTH else Role.VIEWER
+    return Role.OPERATOR if method == "POST" and _OPERATORS.fullmatch(path) else Role.ENGINEER
 
 
 _FOR_EVERY_SITE = ("score", "diagnosers", "effects", "alarms", "health", "events", "status", "sources")

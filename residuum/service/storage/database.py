@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DatabaseError, DataError, DBAPIError, NoSuchModuleError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from residuum.identification.errors import BadInput
 from residuum.service.settings import BadSettings
@@ -23,16 +25,27 @@ from residuum.service.storage.durable_folder import make_folder
 from residuum.service.store import StorageUnavailable
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
-_PATIENCE = 30.0
+_PATIENCE = 10.0
 """How long a writer waits for another process's lock [s]."""
-
+_MOST_WRITERS = 16
+"""Writers that wait for each other; beyond, who wants to write is told to come again, so that threads are left for readers."""
+_POOL_PATIENCE = 10.0
+"""Seconds for which a connection of the pool is waited for."""
 
 LOOKED_THROUGH = 64 * 2**20
 """Bytes of a SQLite file that are looked through before a start, in a fraction of a second; larger ones beside the service."""
 
 
+SILENCE, LONG = 8.0, 600.0
+"""Seconds without a byte from a server after which a statement is given up; of what may take long on a large database."""
+
+
 class OutcomeUnknown(StorageUnavailable):
     """The connection was lost while a transaction was being committed: it may stand, or may not."""
+
+
+class Busy(StorageUnavailable):
+    """Others write, or hold the database's lock; nothing was done, and it can be tried again soon."""
 
 
 class Database:
@@ -50,7 +63,7 @@ class Database:
             self.engine = _engine(self.url)
         except (ArgumentError, NoSuchModuleError, ModuleNotFoundError) as error:
             raise BadSettings(f"database {_without_password(url)!r}: {str(error).splitlines()[0]}") from None
-        self._writing = threading.Lock()
+        self._writing, self._writers = threading.Lock(), threading.BoundedSemaphore(_MOST_WRITERS)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -59,25 +72,39 @@ class Database:
             yield connection
 
     @contextmanager
+    def patiently(self) -> Iterator[None]:
+        """What this thread asks within may take long before the server says anything."""
+        _of_thread.patience = LONG
+        try:
+            yield
+        finally:
+            _of_thread.patience = SILENCE
+
+    @contextmanager
     def snapshot(self) -> Iterator[Connection]:
         """A connection that sees one moment, however long it reads."""
         level = {} if self.url.get_backend_name() == "sqlite" else {"isolation_level": "REPEATABLE READ"}
-        with _storage_errors(), self.engine.connect() as connection:
-            yield connection.execution_options(**level)
+        with _storage_errors(), self.patiently(), self.engine.connect() as connection:
+            connection = connection.execution_options(**level)
+            if level:  # between two questions files may be written for minutes
+                connection.exec_driver_sql("SET LOCAL idle_in_transaction_session_timeout = 0")
+            yield connection
 
     @contextmanager
     def held_open(self) -> Iterator[Connection]:
         """A connection of its own, outside of any transaction, for what lasts as long as the connection."""
         with _storage_errors(), self.engine.connect() as connection:
-            yield connection.execution_options(isolation_level="AUTOCOMMIT")
+            connection = connection.execution_options(isolation_level="AUTOCOMMIT")
+            connection.detach()  # or the pool would keep it, and what it holds, when it is closed
+            yield connection
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
         """A connection to write through; committed, and on disk, when the block ends without an exception.
 
-        OutcomeUnknown where the answer to the commit was lost.
+        OutcomeUnknown where the answer to the commit was lost, Busy where so many write already that this one had to wait long.
         """
-        with self._writing, _storage_errors(), self.engine.connect() as connection:
+        with self._turn(), _storage_errors(), self.engine.connect() as connection:
             connection = connection.execution_options(residuum_write=True)
             transaction = connection.begin()
             try:
@@ -93,6 +120,21 @@ class Database:
                     raise OutcomeUnknown("database: the connection was lost before it said whether all was kept") from error
                 raise
 
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Be the one that writes, after the others of this process."""
+        if not self._writers.acquire(blocking=False):
+            raise Busy(f"database: {_MOST_WRITERS} others wait to write; try again in some seconds")
+        try:
+            if not self._writing.acquire(timeout=_PATIENCE):
+                raise Busy(f"database: others have been writing for {_PATIENCE:g} s; try again in some seconds")
+            try:
+                yield
+            finally:
+                self._writing.release()
+        finally:
+            self._writers.release()
+
     def migrate(self, revision: str = "head") -> None:
         """Bring the schema to a revision, up or down; BadInput for the schema of a newer program."""
         found = self.revision()
@@ -102,7 +144,7 @@ class Database:
                 f"database {url}: its schema, revision {found}, is newer than this program, which knows {newest_revision()}; "
                 "start the program that wrote it, or restore a backup into a new folder"
             )
-        with self.write() as connection:
+        with self.patiently(), self.write() as connection:
             config = _alembic()
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
@@ -155,9 +197,13 @@ def _alembic() -> Config:
     return config
 
 
+_of_thread = threading.local()
+"""`patience`: seconds for which what this thread asks a server for is waited for, where it is not the usual."""
+
+
 def _engine(url: URL) -> Engine:
     if url.get_backend_name() != "sqlite":
-        return create_engine(url, pool_pre_ping=True)
+        return _server_engine(url)
     if url.database and url.database != ":memory:":
         make_folder(Path(url.database).parent)
     engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
@@ -186,6 +232,29 @@ def _engine(url: URL) -> Engine:
     return engine
 
 
+def _server_engine(url: URL) -> Engine:
+    """An engine for a server that may go away: what is asked of it ends in time, and the next asks over a new connection."""
+    engine = create_engine(url, pool_pre_ping=True, pool_timeout=_POOL_PATIENCE)
+    if url.get_driver_name() == "psycopg":
+        patient = importlib.import_module("residuum.service.storage.patient_connection")  # the extra `postgres`
+
+        @event.listens_for(engine, "do_connect")
+        def _connect(_dialect: Any, _record: Any, arguments: Any, options: Any) -> Any:
+            return patient.connect(arguments, options)
+
+        @event.listens_for(engine, "before_cursor_execute")
+        def _set_patience(connection: Connection, *_: Any) -> None:
+            driver: Any = connection.connection.dbapi_connection
+            driver.patience = getattr(_of_thread, "patience", SILENCE)
+
+        @event.listens_for(engine, "checkin")
+        def _reset_patience(connection: Any, _record: Any) -> None:
+            if connection is not None:  # None: it was given up
+                connection.patience = SILENCE
+
+    return engine
+
+
 @contextmanager
 def _storage_errors() -> Iterator[None]:
     """Failures of disk or server, as StorageUnavailable; values that no column takes, as BadInput; ours stay what they are."""
@@ -193,7 +262,12 @@ def _storage_errors() -> Iterator[None]:
         yield
     except OperationalError as error:
         says = str(error.orig).splitlines()[0]
+        if "database is locked" in says:
+            locked = f"database: another process has held its lock for {_PATIENCE:g} s; try again in some seconds"
+            raise Busy(locked) from error
         raise StorageUnavailable(f"database: {says}", full="full" in says.lower()) from error
+    except PoolTimeout:
+        raise Busy("database: all connections are in use; try again in some seconds") from None
     except DataError as error:  # PostgreSQL's: NUL in a text, a text longer than its column, a number out of range
         raise BadInput(f"database: cannot keep what it was given: {str(error.orig).splitlines()[0]}") from error
     except DBAPIError as error:

@@ -20,7 +20,7 @@ from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import alarm_rates, audit, retention, time_range
 from residuum.service.storage.blocks import BlockReference, Blocks, BrokenBlock
-from residuum.service.storage.database import Database, OutcomeUnknown, sqlite_file
+from residuum.service.storage.database import Busy, Database, OutcomeUnknown, sqlite_file
 from residuum.service.storage.outbox import Outbox
 from residuum.service.storage.retention import Clock, Retention
 from residuum.service.storage.rows import (
@@ -56,6 +56,8 @@ from residuum.service.store import (
 SETTLED = 120.0
 """Age [s] at which a block without a row is an orphan: longer than a writer waits for the database."""
 
+_CHECK_WITHIN = 2.0
+"""Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
 """Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
 
@@ -116,12 +118,16 @@ class DiskStore:
         At most once a second, however many ask: what was found then is what they are told.
         """
         self._place.check()
-        with self._checking:
+        if not self._checking.acquire(timeout=_CHECK_WITHIN):
+            raise Busy(f"database: has not answered for {_CHECK_WITHIN:g} s whether it can be written")
+        try:
             if time.monotonic() - self._checked_at >= _CHECK_EVERY:
                 self._refusal = self._looked()
                 self._checked_at = time.monotonic()
             if self._refusal is not None:
                 raise StorageUnavailable(str(self._refusal), full=self._refusal.full)
+        finally:
+            self._checking.release()
 
     def _looked(self) -> StorageUnavailable | None:
         try:
@@ -448,7 +454,7 @@ class DiskStore:
         """
         count, self._clock.doubt = 0, None
         while True:
-            with self._database.write() as connection:
+            with self._database.patiently(), self._database.write() as connection:
                 paths = retention.let_go(connection, rule, _now(), self._clock)
             for path in paths:
                 self._blocks.remove(path)
@@ -460,7 +466,7 @@ class DiskStore:
         return count
 
     def _forget(self, rule: Retention) -> int:
-        with self._database.write() as connection:
+        with self._database.patiently(), self._database.write() as connection:
             return retention.forget(connection, rule, _now(), self._clock)
 
     def troubles(self) -> Mapping[str, str]:

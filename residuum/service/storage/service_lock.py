@@ -8,18 +8,30 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from sqlalchemy import text
+import structlog
+from sqlalchemy import Connection, text
+from sqlalchemy.exc import DBAPIError
 
 from residuum.identification.errors import BadInput
-from residuum.service.storage.database import Database
+from residuum.service.storage.database import SILENCE, Database
 from residuum.service.storage.durable_folder import make_folder
+from residuum.service.store import StorageUnavailable
 
+log = structlog.get_logger()
+
+LOOK_EVERY = 2.0
+"""Seconds between looks at whether the lock is still held."""
 _FILE = "service.lock"
 _WAYS_ON = "stop that one, or give this one a data folder and a database of its own (--data, --database)"
+
+
+def _nobody(_reason: str) -> None:
+    """Told of a lost lock that nobody asks after."""
 
 
 class ServiceRuns(BadInput):
@@ -46,17 +58,87 @@ def folder_lock(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def database_lock(database: Database, identity: str) -> Iterator[None]:
+def database_lock(database: Database, identity: str, lost: Callable[[str], None] = _nobody) -> Iterator[None]:
     """Hold a PostgreSQL database's data folder, by its identity, for this service alone; ServiceRuns where another holds it.
 
-    SQLite needs none: its file has the lock of the one folder that it belongs to.
+    The lock ends with its connection: it is looked after, and taken again over a new one. `lost` is told, once, when another
+    service has taken it meanwhile. SQLite needs none: its file has the lock of the one folder that it belongs to.
     """
     if database.url.get_backend_name() != "postgresql":
         yield
         return
-    number = int.from_bytes(hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True)
-    with database.held_open() as connection:
-        if not connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": number}):
-            url = database.url.render_as_string(hide_password=True)
-            raise ServiceRuns(f"database {url}: a service runs on it already, with a copy of this data folder; {_WAYS_ON}")
+    lock = _AdvisoryLock(database, identity)
+    if not lock.take():
+        url = database.url.render_as_string(hide_password=True)
+        raise ServiceRuns(f"database {url}: a service runs on it already, with a copy of this data folder; {_WAYS_ON}")
+    stopped = threading.Event()
+    thread = threading.Thread(target=lock.look_after, args=(stopped, lost), name="service lock", daemon=True)
+    thread.start()
+    try:
         yield
+    finally:
+        stopped.set()
+        thread.join(LOOK_EVERY + SILENCE)
+        lock.let_go()
+
+
+class _AdvisoryLock:
+    """A lock of the server that lasts as long as a connection of its own."""
+
+    def __init__(self, database: Database, identity: str) -> None:
+        self._database = database
+        self._number = int.from_bytes(hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True)
+        self._held = ExitStack()
+        self._connection: Connection | None = None
+        self._session: int | None = None
+
+    def take(self) -> bool:
+        """Whether it is held now, over a new connection; a session of ours that the server still believes in is ended first."""
+        connection = self._held.enter_context(self._database.held_open())
+        if self._session is not None:
+            connection.execute(_END_OURS, {"session": self._session, "number": self._number})
+        taken = bool(connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}))
+        if taken:
+            self._connection = connection
+            self._session = connection.scalar(text("SELECT pg_backend_pid()"))
+        else:
+            self.let_go()
+        return taken
+
+    def let_go(self) -> None:
+        """Close the connection, and with it the lock."""
+        self._connection = None
+        with suppress(StorageUnavailable):
+            self._held.close()
+
+    def look_after(self, stopped: threading.Event, lost: Callable[[str], None]) -> None:
+        """Take the lock again whenever its connection is gone, until `stopped`."""
+        while not stopped.wait(LOOK_EVERY):
+            try:
+                if self._stands():
+                    continue
+                self.let_go()
+                if not self.take():
+                    lost("another service has taken the data folder while the database was away; this one ends")
+                    return
+                log.info("the lock of the data folder is held again, over a new connection")
+            except StorageUnavailable as error:
+                log.warning("the lock of the data folder is to be taken again", reason=str(error))
+                self.let_go()
+
+    def _stands(self) -> bool:
+        """Whether its connection still answers."""
+        if self._connection is None:
+            return False
+        try:
+            self._connection.scalar(text("SELECT 1"))
+        except DBAPIError:
+            return False
+        return True
+
+
+_END_OURS = text(
+    "SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory' AND pid = :session AND pid <> pg_backend_pid() "
+    "AND ((classid::bigint << 32) | objid::bigint) = :number"
+)
+"""Nobody but a service of ours holds this lock, so a session of our number that has it is ours."""

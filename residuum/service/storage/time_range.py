@@ -8,7 +8,7 @@ from datetime import datetime
 from sqlalchemy import Connection, select
 
 from residuum.service.storage import tables as t
-from residuum.service.storage.rows import assets, windows
+from residuum.service.storage.rows import assets, paging, windows
 from residuum.service.store import StoredFinding, StoredWindow
 
 
@@ -19,7 +19,8 @@ def findings_between(
     assets.require(connection, asset)
     c = t.findings.c
     there = (c.asset_id == asset) & (c.id > after) & (c.at >= begin) & (c.at < end)
-    return [assets.stored_finding(row) for row in connection.execute(select(t.findings).where(there).order_by(c.id).limit(limit))]
+    rows, _ = paging.by_bytes(connection, select(t.findings).where(there).order_by(c.id), c.id, assets.DOCUMENTS, limit)
+    return [assets.stored_finding(row) for row in rows]
 
 
 def windows_between(
@@ -29,4 +30,5 @@ def windows_between(
     assets.require(connection, asset)
     c = t.windows.c
     there = (c.asset_id == asset) & (c.id > after) & (c.received_at >= begin) & (c.received_at < end)
-    return [windows.stored_window(row) for row in connection.execute(select(t.windows).where(there).order_by(c.id).limit(limit))]
+    rows, _ = paging.by_bytes(connection, select(t.windows).where(there).order_by(c.id), c.id, (c.units, c.source), limit)
+    return [windows.stored_window(row) for row in rows]

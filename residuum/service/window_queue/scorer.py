@@ -23,6 +23,7 @@ from residuum.service.machines.baselines.deciding_method import deciding_method
 from residuum.service.machines.judging.scoring import score_window
 from residuum.service.store import NotFound, StorageUnavailable, Store
 from residuum.service.window_queue.broker_client import broker_client
+from residuum.service.window_queue.set_aside import ATTEMPTS, Attempts, SetAside
 from residuum.service.window_queue.stored_news import StoredNews
 from residuum.service.window_queue.topics import PARTITIONS, receipt_topic, stored_topic, windows_of_part
 from residuum.service.window_queue.window_message import WindowMessage
@@ -41,6 +42,7 @@ class Scorer:
 
     At least once: the broker and the gateway are told of a window after it is on disk. Once: the key under which it was sent
     is the store's idempotency key. A window whose judging ends its process again and again is stored as not assessable.
+    A message that is refused, or that was begun several times and never finished, is set aside with its reason.
 
     Parameters
     ----------
@@ -58,6 +60,7 @@ class Scorer:
             raise BadInput(f"scorer {part}/{parts}: must be one of at most {PARTITIONS}, numbered from 1")
         self._address, self._part, self._parts = address, part, parts
         self._pool, self._store, self._data = pool, store, data
+        self._set_aside, self._attempts = SetAside(data), Attempts(data, f"{part}-of-{parts}")
         self._baselines: dict[str, tuple[float, str]] = {}
         self._came: queue.Queue[tuple[int, Any]] = queue.Queue()
         self._connection = 0
@@ -100,16 +103,22 @@ class Scorer:
     def _take(self, client: Any, message: Any) -> None:
         *_, gateway, key = message.topic.split("/")
         refused, stored = None, None
+        attempt = self._attempts.begin(key)
         try:
+            if attempt > ATTEMPTS:
+                raise BadInput(f"window message: was begun {ATTEMPTS} times and never finished")
             stored = self._store_once(key, message.payload)
+            self._attempts.finish(key)
             if stored is None:
                 return
         except BadInput as error:
             refused = str(error)
             self.refused += 1
-            log.error("window refused", gateway=gateway, reason=refused)
+            self._set_aside.put(key, gateway, message.payload, refused)
+            self._attempts.finish(key)
+            log.error("window refused and set aside", gateway=gateway, reason=refused)
         except Exception:  # one window must not end the scorer; it is not acknowledged, so it comes again
-            log.exception("window not scored", gateway=gateway)
+            log.exception("window not scored", gateway=gateway, attempt=attempt)
             self._stopped.wait(_STORAGE_RETRY)
             return
         if stored is not None:  # before the receipt: a scorer that is killed in between stores nothing new, but tells anew

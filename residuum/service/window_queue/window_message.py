@@ -15,6 +15,7 @@ from residuum.service.machines.judging.scoring import PlainRecord
 
 _VERSION = 1
 _TYPES = ("<f4", "<f8")
+MOST_CHANNELS = 256
 ASSET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -48,6 +49,8 @@ class WindowMessage:
             plain = msgpack.unpackb(payload)
             if plain["version"] != _VERSION:
                 raise BadInput(f"window message: is of version {plain['version']!r}; {_VERSION} is read here")
+            if len(plain["channels"]) > MOST_CHANNELS or len(plain["units"]) > MOST_CHANNELS:
+                raise BadInput(f"window message: {len(plain['channels'])} channels; at most {MOST_CHANNELS} are read")
             channels = {str(name): _unpacked(str(name), *packed) for name, packed in plain["channels"].items()}
             units = {str(name): str(unit) for name, unit in plain["units"].items()}
             window = PlainRecord(channels, units, float(plain["sample_time"]), float(plain["t0"]), str(plain["source"]))

@@ -28,6 +28,7 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, E
 """What reading an archive raises that is none, or is damaged."""
 _NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
 _NUMBERS = (int, float, type(None))
+_LONGEST_NOTES = 64 * 2**10
 _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 
 
@@ -152,4 +153,6 @@ def _number(content: Any, what: str) -> float:
 def _notes(content: Any) -> tuple[str, ...]:
     if not isinstance(content, list) or not all(isinstance(note, str) for note in content):
         raise BadBody("body, notes: must be an array of texts")
+    if sum(map(len, content)) > _LONGEST_NOTES:
+        raise BadBody(f"body, notes: more than {_LONGEST_NOTES} characters in all; no more are kept")
     return tuple(content)

@@ -1,6 +1,7 @@
 """The keys of a first start: made once, whole, and never over keys that are there."""
 
 import json
+import stat
 
 import pytest
 
@@ -20,6 +21,7 @@ def keys(tmp_path, capsys):
 def test_a_key_is_made_once(keys, tmp_path):
     made = keys()
     assert made["made"] and ApiKeys(tmp_path / "api_keys").caller(made["key"]).role is Role.ENGINEER
+    assert {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("api_keys", "metrics_key")} == {0o640}
     again = keys()
     assert (again["made"], again["key"]) == (False, None)
 

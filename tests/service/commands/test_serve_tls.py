@@ -42,6 +42,7 @@ def test_https_with_the_certificate_of_the_settings(certificate, tmp_path, monke
             trusted = ssl.create_default_context(cafile=certificate[0])
             with urllib.request.urlopen(greeting.split()[-1] + "health/live", context=trusted, timeout=30) as answer:
                 assert answer.status == 200
+                assert answer.headers["Strict-Transport-Security"] == "max-age=31536000"
         finally:
             service.terminate()
 

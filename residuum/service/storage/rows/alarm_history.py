@@ -69,7 +69,18 @@ def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) ->
         return {}
     c = findings.c
     there = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
-    return {(row.asset_id, row.at): row for row in connection.execute(select(findings).where(there))}
+    told: tuple[Any, ...] = (
+        c.asset_id,
+        c.at,
+        c.window_id,
+        c.diagnoser,
+        c.verdict,
+        c.fault_class,
+        c.reason,
+        c.indicators,
+        c.thresholds,
+    )
+    return {(row.asset_id, row.at): row for row in connection.execute(select(*told).where(there))}
 
 
 def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:

@@ -13,6 +13,11 @@ from residuum.service.storage.rows import paging
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
+DOCUMENTS = (findings.c.indicators, findings.c.thresholds, findings.c.units, findings.c.evidence, findings.c.reason)
+"""What of a finding may be long."""
+_HISTORY = 3 * paging.PAGE_BYTES
+"""Bytes of the indicators that are read for one history."""
+
 
 def ensure(connection: Connection, asset: str, title: str | None, diagnoser: str | None, now: datetime) -> None:
     """Insert the asset, or change its title and diagnoser where they are given."""
@@ -53,21 +58,21 @@ def get(connection: Connection, asset: str) -> Asset:
 
 def page(connection: Connection, cursor: str | None, limit: int, sites: Collection[str] | None) -> Page[Asset]:
     """Assets by name."""
-    query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id).limit(limit + 1)
+    query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id)
     if cursor:
         query = query.where(assets.c.id > paging.decode(cursor))
-    return paging.page(connection.execute(query).all(), limit, "asset", _asset)
+    return paging.page_by_bytes(connection, query, assets.c.id, DOCUMENTS, limit, "asset", _asset)
 
 
 def findings_page(connection: Connection, asset: str, cursor: str | None, limit: int, verdict: str | None) -> Page[StoredFinding]:
     """Findings of an asset, newest first."""
     require(connection, asset)
-    query = select(findings).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit + 1)
+    query = select(findings).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     if cursor:
         query = query.where(findings.c.id < paging.decode_number(cursor))
     if verdict:
         query = query.where(findings.c.verdict == verdict)
-    return paging.page(connection.execute(query).all(), limit, "id", stored_finding)
+    return paging.page_by_bytes(connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding)
 
 
 def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence[int]:
@@ -81,7 +86,9 @@ def recorded_windows(connection: Connection, asset: str, limit: int) -> Sequence
 def findings_after(connection: Connection, asset: str, number: int, limit: int) -> Sequence[StoredFinding]:
     """The first findings of an asset with a larger number, oldest first."""
     after = (findings.c.asset_id == asset) & (findings.c.id > number)
-    return [stored_finding(row) for row in connection.execute(select(findings).where(after).order_by(findings.c.id).limit(limit))]
+    query = select(findings).where(after).order_by(findings.c.id)
+    rows, _ = paging.by_bytes(connection, query, findings.c.id, DOCUMENTS, limit)
+    return [stored_finding(row) for row in rows]
 
 
 def newest_finding(connection: Connection) -> int:
@@ -111,9 +118,9 @@ def indicators(
         findings.c.thresholds,
         findings.c.units,
     )
-    newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc()).limit(limit)
+    newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
-    rows = connection.execute(query).all()[::-1]
+    rows = paging.by_bytes(connection, query, findings.c.id, columns[3:], limit, _HISTORY)[0][::-1]
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units

@@ -7,10 +7,13 @@ import binascii
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, false, func, or_, true
+from sqlalchemy import ColumnElement, Connection, Row, Select, Text, cast, false, func, literal, or_, true
 
 from residuum.identification.errors import BadInput
 from residuum.service.store import Page, T
+
+PAGE_BYTES = 2**20
+"""Bytes of the documents (evidence, units, notes, …) on one page of a list, unless its first row has more."""
 
 
 def encode(position: str | int) -> str:
@@ -39,6 +42,45 @@ def of_sites(asset: ColumnElement[str], sites: Collection[str] | None) -> Column
     if sites is None:
         return true()
     return or_(false(), *((asset == site) | (func.substr(asset, 1, len(site) + 1) == f"{site}.") for site in sorted(sites)))
+
+
+def by_bytes(
+    connection: Connection,
+    query: Select[Any],
+    key: ColumnElement[Any],
+    documents: Sequence[ColumnElement[Any]],
+    limit: int,
+    most: int = PAGE_BYTES,
+) -> tuple[Sequence[Row[Any]], bool]:
+    """The first rows of a query, at most so many, whose documents take at most `most` bytes, and whether there are more.
+
+    The sizes are asked for first: a row's documents as values of Python take ten times their bytes. One row is always given.
+    """
+    size: ColumnElement[int] = sum((func.coalesce(func.length(cast(each, Text)), 0) for each in documents), literal(0))
+    sizes = connection.execute(query.with_only_columns(key, size, maintain_column_froms=True).limit(limit + 1)).all()
+    kept: list[Any] = []
+    held = 0
+    for number, each in sizes[:limit]:
+        held += each
+        if kept and held > most:
+            break
+        kept.append(number)
+    rows = connection.execute(query.where(key.in_(kept))).all() if kept else []
+    return rows, len(sizes) > len(kept)
+
+
+def page_by_bytes(
+    connection: Connection,
+    query: Select[Any],
+    key: ColumnElement[Any],
+    documents: Sequence[ColumnElement[Any]],
+    limit: int,
+    position: str,
+    make: Callable[[Row[Any]], T],
+) -> Page[T]:
+    """A page of at most so many rows and bytes; `position` names the column the list is ordered by, as in `page`."""
+    rows, more = by_bytes(connection, query, key, documents, limit)
+    return Page([make(row) for row in rows], encode(getattr(rows[-1], position)) if more else None)
 
 
 def page(rows: Sequence[Row[Any]], limit: int, position: str, make: Callable[[Row[Any]], T]) -> Page[T]:

@@ -54,10 +54,10 @@ def remove(connection: Connection, record: int) -> str:
 
 def page(connection: Connection, cursor: str | None, limit: int) -> Page[StoredRecord]:
     """Records, newest first."""
-    query = select(records).order_by(records.c.id.desc()).limit(limit + 1)
+    query = select(records).order_by(records.c.id.desc())
     if cursor:
         query = query.where(records.c.id < paging.decode_number(cursor))
-    return paging.page(connection.execute(query).all(), limit, "id", _record)
+    return paging.page_by_bytes(connection, query, records.c.id, (records.c.units, records.c.notes), limit, "id", _record)
 
 
 def _record(row: Row[Any]) -> StoredRecord:

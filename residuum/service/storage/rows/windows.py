@@ -73,10 +73,10 @@ def row_of(connection: Connection, asset: str, window: int) -> Row[Any]:
 def page(connection: Connection, asset: str, cursor: str | None, limit: int) -> Page[StoredWindow]:
     """Windows of an asset, newest first."""
     assets.require(connection, asset)
-    query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc()).limit(limit + 1)
+    query = select(windows).where(windows.c.asset_id == asset).order_by(windows.c.id.desc())
     if cursor:
         query = query.where(windows.c.id < paging.decode_number(cursor))
-    return paging.page(connection.execute(query).all(), limit, "id", stored_window)
+    return paging.page_by_bytes(connection, query, windows.c.id, (windows.c.units, windows.c.source), limit, "id", stored_window)
 
 
 def stored_window(row: Row[Any]) -> StoredWindow:

@@ -1,0 +1,121 @@
+"""SetAside: messages of the broker that cannot be stored, kept beside the others with the reason, so that none holds up the rest.
+
+A message that ends the scorer would come again after its start, and end it again. So a scorer notes on disk which message it
+has begun; one that it has begun several times and never finished is set aside before it is read.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from residuum.service.storage.durable_folder import make_folder
+
+FOLDER = "set-aside"
+ATTEMPTS = 5
+"""Times that a message is begun; then it is set aside."""
+_MOST = 200
+_MOST_BYTES = 256 * 2**20
+"""Messages and bytes that are kept; beyond, the oldest go. What came is counted in any case."""
+_SAFE = re.compile(r"[^A-Za-z0-9_-]")
+_LONGEST_REASON = 500
+
+
+@dataclass(frozen=True)
+class Poisoned:
+    """A message that was set aside: what it was sent under, from where, when, why, and how many bytes it has."""
+
+    key: str
+    gateway: str
+    at: str
+    reason: str
+    size_bytes: int
+
+
+class SetAside:
+    """A folder of messages (`*.message`) with their reasons (`*.json`), newest last; the service reads what scorers write.
+
+    Parameters
+    ----------
+    data : Path
+        The data folder, which scorers and service share.
+    """
+
+    def __init__(self, data: Path) -> None:
+        self._folder = data / FOLDER
+
+    @property
+    def count(self) -> int:
+        """How many messages were ever set aside."""
+        try:
+            return int((self._folder / "count").read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            return 0
+
+    def put(self, key: str, gateway: str, payload: bytes, reason: str) -> None:
+        """Keep a message and say why; OSError where it cannot be written."""
+        make_folder(self._folder)
+        name = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}-{_SAFE.sub('_', key)[:64]}"
+        told = Poisoned(key[:200], gateway[:200], datetime.now(UTC).isoformat(), reason[:_LONGEST_REASON], len(payload))
+        (self._folder / f"{name}.message").write_bytes(payload)
+        (self._folder / f"{name}.json").write_bytes(orjson.dumps(asdict(told)))
+        (self._folder / "count").write_text(str(self.count + 1), encoding="ascii")
+        self._let_the_oldest_go()
+
+    def newest(self, limit: int = 20) -> list[Poisoned]:
+        """The messages that were set aside last, the newest first."""
+        told = sorted(self._folder.glob("*.json"), reverse=True)[:limit]
+        return [Poisoned(**orjson.loads(file.read_bytes())) for file in told if file.is_file()]
+
+    def to_json(self) -> dict[str, Any]:
+        """How many there were, and the newest."""
+        return {"count": self.count, "newest": [asdict(each) for each in self.newest()]}
+
+    def _let_the_oldest_go(self) -> None:
+        kept = sorted(self._folder.glob("*.message"))
+        size = sum(file.stat().st_size for file in kept)
+        while kept and (len(kept) > _MOST or size > _MOST_BYTES):
+            size -= kept[0].stat().st_size
+            kept[0].with_suffix(".json").unlink(missing_ok=True)
+            kept.pop(0).unlink(missing_ok=True)
+
+
+class Attempts:
+    """Which messages one scorer has begun and not finished, in a file that outlives it.
+
+    The file is not synced: it guards against a process that ends, not against a power cut, and is written for every window.
+
+    Parameters
+    ----------
+    data : Path
+    scorer : str
+        Name of the scorer among those of the data folder.
+    """
+
+    def __init__(self, data: Path, scorer: str) -> None:
+        self._file = data / FOLDER / f"begun-{_SAFE.sub('_', scorer)}"
+        make_folder(self._file.parent)
+        try:
+            found = orjson.loads(self._file.read_bytes())
+            self._begun = {str(key): int(times) for key, times in found.items()}
+        except (OSError, ValueError, AttributeError, TypeError):
+            self._begun = {}
+
+    def begin(self, key: str) -> int:
+        """Note that a message is begun; returns how many times it was begun without being finished, this one included."""
+        self._begun[key] = self._begun.get(key, 0) + 1
+        self._write()
+        return self._begun[key]
+
+    def finish(self, key: str) -> None:
+        """Note that it is done, or that it was given back in good order."""
+        del self._begun[key]
+        self._write()
+
+    def _write(self) -> None:
+        self._file.write_bytes(orjson.dumps(self._begun))
