@@ -74,11 +74,11 @@ class Database:
     @contextmanager
     def patiently(self) -> Iterator[None]:
         """What this thread asks within may take long before the server says anything."""
-        _of_thread.patience = LONG
+        before, _of_thread.patience = getattr(_of_thread, "patience", None), LONG
         try:
             yield
         finally:
-            _of_thread.patience = SILENCE
+            _of_thread.patience = before
 
     @contextmanager
     def snapshot(self) -> Iterator[Connection]:
@@ -198,7 +198,7 @@ def _alembic() -> Config:
 
 
 _of_thread = threading.local()
-"""`patience`: seconds for which what this thread asks a server for is waited for, where it is not the usual."""
+"""`patience`: seconds for which what this thread asks a server for is waited for; None or none: the usual ones."""
 
 
 def _engine(url: URL) -> Engine:
@@ -245,7 +245,7 @@ def _server_engine(url: URL) -> Engine:
         @event.listens_for(engine, "before_cursor_execute")
         def _set_patience(connection: Connection, *_: Any) -> None:
             driver: Any = connection.connection.dbapi_connection
-            driver.patience = getattr(_of_thread, "patience", SILENCE)
+            driver.patience = getattr(_of_thread, "patience", None) or SILENCE
 
         @event.listens_for(engine, "checkin")
         def _reset_patience(connection: Any, _record: Any) -> None:

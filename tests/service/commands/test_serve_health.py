@@ -66,6 +66,12 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
                     name: machine["way_on"] for name, machine in told["machines"].items()
                 }
                 assert 'residuum_machines{state="failed"} 3.0' in client.get("metrics").text
+
+                def logged():
+                    told = [line for line in log.read_text().splitlines() if "a machine is not judged" in line]
+                    return any("[error" in line and "machine=press" in line for line in told)
+
+                wait_for(logged)
         finally:
             service.send_signal(signal.SIGINT)
         assert service.wait(60) in (0, 130)
@@ -73,4 +79,3 @@ def test_what_is_not_judged_is_told_by_machine_with_its_reason_and_the_way_on(tm
     failed = [line for line in lines if "training failed" in line and "[error" in line and "is not judged" not in line]
     (line,) = [line for line in failed if "process-plant" in line and "way_on" in line]
     assert "FileNotFoundError" in line
-    assert any("[error" in line and "a machine is not judged" in line and "machine=press" in line for line in lines)
