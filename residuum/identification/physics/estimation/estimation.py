@@ -24,7 +24,6 @@ import scipy
 
 from residuum.identification.descent import End, descend
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
-from residuum.identification.physics.estimation.gauss_newton import measured_start
 from residuum.identification.physics.estimation.least_squares import (
     FlatDirection,
     bounded_step,
@@ -214,7 +213,7 @@ class _Problem:
 
     def first_states(self) -> list[Array]:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
-        starts = [measured_start(self.simulator, experiment) for experiment in self.experiments]
+        starts = [self.simulator.measured_start(experiment) for experiment in self.experiments]
         p = self.p(self.theta0)
         self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
         self.weights = self._scales()

@@ -1,28 +1,25 @@
 """Least squares of a model's simulation error as one compiled pass, and what follows from it without another simulation.
 
 A pass simulates windows of records with forward sensitivities and adds up, for each *cell* (the rows of one window in one block)
-and output, the normal equations M = Σ v vᵀ of v = w·[∂y/∂θ, ∂y/∂x₀, e]: cost, gradient and Gauss–Newton matrix at once, and no
-trajectory is kept. The first states of a window touch no other window, so they are eliminated: with z = (I, −E), E their best
-answer to a change of the parameters and to the error, the equations of a cell are zᵀMz. From these follow, for the price of small
-linear algebra, the next step of a descent, what it promises, and the fit without some of the cells (downdating).
+and output, the normal equations M = Σ v vᵀ of v = w·[∂y/∂θ, ∂y/∂x₀, e]; no trajectory is kept. The first states of a window touch
+no other one, so they are eliminated: with z = (I, −E), E their best answer to a change of the parameters and to the error, the
+equations of a cell are zᵀMz. From these follow the next step, what it promises, and the fit without some cells (downdating).
 
 Weights are Huber's: an error beyond `clip` counts in proportion to its size. Errors are whitened by an autoregression of each
 output where one is given; a missing sample counts nothing.
 
 References
 ----------
-G. H. Golub, C. F. Van Loan, *Matrix Computations*, ch. 6 (normal equations, downdating); P. J. Huber, *Robust Statistics*,
-1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2.
+P. J. Huber, *Robust Statistics*, 1981, ch. 7; R. D. Cook, S. Weisberg, *Residuals and Influence in Regression*, 1982, ch. 2.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,untyped-decorator"
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -42,37 +39,23 @@ Integers = npt.NDArray[np.int64]
 
 PROMISED = 0.3
 """Part of the fall of the cost at which a descent ends, below which a step that promises it is not taken."""
-AT_ONCE = 64
-"""Samples that are simulated before their products are added up: they stay in the processor's cache."""
-OVERFLOW = 1e60
+AT_ONCE, OVERFLOW = 64, 1e60
+"""Samples that are simulated before their products are added up (they stay in the processor's cache), and errors of no use."""
 SHORTENED = (0.0, 0.1, 1.0, 10.0)
 """Dampings by which a step without some cells is shortened until the others are fitted no worse."""
 
 
-class Unit(Protocol):
-    """In what errors are measured: weights and largest plain errors (outputs,), and whitening autoregressions (1, a₁, …)."""
+class _Unit(Protocol):
+    """In what errors are measured: 1/σ of each output (0: it does not count), the weighted errors beyond which Huber's weights
+    fall, and whitening autoregressions (1, a₁, …), one an output.
+    """
 
     @property
-    def weights(self) -> Array:
-        """1/σ of each output, 0 where it does not count."""
-
+    def weights(self) -> Array: ...
     @property
-    def clip(self) -> Array:
-        """Weighted errors beyond which Huber's weights fall."""
-
+    def clip(self) -> Array: ...
     @property
-    def filters(self) -> Sequence[Array] | None:
-        """One an output; None: errors are not whitened."""
-
-
-def measured_start(simulator: Simulator, experiment: Experiment) -> Array:
-    """First states: what is known, the first measured value of states that are themselves outputs, zero elsewhere."""
-    x0 = simulator.x0(experiment.known)
-    for o, output in enumerate(simulator.model.outputs.values()):
-        name, seen = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
-        if name in simulator.free_states and name not in experiment.known and seen.size:
-            x0[simulator.states.index(name)] = seen[0]
-    return x0
+    def filters(self) -> Sequence[Array] | None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,13 +87,13 @@ class Problem:
 
     simulator: Simulator
     cells: Cells
-    unit: Unit
+    unit: _Unit
     substeps: Integers
     lower: Array
     upper: Array
 
     @classmethod
-    def of(cls, simulator: Simulator, cells: Cells, unit: Unit, substeps: Sequence[int]) -> Problem:
+    def of(cls, simulator: Simulator, cells: Cells, unit: _Unit, substeps: Sequence[int]) -> Problem:
         """With the bounds that the model gives."""
         values = simulator.model.all_parameters
         lower, upper = ([getattr(values[name], side) for name in simulator.model.free] for side in ("lower", "upper"))
@@ -143,22 +126,9 @@ class Problem:
             out[o, : len(a)] = a
         return out
 
-    def first(self, states: Sequence[Mapping[str, float]] | None = None) -> Fit:
-        """The fit at the model's own values, from these first states by name. Where none are known, from measured ones and what
-        two steps with the parameters held make of them.
-        """
-        simulator, parts = self.simulator, self.cells.parts
-        theta = np.array([simulator.model.values[name] for name in self.parameters])
-        if states is None:
-            held = replace(self, lower=theta, upper=theta)
-            here = held.at(theta, np.array([measured_start(simulator, e) for e in parts])).descended(2, 1e-2)
-            return replace(here, problem=self)
-        X0 = np.array([simulator.x0(e.known) for e in parts])
-        for x, e, known in zip(X0, parts, states, strict=True):
-            for k, name in enumerate(simulator.states):
-                if name in known and name not in e.known:
-                    x[k] = known[name]
-        return self.at(theta, X0)
+    def begin(self, X0: Array) -> Fit:
+        """The fit at the model's own values."""
+        return self.at(np.array([self.simulator.model.values[name] for name in self.parameters]), X0)
 
     def p(self, theta: Array) -> Array:
         """All parameters in the kernel's order."""
@@ -172,9 +142,10 @@ class Problem:
         M = np.empty((len(self.cells.part), self.cells.Y.shape[1], len(columns) + 1, len(columns) + 1))
         power = np.empty(M.shape[:2])
         count_samples(int(np.diff(at.starts) @ self.substeps) * (1 + len(columns)))
+        system, unit, of = self.simulator.kernel.system, self.unit, self.cells
         possible = self.simulator.possible(p) and _accumulated(
-            *(self.simulator.kernel.system, at.U, self.cells.Y, self.unit.weights, self.filters, self.unit.clip, at.starts, p, X0),
-            *(at.sample_times, self.substeps, at.holds, at.follows, self.free, columns, self.cells.cell, M, power),
+            *(system, at.U, of.Y, unit.weights, self.filters, unit.clip, at.starts, p, X0),
+            *(at.sample_times, self.substeps, at.holds, at.follows, self.free, columns, of.cell, M, power),
         )
         return Fit(self, theta, X0, M, power, float(power.sum()) if possible else np.inf)
 
@@ -208,15 +179,28 @@ class Fit:
         return tuple(self.problem.substeps.tolist())
 
     @property
+    def weights(self) -> Array:
+        """1/σ of each output."""
+        return self.problem.unit.weights
+
+    @property
     def initial(self) -> list[Array]:
-        """First states of each window, in the kernel's order."""
+        """First states of each window."""
         return list(self.X0)
+
+    def in_unit(self, unit: _Unit) -> Fit:
+        """The same values, their errors measured in another unit."""
+        return replace(self.problem, unit=unit).at(self.theta, self.X0)
 
     @property
     def mean(self) -> float:
         """Cost of a measured value, in the mean."""
-        known = np.isfinite(self.problem.cells.Y[:, self.problem.unit.weights > 0.0]).sum()
-        return self.cost / known if known else np.inf
+        return self.cost / max(self.samples, 1)
+
+    @property
+    def samples(self) -> int:
+        """Measured values that count."""
+        return int(np.isfinite(self.problem.cells.Y[:, self.weights > 0.0]).sum())
 
     @cached_property
     def residuals(self) -> list[Array]:
@@ -228,23 +212,20 @@ class Fit:
     @cached_property
     def std(self) -> Array:
         """Standard deviations of the parameters, infinite along flat directions."""
-        H = self._equations(np.ones(len(self.power)), 0.0)[0]
-        samples = int(np.isfinite(self.problem.cells.Y[:, self.problem.unit.weights > 0.0]).sum())
-        unknowns = len(self.theta) + int(self.problem.free[:, len(self.theta) :].sum())
-        covariance, _ = covariance_of(H, self.cost / max(samples - unknowns, 1), self.parameters, self.theta)
+        q = len(self.theta)
+        H = _eliminated(self.M, self.problem.cells.part, len(self.X0), q, np.ones(len(self.power)), 0.0)[0]
+        unknowns = q + int(self.problem.free[:, q:].sum())
+        covariance, _ = covariance_of(H, self.cost / max(self.samples - unknowns, 1), self.parameters, self.theta)
         return np.sqrt(np.diag(covariance))
-
-    def _equations(self, use: Array, damping: float) -> tuple[Array, Array, Array]:
-        """Curvature H and gradient g of the parameters by cells weighed `use`, first states eliminated, and their answer E."""
-        return _eliminated(self.M, self.problem.cells.part, len(self.X0), len(self.theta), use, damping)
 
     def step(self, use: Array | None = None, damping: float = 0.0, ridge: float = 0.0) -> tuple[Array, Array]:
         """Changes of the parameters within their bounds, fitted to cells weighed `use` (None: all alike), and of the first
         states, which stay fitted to all rows of their window. `damping` raises the diagonals of both, `ridge` that of the
         parameters alone.
         """
+        part, use = self.problem.cells.part, np.ones(len(self.power)) if use is None else use
         try:
-            H, g, E = self._equations(np.ones(len(self.power)) if use is None else use, damping)
+            H, g, E = _eliminated(self.M, part, len(self.X0), len(self.theta), use, damping)
             H[np.diag_indices(len(g))] = np.maximum(np.diag(H), 0.0) * (1.0 + damping + ridge)
             move = bounded_step(H, g, self.theta, self.problem.lower, self.problem.upper)
         except (ValueError, np.linalg.LinAlgError):  # eigenvalues that are not found: next to an overflow
@@ -284,13 +265,13 @@ class Fit:
                 if there.cost < np.inf and use @ there.power.sum(axis=1) <= use @ here.power.sum(axis=1):
                     here = there
                     break
-        return here.resettled()
+        return here.with_states_refitted()
 
-    def resettled(self) -> Fit:
-        """First states fitted to all rows of their window once more, parameters held, where that helps."""
-        held = replace(self.problem, lower=self.theta, upper=self.theta)
-        there = held.at(*self.moved(*replace(self, problem=held).step()), slopes=False)
-        return replace(there, problem=self.problem) if there.cost < self.cost else self
+    def with_states_refitted(self) -> Fit:
+        """First states once more fitted to all rows of their window, parameters held, where that helps."""
+        held = replace(self, problem=replace(self.problem, lower=self.theta, upper=self.theta))
+        there = self.problem.at(*held.moved(*held.step()), slopes=False)
+        return there if there.cost < self.cost else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,49 +361,40 @@ def _add(M, v, weight):
 @njit(error_model="numpy")
 def _eliminated(M, part, parts, q, use, damping):
     """H (q, q) and g (q,) of the cells weighed `use`, and E (parts, states, q + 1), which all rows of a window say."""
-    c = M.shape[2] - 1
-    W, E = np.zeros((parts, c + 1, c + 1)), np.zeros((parts, c - q, q + 1))
-    for i in range(M.shape[0]):
-        for o in range(M.shape[1]):
-            W[part[i]] += M[i, o]
+    c, E = M.shape[2] - 1, np.zeros((parts, M.shape[2] - 1 - q, q + 1))
     if c > q:
-        right = np.zeros((parts, c - q, q + 1))
+        W = _by_part(M, part, parts, np.ones(M.shape[0]))
+        own, right = W[:, q:c, q:c].copy(), np.zeros(E.shape)
         right[:, :, :q], right[:, :, q] = W[:, q:c, :q], W[:, q:c, c]
-        own = W[:, q:c, q:c].copy()
         for i in range(c - q):
             own[:, i, i] *= 1.0 + damping
         E[:] = solved(own, right, NOTHING_ALONG)
-    W[:] = 0.0
+    W, z, whole = _by_part(M, part, parts, use), np.zeros((c + 1, q + 1)), np.zeros((q + 1, q + 1))
+    for i in range(q):
+        z[i, i] = 1.0
+    z[c, q] = 1.0
+    for j in range(parts):
+        z[q:c] = -E[j]
+        whole += z.T @ (W[j] @ z)
+    return whole[:q, :q].copy(), whole[:q, q].copy(), E
+
+
+@njit(error_model="numpy")
+def _by_part(M, part, parts, use):
+    """Sums over the outputs and the cells of each window, weighed `use`."""
+    W = np.zeros((parts, M.shape[2], M.shape[2]))
     for i in range(M.shape[0]):
         for o in range(M.shape[1]):
             W[part[i]] += use[i] * M[i, o]
-    H, g, half = np.zeros((q, q)), np.zeros(q), np.zeros(c + 1)
-    for j in range(parts):
-        for i in range(q):
-            half[:] = W[j, i]
-            for n in range(c - q):
-                half -= E[j, n, i] * W[j, q + n]
-            for k in range(q):
-                H[i, k] += half[k]
-            g[i] += half[c]
-            for n in range(c - q):
-                H[i] -= half[q + n] * E[j, n, :q]
-                g[i] -= half[q + n] * E[j, n, q]
-    return H, g, E
+    return W
 
 
 @njit(error_model="numpy")
 def _predicted(M, power, part, move, firsts):
     """Power after changes of the parameters and of the first states of each window."""
-    q, c, out = move.shape[0], M.shape[2] - 1, np.empty_like(power)
-    d = np.zeros(c)
+    q, c, d, out = move.shape[0], M.shape[2] - 1, np.zeros(M.shape[2] - 1), np.empty_like(power)
     for i in range(M.shape[0]):
         d[:q], d[q:] = move, firsts[part[i]]
         for o in range(M.shape[1]):
-            total = power[i, o]
-            for k in range(c):
-                total -= 2.0 * d[k] * M[i, o, k, c]
-                for n in range(c):
-                    total += d[k] * M[i, o, k, n] * d[n]
-            out[i, o] = max(total, 0.0)
+            out[i, o] = max(power[i, o] + np.sum(d * (M[i, o, :c, :c] * d).sum(axis=1)) - 2.0 * np.sum(d * M[i, o, :c, c]), 0.0)
     return out

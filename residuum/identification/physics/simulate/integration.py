@@ -293,8 +293,8 @@ def integrate(  # noqa: PLR0912
     """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the columns, w.S are overwritten.
 
     States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY, from the first
-    row on (of no rows: nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is inlined, and inputs
-    are looked up the long way only where one is delayed: each of these would cost more than the step.
+    row on (of no rows: nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is
+    inlined, and inputs are looked up the long way only where one is delayed: each of these would cost more than the step.
     """
     x, u, ur, s, m, S, inputs, surfaces, count = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, columns.shape[0]
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes

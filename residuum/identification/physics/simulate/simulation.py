@@ -176,6 +176,15 @@ class Simulator:
             x0[self._state[name]] = value
         return x0
 
+    def measured_start(self, experiment: Experiment) -> Array:
+        """First states: what is known, the first measured value of states that are themselves outputs, zero elsewhere."""
+        x0 = self.x0(experiment.known)
+        for o, output in enumerate(self.model.outputs.values()):
+            name, seen = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            if name in self.free_states and name not in experiment.known and seen.size:
+                x0[self._state[name]] = seen[0]
+        return x0
+
     def columns(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
         """Kernel columns of parameter names and `initial:state`; BadModel for an unknown one."""
         count = len(self._index)
