@@ -258,7 +258,7 @@ class Fit:
         fitted no worse. Parameters that the others leave nearly undetermined are held by the `ridge`; first states stay fitted
         to all rows.
         """
-        use, here = 1.0 - out, self
+        use, here = np.where(out, 0.0, 1.0), self
         for _ in range(steps if len(self.theta) else 0):
             for damping in SHORTENED:
                 there = self.problem.at(*here.moved(*here.step(use, damping, ridge)))
