@@ -61,7 +61,8 @@ def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
     if key.effect == HELD:
         return [freed(along.model, [key.target])]
     effect = find_effect(key.effect)
-    zero, models, shapes = effect.vanishes and not effect.shifts, [], []
+    zero, models = effect.vanishes and not effect.shifts, []
+    shapes: list[Mapping[str, float]] = []
     for start in starts(key, along):
         shape = {name: value for name, value in start.items() if not (zero and name in effect.sizes)}
         if shape in shapes or len(shapes) == SHAPES:
