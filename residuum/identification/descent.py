@@ -35,10 +35,10 @@ T = TypeVar("T")
 class Landscape(Protocol[P, T]):
     """What is walked down: `T` is what leads to a point (values), `P` the point with its slopes."""
 
-    def trial(self, point: P, damping: float) -> T:
+    def trial(self, point: P, damping: float) -> T | None:
         """Where the Gauss–Newton step from a point leads when its matrix has a diagonal raised by the fraction `damping`.
 
-        Bounds are the landscape's own: an active set, or clipped.
+        Bounds are the landscape's own: an active set, or clipped. None where the step promises too little to be looked at.
         """
 
     def cost(self, trial: T) -> float:
@@ -99,6 +99,8 @@ def _lower(landscape: Landscape[P, T], point: P, damping: float, refused: bool) 
     """A lower point and the damping that led there; None where no attempt does."""
     for _ in range(ATTEMPTS):
         trial = landscape.trial(point, damping)
+        if trial is None:
+            break
         if not refused or landscape.cost(trial) < point.cost:
             there = landscape.point(trial)
             if there.cost < point.cost:

@@ -31,7 +31,8 @@ from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.diagnosis.model_based.window_fit import Fit, information, log_power
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord, NotIdentifiable
-from residuum.identification.physics import EffectUse, Estimate, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, estimate, match
+from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
@@ -113,7 +114,7 @@ def _alike(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [replace(e, hold=hold) for e in experiments]
 
 
-def _open(found: Estimate) -> list[str]:
+def _open(found: gauss_newton.Fit) -> list[str]:
     """Values that all healthy windows together leave open, the widest first."""
     now = found.model.values
     share = {name: std / max(abs(now[name]), 1e-300) for name, std in zip(found.parameters, found.std.tolist(), strict=True)}

@@ -10,7 +10,8 @@ import numpy as np
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.errors import BadRecord, NotIdentifiable
-from residuum.identification.physics import PhysicalModel, with_coloured_noise
+from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
@@ -23,7 +24,7 @@ from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
 from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
-from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.structure import Structure, at_start
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
 from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
@@ -100,12 +101,12 @@ def _block_errors(found: Search, candidates: Sequence[Candidate]) -> BlockErrors
 def doubts_of(found: Search) -> dict[str, float]:
     """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
     last, best = found.court.last, found.best
-    states = best.structure.states[last.windows]
-    estimate = fitted(best.model, last.parts, states, found.court.scale, steps=1, tolerance=1e-3)
-    if estimate is None:
+    states, steps = best.structure.states[last.windows], best.structure.steps[last.windows]
+    here = at_start(best.model, last, states, found.court.scale, steps)
+    if here is None:
         return {}
-    std = np.sqrt(np.maximum(np.diag(with_coloured_noise(estimate, last.parts).covariance), 0.0))
-    return dict(zip(estimate.parameters, std.tolist(), strict=True))
+    std = np.sqrt(np.maximum(np.diag(coloured_covariance(here, last.parts)), 0.0))
+    return dict(zip(here.parameters, std.tolist(), strict=True))
 
 
 def _unexplained(found: Search, rest: Sequence[BlockTerm]) -> float:

@@ -17,7 +17,7 @@ from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.next_experiment import NextExperiment, distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import SENSOR_NOISE, TIE, WORTH_SEPARATING
-from residuum.identification.unseen_blocks.proposals import beginnings, proposed
+from residuum.identification.unseen_blocks.proposals import proposed, starts
 from residuum.identification.unseen_blocks.scale import Scale, of_noise
 from residuum.identification.unseen_blocks.search import Search, Wanted
 
@@ -53,12 +53,10 @@ def undetectable(found: Search, wanted: Wanted, along: Track | None) -> tuple[Un
 
 def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -> Undetectable | None:
     effect = find_effect(key.effect)
-    first = beginnings(key, along)
+    first = starts(key, along)
     if not first:
         return None
-    use = next(use for use in first[-1].effects if use.key == key)
-    size = effect.sizes[0]
-    start = {n: p.value for n, p in use.parameters.items()}
+    size, start = effect.sizes[0], first[-1]
     try:
         model = found.best.model.with_effect(*key, effect.at_rest(start))
         at = model.effects[-1]

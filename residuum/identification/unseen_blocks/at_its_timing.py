@@ -49,8 +49,8 @@ def _at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
         return found
     other = turned(court.data)
     rung = other.rung(court.last.windows)
-    states = best.structure.states[court.last.windows]
-    there = fitted(best.model, rung.parts, states, court.scale, steps=10, tolerance=1e-4)
+    states, taken = best.structure.states[court.last.windows], best.structure.steps[court.last.windows]
+    there = fitted(best.model, rung, states, court.scale, steps=10, tolerance=1e-4, substeps=taken)
     here = innovations_of(np.split(best.errors, court.last.starts[1:-1]))
     if there is None or innovations_of(there.residuals) >= here:
         return found

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
+from residuum.identification.physics.estimation.gauss_newton import Cells
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.policy import BLOCKS, FOLDS, LADDER, WINDOW_SAMPLES
 
@@ -35,10 +37,16 @@ class Rung:
         """First row of each part, and the end of the last one."""
         return np.cumsum([0, *(part.n for part in self.parts)])
 
-    def thinned(self, samples: int) -> tuple[list[Experiment], slice]:
+    @cached_property
+    def cells(self) -> Cells:
+        """The rows of each window in each block."""
+        return Cells.of(self.parts, self.block)
+
+    def thinned(self, samples: int) -> tuple[Rung, slice]:
         """Evenly so many samples of the parts, and which parts those are."""
         every = slice(None, None, max(1, round(sum(part.n for part in self.parts) / samples)))
-        return self.parts[every], every
+        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), np.arange(len(self.parts))[every])
+        return Rung(self.windows, self.parts[every], self.block[rows], self.experiment[every]), every
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from residuum.identification.unseen_blocks.judged import Equations, Judged, equa
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import KNOTS_BY_AXIS
-from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.structure import at_start
 
 Array = npt.NDArray[np.float64]
 
@@ -49,8 +49,9 @@ class BlockTerm:
 def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
     """Every free term beside a structure, the best first; none where the model diverges or has nowhere to put one."""
     last, model = court.last, one.model
-    found = fitted(model, last.parts, one.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
-    at = None if found is None else equations(found.model, found, last, court.scale)
+    states, steps = one.structure.states[last.windows], one.structure.steps[last.windows]
+    found = at_start(model, last, states, court.scale, steps)
+    at = None if found is None else equations(found, last, court.scale)
     if found is None or at is None:
         return []
     each = zip(last.parts, found.initial, found.substeps, strict=True)
@@ -76,8 +77,9 @@ def _judged(
     columns = scale.whitened(columns * scale.weights[:, None], at.starts)[:, measured]
     columns[~at.known] = 0.0
     extra, clip = at.beside_states(columns), scale.clip[measured]
-    left = np.where(at.known, np.clip(at.unseen(last.block, court.data.fold, extra), -clip, clip), 0.0)
-    power = summed(left**2, last, court.data.blocks)
+    each = (at.unseen(last.block, court.data.fold, more) for more in (None, extra))
+    before, after = (summed(np.where(at.known, np.clip(e, -clip, clip), 0.0) ** 2, last, court.data.blocks) for e in each)
+    power = one.power * after / np.maximum(before, 1e-300)  # both by the equations alone, which know no fold's own simulation
     parameters = one.parameters + len(knots)
     unit = one.model.balances[balance].unit
     found = BlockTerm(balance, axis, unit, knots, at.step(extra), power, parameters, scale.cost(power, parameters), 0.0)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
-from residuum.identification.physics import Estimate, PhysicalModel, Simulator
+from residuum.identification.physics import PhysicalModel
+from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.side_by_side import side_by_side
@@ -29,7 +30,7 @@ class Climbed:
 
     data: Data
     structure: Structure
-    found: Estimate
+    found: Fit
     last: Rung
     middle: Rung
     scale: Scale
@@ -47,16 +48,18 @@ def climb(data: Data) -> Climbed:
     structure, last, found = Structure((), data.model, {}, {}), None, None
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
-        if here is None or (last is not None and mean_error(here, scale) > RUNG_ERROR and not _forgets(here, rung)):
+        if here is None or (last is not None and here.mean > RUNG_ERROR and not _forgets(here, rung)):
             continue
         structure, last, found = structure.at(rung, here), rung, here
     if last is None or found is None:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows; {MAY_DIVERGE}")
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
-    return Climbed(data, structure, found, last, ordered[min(1, len(ordered) - 1)], clipped(scale, found.residuals, last))
+    scale = clipped(scale, found.residuals, last)
+    found = found.in_unit(scale).descended(6, 1e-4)
+    return Climbed(data, structure.at(last, found), found, last, ordered[min(1, len(ordered) - 1)], scale)
 
 
-def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung | None, scale: Scale) -> Estimate | None:
+def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung | None, scale: Scale) -> Fit | None:
     """The best fit from the values so far, with and without the states where shorter windows began, and from the first values."""
     begins: list[tuple[PhysicalModel, States | None]] = [(first, None)]
     if last is not None:
@@ -66,18 +69,8 @@ def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung |
         }
         states = [known.get((number, part.t0), {}) for number, part in zip(rung.experiment, rung.parts, strict=True)]
         begins = [(structure.model, states), (structure.model, None), *begins]
-    each = [fitted(model, rung.parts, states, scale, steps=20, tolerance=1e-5) for model, states in begins]
-    return min((one for one in each if one is not None), key=lambda one: mean_error(one, scale), default=None)
-
-
-def mean_error(found: Estimate, scale: Scale) -> float:
-    """Mean square of a fit's errors in the scale, clipped."""
-    measured = scale.weights > 0.0
-    residuals = np.concatenate(found.residuals)
-    errors = scale.whitened(np.nan_to_num(residuals) * scale.weights, np.cumsum([0, *map(len, found.residuals)]).tolist())
-    known = np.isfinite(residuals)[:, measured]
-    square = np.minimum(np.abs(errors), scale.clip)[:, measured] ** 2
-    return float(square[known].mean()) if known.any() else np.inf
+    each = [fitted(model, rung, states, scale, steps=20, tolerance=1e-4) for model, states in begins]
+    return min((one for one in each if one is not None), key=lambda one: one.cost, default=None)
 
 
 def climb_at_likelier_timing(data: Data) -> Climbed:
@@ -103,13 +96,13 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     return min(known, key=lambda one: (one.last.windows, innovations_of(one.found.residuals)))
 
 
-def _forgets(found: Estimate, rung: Rung) -> bool:
+def _forgets(found: Fit, rung: Rung) -> bool:
     """Whether first states are forgotten within a window."""
-    simulator = Simulator(found.model)
+    simulator = found.problem.simulator
     names = [f"initial:{name}" for name in simulator.free_states]
     if not names:
         return True
-    runs = simulator.run_each(rung.parts, found.initial, simulator.p(), slopes=names, substeps=found.substeps)
+    runs = simulator.run_each(rung.parts, found.initial, found.problem.p(found.theta), slopes=names, substeps=found.substeps)
     slopes = [np.abs(run.dY) for run in runs if run.dY is not None]
     late, peak = np.array([s[-1].max(axis=0) for s in slopes]), np.array([s.max(axis=(0, 1)) for s in slopes])
     return bool(np.median(late / np.maximum(peak, 1e-300), axis=0).max() < FORGETS)

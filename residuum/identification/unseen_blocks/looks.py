@@ -8,23 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
+from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
+from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.model import find_effect
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, judged
-from residuum.identification.unseen_blocks.ladder import mean_error
-from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED
-from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along
+from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED, LONG_LOOK, PROMISING
+from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along, starts
 from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.structure import States, Structure, fitted
+from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
 
-SHORT, LONG, SECOND = "short", "long", "second"
+SHORT, LONG = "short", "long"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,27 +37,39 @@ class Court:
     middle: Rung
     scale: Scale
 
+    @cached_property
+    def short(self) -> tuple[Rung, slice]:
+        """What a look at short windows sees, and which of the windows those are."""
+        return self.middle.thinned(GLANCED)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The looks that there are: long records are looked at in short windows alone."""
+        many = self.last.starts[-1] > LONG_LOOK
+        if self.middle is self.last or (self.scale.nats and not many):
+            return (LONG,)
+        return (SHORT,) if many else (LONG, SHORT)
+
     def judge(self, structure: Structure, *, steps: int, tolerance: float) -> Judged | None:
         """The structure fitted on the last rung, and judged there; None where it diverges."""
-        found = fitted(
-            structure.model,
-            self.last.parts,
-            structure.states.get(self.last.windows),
-            self.scale,
-            steps=steps,
-            tolerance=tolerance,
-        )
-        return None if found is None else judged(structure.at(self.last, found), found, self.last, self.data, self.scale)
+        k = self.last.windows
+        known, taken = structure.states.get(k), structure.steps.get(k)
+        found = fitted(structure.model, self.last, known, self.scale, steps=steps, tolerance=tolerance, substeps=taken)
+        return None if found is None else self.judge_fit(structure, found)
+
+    def judge_fit(self, structure: Structure, found: Fit) -> Judged | None:
+        """The structure judged by a fit on the last rung."""
+        return judged(structure.at(self.last, found), found, self.last, self.data, self.scale)
 
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """A proposal beside a parent: by kind of look the error and the model after three steps; `sizes` are its first
+    """A proposal beside a parent: by kind of look its best fits after a step or more, the lowest first; `sizes` are its first
     values, `along` is where the parent's filter went."""
 
     parent: Structure
     key: Key
-    seen: Mapping[str, tuple[float, PhysicalModel]]
+    seen: Mapping[str, Sequence[Fit]]
     sizes: Mapping[str, Sequence[float]]
     along: Track
 
@@ -68,100 +81,79 @@ class Glance:
     @property
     def hides(self) -> bool:
         """Whether it has states of its own: beside others it may do what it does not do alone."""
-        _, model = next(iter(self.seen.values()))
-        return len(Simulator(model).states) > len(Simulator(self.parent.model).states)
+        fits = next(iter(self.seen.values()))
+        return len(fits[0].problem.simulator.states) > len(Simulator(self.parent.model).states)
+
+    def error(self, kind: str) -> float:
+        """Mean cost of a sample in the lowest fit of a kind."""
+        return self.seen[kind][0].mean
 
 
 def glance(parent: Structure, key: Key, along: Track, court: Court, given: Track | None = None) -> Glance | None:
-    """A step from each first value and two more from the best, on short windows and on the last rung; None where all diverge.
+    """One pass from each first value, and a step from those that promise most, on short windows and on the last rung; None where
+    all diverge.
 
     `given` is the track of the model as it was given: what is missing may have driven the values that were fitted far away.
     """
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
-    sizes: dict[str, list[float]] = {}
-    for model in first:
-        for name, value in _values(model, key).items():
-            sizes.setdefault(name, []).append(abs(value))
-    seen: dict[str, tuple[float, PhysicalModel]] = {}
-    looks = [(LONG, court.last.parts, parent.states[court.last.windows])]
-    if court.middle is not court.last and not court.scale.nats:
-        few, which = court.middle.thinned(GLANCED)
-        looks.append((SHORT, few, parent.states[court.middle.windows][which]))
-    for kind, parts, states in looks:
-        each = sorted(_glimpsed(first, parts, states, parent, court), key=lambda one: one[0])[:FOLLOWED_STARTS]
-        further = [_steps(model, parts, states, parent, court, 2) for _, model in each]
-        again = [one for one in further if one is not None] or each
-        again.sort(key=lambda one: one[0])
-        if again:
-            seen[kind] = again[0]
-        if len(again) > 1 and court.scale.nats:  # small effects of the wrong shape mislead
-            seen[SECOND] = again[1]
-    return Glance(parent, key, seen, sizes, along) if seen else None
+    seen: dict[str, Sequence[Fit]] = {}
+    for kind in court.kinds:
+        rung, which = (court.last, slice(None)) if kind == LONG else court.short
+        states, steps = parent.states[rung.windows][which], parent.steps[rung.windows][which]
+        begun = [one for model in first if (one := at_start(model, rung, states, court.scale, steps)) is not None]
+        begun.sort(key=lambda one: one.cost - one.promised(*one.step(damping=PROMISING)))
+        if each := [one.descended(1, 0.0) for one in begun[:FOLLOWED_STARTS]]:
+            seen[kind] = sorted(each, key=lambda one: one.cost)
+    return Glance(parent, key, seen, _sizes(key, along, first, seen), along) if seen else None
 
 
-def _glimpsed(
-    models: Sequence[PhysicalModel], parts: Sequence[Experiment], states: States, parent: Structure, court: Court
-) -> list[tuple[float, PhysicalModel]]:
-    """Errors after one step from each first value, and the models there."""
-    each = [_steps(model, parts, states, parent, court, 1) for model in models]
-    return [one for one in each if one is not None]
+def _sizes(key: Key, along: Track, first: Sequence[PhysicalModel], seen: Mapping[str, Sequence[Fit]]) -> dict[str, list[float]]:
+    """Magnitudes of an effect's values: as they are proposed, regressed, and after a step."""
+    models = [*first, *(one.model for fits in seen.values() for one in fits)]
+    known = [*(starts(key, along) if key.effect != HELD else ()), *(_values(model, key) for model in models)]
+    return {name: [abs(values[name]) for values in known if name in values] for name in known[-1]} if known else {}
 
 
-def _steps(
-    model: PhysicalModel, parts: Sequence[Experiment], states: States, parent: Structure, court: Court, steps: int
-) -> tuple[float, PhysicalModel] | None:
-    found = fitted(
-        model, parts, states, court.scale, steps=steps, tolerance=1e-3, substeps=_substeps(model, parts, parent, court)
-    )
-    return None if found is None else (mean_error(found, court.scale), found.model)
+def followed_on(seen: Glance) -> Glance:
+    """The glance after two steps more."""
+    each = {kind: [one.descended(2, 1e-3) for one in fits] for kind, fits in seen.seen.items()}
+    return replace(seen, seen={kind: sorted(fits, key=lambda one: one.cost) for kind, fits in each.items()})
 
 
-def _substeps(model: PhysicalModel, parts: Sequence[Experiment], parent: Structure, court: Court) -> list[int] | None:
-    """Those of the parent, where the model has no states more that may be faster."""
-    if len(Simulator(model).states) > len(Simulator(parent.model).states):
-        return None
-    return [max(parent.steps[court.last.windows])] * len(parts)
+def look(seen: Glance, court: Court) -> Judged | None:
+    """The full fit from the best of each kind of glance; the best one judged.
 
-
-def look(seen: Glance, court: Court, *, any_value: bool = False) -> Judged | None:
-    """The full fit, from the best of the short glances by way of the middle rung and from the best long ones; the best one
-    judged.
-
-    None where all diverge or, unless `any_value` will do, their values refuse them.
+    None where all diverge, or their values refuse them.
     """
-    parent, best = seen.parent, None
-    for kind, (_, model) in seen.seen.items():
-        structure = Structure(seen.keys, model, parent.states, parent.steps)
-        if kind == SHORT:
-            states = parent.states[court.middle.windows]
-            near = fitted(model, court.middle.parts, states, court.scale, steps=8, tolerance=1e-3)
-            if near is None:
-                continue
-            structure = structure.at(court.middle, near)
-        best = _lower(best, _fully(structure, seen, court, any_value), court)
-    return best
+    found: list[Fit] = []
+    for kind, fits in seen.seen.items():
+        for one in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
+            here = one if kind == LONG else _on_the_last_rung(one.model, seen.parent, court)
+            found += [] if here is None else [here]
+    return _lowest(found, Structure(seen.keys, seen.parent.model, seen.parent.states, seen.parent.steps), seen, court)
 
 
-def follow(models: Sequence[PhysicalModel], seen: Glance, states: Structure, court: Court) -> Judged | None:
+def _on_the_last_rung(model: PhysicalModel, near: Structure, court: Court) -> Fit | None:
+    k = court.last.windows
+    return at_start(model, court.last, near.states.get(k), court.scale, near.steps.get(k))
+
+
+def follow(models: Sequence[PhysicalModel], seen: Glance, near: Structure, court: Court) -> Judged | None:
     """The lowest of the full fits from other first values of what was glanced at."""
-    best = None
-    for model in models:
-        best = _lower(best, _fully(Structure(seen.keys, model, states.states, states.steps), seen, court), court)
-    return best
+    found = [one for model in models if (one := _on_the_last_rung(model, near, court)) is not None]
+    return _lowest(found, Structure(seen.keys, near.model, near.states, near.steps), seen, court)
 
 
-def _fully(structure: Structure, seen: Glance, court: Court, any_value: bool = False) -> Judged | None:
-    found = court.judge(structure, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
-    if found is None or any_value:
-        return found
-    return None if _is_absurd(found.model, seen) or not _shows(found.model, seen, court) else found
+def _lowest(begun: Sequence[Fit], structure: Structure, seen: Glance, court: Court) -> Judged | None:
+    """The lowest of the full fits from where these begin, judged; without those whose values refuse them."""
+    tolerance = 1e-6 if court.scale.nats else 1e-4
+    each = [descended(one, steps=15, tolerance=tolerance) for one in begun]
+    good = [one for one in each if not _is_refused(one.model, seen, court)]
+    return court.judge_fit(structure, min(good, key=lambda one: one.cost)) if good else None
 
 
-def _lower(one: Judged | None, other: Judged | None, court: Court) -> Judged | None:
-    """The one whose fit leaves less of what it has seen."""
-    if one is None or other is None:
-        return one or other
-    return one if one.seen <= other.seen else other
+def _is_refused(model: PhysicalModel, seen: Glance, court: Court) -> bool:
+    return _is_absurd(model, seen) or not _shows(model, seen, court)
 
 
 def _values(model: PhysicalModel, key: Key) -> dict[str, float]:

@@ -21,8 +21,14 @@ CLIPPED = 8.0
 FORGETS = 0.3
 """[of its peak] Effect of a first state that may be left at the end of a window. Chosen."""
 
-STARTS_LOOKED_AT, FOLLOWED_STARTS = 6, 2
-"""First values of an effect that are looked at, and those that go on after one step. Chosen."""
+STIFFEST, COARSE = 16, 2.0
+"""Integration steps a sample at most, and times those that were taken from which on they were too few. Chosen."""
+
+STARTS_LOOKED_AT, SHAPES, FOLLOWED_STARTS = 6, 4, 2
+"""First values of an effect that are known, those of unlike shape that are looked at, and those that take a step. Chosen."""
+PROMISING = 0.1
+"""[of the curvature] Damping of the step by whose promise first values are ranked: a whole one promises shifts in time too much.
+Chosen."""
 ROWS = 4000
 """[samples] Of the track on which effects are regressed. Chosen."""
 RESEMBLES, TOLD_BY_OUTPUTS, COLUMNS_TRIED = 0.05, 0.98, 3
@@ -31,12 +37,12 @@ own; and how many are tried. Chosen."""
 CURVE_KNOTS, MOST_CURVES = 9, 3
 """Of the curves by which a signal is chosen, and how many are tried. Chosen."""
 
-BEAM, DEEPEST = 5, 4
+BEAM, DEEPEST = 3, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
-FULLY_FITTED = 12
-"""Candidates of each look that are fitted fully at a level. Chosen."""
-GLANCED = 4000
-"""[samples] Of a look at short windows. Chosen."""
+FOLLOWED, FULLY_FITTED = 14, 8
+"""Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
+GLANCED, LONG_LOOK = 2000, 6000
+"""[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
 KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0

@@ -28,6 +28,7 @@ from residuum.identification.unseen_blocks.policy import (
     CURVE_KNOTS,
     MOST_CURVES,
     RESEMBLES,
+    SHAPES,
     STARTS_LOOKED_AT,
     TOLD_BY_OUTPUTS,
 )
@@ -53,20 +54,29 @@ def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | 
 
 
 def beginnings(key: Key, along: Track) -> list[PhysicalModel]:
-    """The track's model with what is proposed, at its own first values and regressed on what its balance lacked."""
+    """The track's model with what is proposed: where it vanishes, and regressed on what its balance lacked; each shape once.
+
+    A shift in time begins as it is given: nothing near none of it says how far to go.
+    """
     if key.effect == HELD:
         return [freed(along.model, [key.target])]
-    effect, models = find_effect(key.effect), []
-    for start in _starts(key, along):
+    effect = find_effect(key.effect)
+    zero, models = effect.vanishes and not effect.shifts, []
+    shapes: list[Mapping[str, float]] = []
+    for start in starts(key, along):
+        shape = {name: value for name, value in start.items() if not (zero and name in effect.sizes)}
+        if shape in shapes or len(shapes) == SHAPES:
+            continue
+        shapes.append(shape)
         try:
             found = regressed(key, start, along)
             if found is not None:
                 models.append(found[1])
             if not effect.curve or found is None:
-                models.append(along.model.with_effect(*key, _flat(effect, start)))
+                models.append(along.model.with_effect(*key, effect.at_rest(start) if zero else start))
         except BadInput:
             continue
-    return [canonical(model) for model in models[:STARTS_LOOKED_AT]]
+    return [canonical(model) for model in models]
 
 
 def grown(key: Key, special: Track) -> list[PhysicalModel]:
@@ -104,7 +114,7 @@ def special_of(key: Key) -> Key | None:
     return Key(special, key.target) if special and special != key.effect else None
 
 
-def _starts(key: Key, along: Track) -> list[Mapping[str, float]]:
+def starts(key: Key, along: Track) -> list[Mapping[str, float]]:
     """First values of an effect, those of each thing that it follows in turn."""
     effect = find_effect(key.effect)
     each = [list(effect.starts(conditions_along(key, along, missing))) for missing in _lacks(effect, key.target, along)]
@@ -139,11 +149,6 @@ def canonical(model: PhysicalModel) -> PhysicalModel:
 def _rank(use: EffectUse) -> tuple[int, str, str, int]:
     place = use.effect.place != "balance"
     return (1, "", "", 0) if place else (0, use.target, use.id, use.instance)
-
-
-def _flat(effect: Effect, start: Mapping[str, float]) -> Mapping[str, float]:
-    """A start of a curve without its shape, which only a regression knows; any other effect's as it is."""
-    return {**start, **dict.fromkeys(effect.sizes, 0.0)} if effect.curve else start
 
 
 def forgotten_columns(model: PhysicalModel, along: Track) -> list[str]:

@@ -21,9 +21,9 @@ from residuum.identification.unseen_blocks.comparing import going_on, is_alike, 
 from residuum.identification.unseen_blocks.data import Data
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
-from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing, mean_error
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FULLY_FITTED, KEPT, RUNG_ERROR
+from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
@@ -141,25 +141,33 @@ def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
     """Proposals worth a look beside others: the best of the first level, and those that hide alone (own states, no slope yet)."""
     kept = {one.key for one in glances.values() if one.hides}
     for kind in (SHORT, LONG):
-        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
+        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.error(kind))
         kept |= {one.key for one in there[:KEPT]}
         if there:
-            usual = float(np.median([one.seen[kind][0] for one in there]))
-            kept |= {one.key for one in there if abs(one.seen[kind][0] / usual - 1.0) < 1e-6}
+            usual = float(np.median([one.error(kind) for one in there]))
+            kept |= {one.key for one in there if abs(one.error(kind) / usual - 1.0) < 1e-6}
     return kept
 
 
 def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judged]:
-    """The best of each kind of glance fitted fully and judged, with those related to the best of them; the best first."""
-    top: dict[tuple[Key, ...], Glance] = {}
-    for kind in (SHORT, LONG):
-        there = sorted((one for one in glances.values() if kind in one.seen), key=lambda one: one.seen[kind][0])
-        top |= {one.keys: one for one in there[:FULLY_FITTED]}
-    each = each_beside(lambda seen: _looked(seen, found.court), list(top.values()))
+    """The best of each kind of glance followed, the best of these fitted fully and judged, with those related to the best of
+    them; the best first.
+    """
+    near = {one.keys: one for one in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))}
+    each = each_beside(lambda seen: _looked(seen, found.court), _best_of_each(near.values(), FULLY_FITTED))
     here = {one.keys: one for one in each if one is not None}
     here |= _related(found, here, glances)
     found.every |= here
     return sorted(here.values(), key=lambda one: one.cost)
+
+
+def _best_of_each(glances: Iterable[Glance], count: int) -> list[Glance]:
+    """So many of each kind of look."""
+    top: dict[tuple[Key, ...], Glance] = {}
+    for kind in (SHORT, LONG):
+        there = sorted((one for one in glances if kind in one.seen), key=lambda one: one.error(kind))
+        top |= {one.keys: one for one in there[:count]}
+    return list(top.values())
 
 
 def _looked(seen: Glance, court: Court) -> Judged | None:
@@ -241,11 +249,12 @@ def _lengthened(found: Search) -> bool:
     if not longer:
         return False
     rung, flat = longer[0], plain(data)
-    best = fitted(found.best.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
-    base = fitted(data.model, rung.parts, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or mean_error(best, flat) > RUNG_ERROR:
+    best = fitted(found.best.model, rung, None, flat, steps=15, tolerance=1e-4)
+    base = fitted(data.model, rung, None, flat, steps=15, tolerance=1e-4)
+    if best is None or base is None or best.mean > RUNG_ERROR:
         return False
     scale = clipped(flat, base.residuals, rung)
+    best, base = (one.in_unit(scale).descended(6, 1e-4) for one in (best, base))
     first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
     if first is None:
         return False

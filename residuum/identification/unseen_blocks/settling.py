@@ -13,7 +13,7 @@ from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise
-from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.structure import at_start, descended
 
 Array = npt.NDArray[np.float64]
 
@@ -23,21 +23,21 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
     otherwise.
     """
     last, data = court.last, court.data
-    found = fitted(best.model, last.parts, best.structure.states[last.windows], court.scale, steps=1, tolerance=1e-3)
-    scale = None if found is None else of_noise(found.residuals, last, data.measured)
-    for turn in range(3):  # outputs weighed by their own errors, then these whitened
-        if found is None or scale is None:
-            return None
-        states = best.structure.at(last, found).states[last.windows]
-        scale = replace(scale, filters=None) if turn == 0 else scale
-        found = fitted(found.model, last.parts, states, scale, steps=12, tolerance=1e-5)
-        scale = None if found is None else of_noise(found.residuals, last, data.measured)
-    if found is None or scale is None:
+    states, steps = best.structure.states[last.windows], best.structure.steps[last.windows]
+    found = at_start(best.model, last, states, court.scale, steps)
+    if found is None:
         return None
+    scale = replace(of_noise(found.residuals, last, data.measured), filters=None)
+    for _ in range(3):  # outputs weighed by their own errors, then these whitened
+        found = descended(found.in_unit(scale), steps=12, tolerance=1e-5)
+        if found.cost == np.inf:
+            return None
+        scale = of_noise(found.residuals, last, data.measured)
     times = max(times_the_noise([r[:, o] for r in found.residuals]) for o in np.flatnonzero(data.measured))
     if times > NOISY or _unevenness(found.residuals, scale, court) > UNEVEN:
         return None
     scale = clipped(scale, found.residuals, last)
+    found = found.in_unit(scale)
     in_nats = judged(best.structure.at(last, found), found, last, data, scale)
     return None if in_nats is None else (replace(court, scale=scale), in_nats)
 

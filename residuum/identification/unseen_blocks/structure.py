@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.physics import Estimate, Experiment, Key, PhysicalModel, Settings, Simulator, estimate
+from residuum.identification.physics import Key, PhysicalModel, Simulator
+from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
 from residuum.identification.unseen_blocks.data import Rung
+from residuum.identification.unseen_blocks.policy import COARSE, STIFFEST
 from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.work import go_on
+from residuum.identification.work import count_fit, go_on
 
 Array = npt.NDArray[np.float64]
 States = Sequence[Mapping[str, float]]
@@ -30,49 +32,80 @@ class Structure:
     states: Mapping[int, States]
     steps: Mapping[int, Sequence[int]]
 
-    def at(self, rung: Rung, found: Estimate, keys: tuple[Key, ...] | None = None) -> Structure:
+    def at(self, rung: Rung, found: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
         """The structure with what was found on a rung."""
-        states = {**self.states, rung.windows: first_states(found)}
+        names = found.problem.simulator.states
+        states = {**self.states, rung.windows: [dict(zip(names, x.tolist(), strict=True)) for x in found.X0]}
         return Structure(self.keys if keys is None else keys, found.model, states, {**self.steps, rung.windows: found.substeps})
 
 
-def first_states(found: Estimate) -> list[dict[str, float]]:
-    """First values of each window that was estimated on."""
-    names = Simulator(found.model).states
-    return [dict(zip(names, x.tolist(), strict=True)) for x in found.initial]
+def at_start(
+    model: PhysicalModel, rung: Rung, states: States | None, scale: Scale, steps: Sequence[int] | None = None
+) -> Fit | None:
+    """The model at its own values on a rung's windows, from where states are known roughly; `steps` a sample, where they are
+    known, do for a model that has no further states.
+
+    None where it diverges, or nothing can be estimated.
+    """
+    go_on()
+    try:
+        simulator = Simulator(model)
+        X0 = np.array([simulator.measured_start(e) for e in rung.parts] if states is None else _vectors(simulator, rung, states))
+        if steps is None or not (states and set(simulator.states) <= states[0].keys()):
+            needed = _steps_needed(simulator, rung, X0)
+            steps = needed if steps is None else np.maximum(steps, needed).tolist()
+        here = Problem.of(simulator, rung.cells, scale, steps).begin(X0)
+    except BadInput:
+        return None
+    if here.cost == np.inf:
+        return None
+    if states is not None:
+        return here
+    held = replace(here.problem, lower=here.theta, upper=here.theta)
+    return replace(replace(here, problem=held).descended(2, 1e-2), problem=here.problem)
+
+
+def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[Array]:
+    """The states in the order of a model that may have others, which begin where its kernel sets them."""
+    found = []
+    for part, known in zip(rung.parts, states, strict=True):
+        there = {name: value for name, value in known.items() if name in simulator.states}
+        found.append(simulator.x0({**there, **part.known}))
+    return found
+
+
+def _steps_needed(simulator: Simulator, rung: Rung, X0: Array) -> list[int]:
+    """Integration steps a sample that the fastest mode of each window asks for."""
+    return np.minimum(simulator.modal_substeps(rung.parts, list(X0), simulator.p()), STIFFEST).tolist()
 
 
 def fitted(
     model: PhysicalModel,
-    parts: Sequence[Experiment],
+    rung: Rung,
     states: States | None,
     scale: Scale,
     *,
     steps: int,
     tolerance: float,
     substeps: Sequence[int] | None = None,
-) -> Estimate | None:
-    """The model at its least error on these windows in the scale's unit, from where states are known roughly; `substeps` are
-    integration steps a sample, where they are known.
+) -> Fit | None:
+    """The model at its least error on a rung's windows in the scale's unit, as `at_start` begins.
 
-    None where it diverges, or nothing can be estimated.
+    Without `substeps`: a stop or a valve that the first run never reaches is stiff where it is met, so where what was found asks
+    for many more integration steps a sample, it is sought again with those.
     """
-    go_on()
-    settings = Settings(weights=scale.weights, filters=scale.filters, iterations=steps, tolerance=tolerance)
-    try:
-        initial = None if states is None else _vectors(model, parts, states)
-        return estimate(model, parts, initial=initial, settings=settings, substeps=substeps)
-    except BadInput:
+    here = at_start(model, rung, states, scale, substeps)
+    if here is None:
         return None
+    found = descended(here, steps=steps, tolerance=tolerance)
+    needed = _steps_needed(Simulator(found.model), rung, found.X0) if substeps is None else found.substeps
+    if not any(n > COARSE * have for n, have in zip(needed, found.substeps, strict=True)):
+        return found
+    finer = replace(here.problem, substeps=np.maximum(needed, found.substeps)).at(here.theta, here.X0)
+    return None if finer.cost == np.inf else finer.descended(steps, tolerance)
 
 
-def _vectors(model: PhysicalModel, parts: Sequence[Experiment], states: States) -> list[Array]:
-    """The states in the order of a model that may have others, which begin where its kernel sets them."""
-    simulator, found = Simulator(model), []
-    for part, known in zip(parts, states, strict=True):
-        x = simulator.x0(part.known)
-        for k, name in enumerate(simulator.states):
-            if name in known and name not in part.known:
-                x[k] = known[name]
-        found.append(x)
-    return found
+def descended(begun: Fit, *, steps: int, tolerance: float) -> Fit:
+    """The least error from where a fit begins, with the integration steps that it has."""
+    count_fit()
+    return begun.descended(steps, tolerance)

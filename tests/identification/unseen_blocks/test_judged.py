@@ -13,7 +13,6 @@ from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.judged import judged
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.scale import plain
 
 CART = """
 name: cart
@@ -39,10 +38,10 @@ def cart_record(n=1200, friction=0.0, noise=0.02, seed=1):
 
 
 @pytest.mark.parametrize("friction", [0.0, 1.5])
-def test_deletion_is_what_a_fit_without_the_blocks_leaves(friction):
+def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     data = matched(read_model(CART), [cart_record(n=2000, friction=friction)], None)
     climbed = climb(data)
-    one = judged(climbed.structure, climbed.found, climbed.last, data, plain(data))
+    one = judged(climbed.structure, climbed.found, climbed.last, data, climbed.scale)
     (part,), begins = climbed.last.parts, {"v": climbed.found.initial[0][0]}  # where it began is not what is judged
     left = np.zeros(data.blocks)
     for fold in np.unique(data.fold):
@@ -53,8 +52,9 @@ def test_deletion_is_what_a_fit_without_the_blocks_leaves(friction):
         left += np.bincount(climbed.last.block, weights=errors**2, minlength=data.blocks)
     seen = float(np.sum((climbed.found.residuals[0] / data.spread) ** 2))
     assert left.sum() > seen  # what the fit has not seen is more
-    assert one.power.sum() - seen == pytest.approx(left.sum() - seen, rel=0.3)
-    assert np.corrcoef(np.log(one.power[:, 0]), np.log(left))[0, 1] > 0.99
+    assert one.power.sum() == pytest.approx(left.sum(), rel=0.01)
+    assert one.power.sum() - seen == pytest.approx(left.sum() - seen, rel=0.1)
+    assert np.corrcoef(np.log(one.power[:, 0]), np.log(left))[0, 1] > 0.999
 
 
 def test_a_model_in_which_nothing_is_free_leaves_what_it_leaves():

@@ -76,7 +76,7 @@ def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[s
     matched, experiments = match(model, parts.training, mapping)
     data = data_of(matched, [replace(e, hold=hold) for e in experiments])
     rung = next((r for r in data.rungs if r.windows == found.court.last.windows), data.rungs[-1])
-    estimated = fitted(data.model, rung.parts, None, found.court.scale, steps=20, tolerance=1e-5)
+    estimated = fitted(data.model, rung, None, found.court.scale, steps=20, tolerance=1e-5)
     if estimated is None:
         return np.full(len(model.outputs), np.inf)
     _, aside = match(estimated.model, [record for record, _ in parts.testing], mapping)

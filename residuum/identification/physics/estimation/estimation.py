@@ -213,7 +213,7 @@ class _Problem:
 
     def first_states(self) -> list[Array]:
         """Initial states at zero (or as the model fixes them), then fitted to the beginning of each record."""
-        starts = [self._measured_start(experiment) for experiment in self.experiments]
+        starts = [self.simulator.measured_start(experiment) for experiment in self.experiments]
         p = self.p(self.theta0)
         self.substeps = self.simulator.substeps_each(self.experiments, starts, p)
         self.weights = self._scales()
@@ -221,15 +221,6 @@ class _Problem:
             for number, x0 in enumerate(starts):
                 starts[number] = self._fit_states(number, x0, p)
         return starts
-
-    def _measured_start(self, experiment: Experiment) -> Array:
-        """What is known, the first measured value of states that are themselves outputs, zero elsewhere."""
-        x0 = self.simulator.x0(experiment.known)
-        for o, output in enumerate(self.simulator.model.outputs.values()):
-            seen = experiment.Y[np.isfinite(experiment.Y[:, o]), o]
-            if output.value.text in self.states and seen.size:
-                x0[self.simulator.states.index(output.value.text)] = seen[0]
-        return x0
 
     def _fit_states(self, number: int, x0: Array, p: Array) -> Array:
         """One Gauss–Newton step of the initial states alone, over the whole record, kept when it helps."""

@@ -57,11 +57,12 @@ def solve_scaled(H: Array, right: Array, ridge: float = NOTHING_ALONG) -> Array:
     if not right.size:
         return np.zeros(right.shape)
     several = np.ascontiguousarray(H).reshape(-1, m, m), np.ascontiguousarray(right).reshape(-1, m, columns)
-    return np.asarray(_solved(*several, ridge).reshape(right.shape))
+    return np.asarray(solved(*several, ridge).reshape(right.shape))
 
 
 @njit(error_model="numpy")
-def _solved(H, right, ridge):  # type: ignore[no-untyped-def]
+def solved(H, right, ridge):  # type: ignore[no-untyped-def]
+    """`solve_scaled` of several, for compiled code."""
     found = np.zeros(right.shape)
     for k in range(H.shape[0]):
         if not (np.isfinite(H[k]).all() and np.isfinite(right[k]).all()):

@@ -20,6 +20,7 @@ from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.autoregression import fit_autoregression
 from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.physics.estimation.estimation import Estimate
+from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import covariance_of, solve_scaled
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.simulation import Simulator
@@ -29,8 +30,11 @@ Array = npt.NDArray[np.float64]
 
 def with_coloured_noise(result: Estimate, experiments: Sequence[Experiment]) -> Estimate:
     """The estimate with its covariance for noise of the residuals' own colour (unfiltered simulation error)."""
-    if not result.parameters:
-        return result
+    return replace(result, covariance=coloured_covariance(result, experiments)) if result.parameters else result
+
+
+def coloured_covariance(result: Estimate | Fit, experiments: Sequence[Experiment]) -> Array:
+    """Covariance of estimated parameters for noise of the residuals' own colour, infinite along flat directions."""
     slopes = [_reduced_slopes(result, k, e) for k, e in enumerate(experiments)]
     q = len(result.parameters)
     H, spread = np.zeros((q, q)), np.zeros((q, q))
@@ -45,10 +49,10 @@ def with_coloured_noise(result: Estimate, experiments: Sequence[Experiment]) -> 
     finite = np.where(np.isfinite(inverse), inverse, 0.0)
     covariance = finite @ spread @ finite
     covariance[open_, open_] = np.inf
-    return replace(result, covariance=covariance)
+    return covariance
 
 
-def _reduced_slopes(result: Estimate, number: int, experiment: Experiment) -> Array:
+def _reduced_slopes(result: Estimate | Fit, number: int, experiment: Experiment) -> Array:
     """Weighted derivatives of the outputs by the parameters, less what the initial states take up; zero where missing."""
     simulator = Simulator(result.model)
     states = [f"initial:{name}" for name in simulator.free_states]

@@ -292,9 +292,9 @@ def integrate(  # noqa: PLR0912
 ):
     """From sample `first` to `last`, `substeps` Runge–Kutta steps a sample; w.x and, for the columns, w.S are overwritten.
 
-    States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY (of no rows:
-    nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is inlined, and inputs
-    are looked up the long way only where one is delayed: each of these would cost more than the step.
+    States, outputs and output slopes before each sample's steps, and at the last, go to the rows of X, Y and dY, from the first
+    row on (of no rows: nothing is kept). Stops where a state ceases to be finite. Arrays are bound once, what every step needs is
+    inlined, and inputs are looked up the long way only where one is delayed: each of these would cost more than the step.
     """
     x, u, ur, s, m, S, inputs, surfaces, count = w.x, w.u, w.ur, w.s, w.m, w.S, w.inputs, q.surfaces, columns.shape[0]
     at_x, at_u, at_ur, at_p, at_s, at_m = x.ctypes, u.ctypes, ur.ctypes, p.ctypes, s.ctypes, m.ctypes
@@ -307,14 +307,14 @@ def integrate(  # noqa: PLR0912
     inputs[:] = 0.0
     for k in range(first, last + 1):
         if kept:
-            if not keep(x, X[k]):
+            if not keep(x, X[k - first]):
                 return
             if delayed:
                 set_inputs(q.delays, u, ur, U, k, 0.0, sample_time, hold, p)
             else:
                 u[: U.shape[1]] = U[k]
                 u[U.shape[1]] = k * sample_time
-            at_y, at_dy = Y[k].ctypes, dY[k].ctypes
+            at_y, at_dy = Y[k - first].ctypes, dY[k - first].ctypes
             q.observe(at_x, at_u, at_ur, at_p, at_s, at_m, at_seen, at_y, at_dy, at_S, at_columns, count)
         if k == last:
             return
@@ -426,6 +426,21 @@ def recall(q, w, memory):
 
 
 @njit(error_model="numpy")
+def begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory):
+    """State and sensitivities at the first sample of experiment j, laid out as in `simulate`."""
+    goes_on = q.remembered.shape[0] > 0 and follows[j] != 0
+    if goes_on:
+        before = U[starts[j - 1] : starts[j]]
+        remember(q, w, before, sample_times[j - 1], holds[j - 1], p, columns, memory)
+    w.s[:] = 0.0
+    w.m[:] = 0.0
+    start(q, w, U[starts[j] : starts[j + 1]], sample_times[j], holds[j], p, X0[j])
+    start_slopes(q, w, columns)
+    if goes_on:
+        recall(q, w, memory)
+
+
+@njit(error_model="numpy")
 def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, columns):
     """States X (n, NX), outputs Y (n, NY) and dY = ∂Y/∂θ (n, NY, columns) at the samples of several experiments.
 
@@ -438,18 +453,9 @@ def simulate(q, U, starts, p, X0, sample_times, substeps, holds, follows, column
     dY = np.full((n, q.sizes[3], columns.shape[0]), np.nan)
     memory = np.zeros((q.remembered.shape[0], columns.shape[0] + 1))
     for j in range(X0.shape[0]):
-        a, b, goes_on = starts[j], starts[j + 1], q.remembered.shape[0] > 0 and follows[j] != 0
-        if goes_on:
-            before = starts[j - 1]
-            remember(q, w, U[before:a], sample_times[j - 1], holds[j - 1], p, columns, memory)
-        w.s[:] = 0.0
-        w.m[:] = 0.0
-        start(q, w, U[a:b], sample_times[j], holds[j], p, X0[j])
-        start_slopes(q, w, columns)
-        if goes_on:
-            recall(q, w, memory)
-        last, h = b - a - 1, sample_times[j]
-        integrate(q, w, U[a:b], 0, last, h, substeps[j], holds[j], p, columns, X[a:b], Y[a:b], dY[a:b])
+        a, b, h = starts[j], starts[j + 1], sample_times[j]
+        begin(q, w, U, starts, j, p, X0, sample_times, holds, follows, columns, memory)
+        integrate(q, w, U[a:b], 0, b - a - 1, h, substeps[j], holds[j], p, columns, X[a:b], Y[a:b], dY[a:b])
     return X, Y, dY
 
 

@@ -140,7 +140,7 @@ class Simulator:
         self._state = {name: k for k, name in enumerate(self.kernel.states)}
         values = model.values
         self._p = np.array([values.get(name, 0.0) for name in self.kernel.parameters])
-        self._possible = Possible.of(model, self._index)
+        self.possible = Possible.of(model, self._index)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -174,6 +174,15 @@ class Simulator:
         x0 = np.zeros(len(self._state))
         for name, value in {**self.model.initial, **(initial or {})}.items():
             x0[self._state[name]] = value
+        return x0
+
+    def measured_start(self, experiment: Experiment) -> Array:
+        """First states: what is known, the first measured value of states that are themselves outputs, zero elsewhere."""
+        x0 = self.x0(experiment.known)
+        for o, output in enumerate(self.model.outputs.values()):
+            name, seen = output.value.text, experiment.Y[np.isfinite(experiment.Y[:, o]), o]
+            if name in self.free_states and name not in experiment.known and seen.size:
+                x0[self._state[name]] = seen[0]
         return x0
 
     def columns(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
@@ -219,9 +228,9 @@ class Simulator:
 
         Parameters that no machine has (`Possible`) give NaN as a model that diverges does: no estimation goes there.
         """
-        joined = _Joined.of(experiments)
+        joined = Joined.of(experiments)
         X, Y, dY = self._simulated(joined, np.array(initial), p, np.array(substeps), self.columns(slopes))
-        if not self._possible(p):
+        if not self.possible(p):
             X, Y, dY = (np.full_like(values, np.nan) for values in (X, Y, dY))
         for k, e in enumerate(experiments):
             if e.known and slopes:
@@ -230,7 +239,7 @@ class Simulator:
         return Runs(experiments, X, Y, dY if slopes else None, tuple(slopes), joined.starts)
 
     def _simulated(
-        self, joined: _Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
+        self, joined: Joined, initial: Array, p: Array, substeps: Integers, columns: Integers
     ) -> tuple[Array, Array, Array]:
         q, at = self.kernel.system, joined
         count_samples(int(np.diff(at.starts) @ substeps) * (1 + len(columns)))
@@ -268,7 +277,7 @@ class Simulator:
 
     def modal_substeps(self, experiments: Sequence[Experiment], initial: Sequence[Array], p: Array) -> list[int]:
         """Steps a sample that the fastest mode in each experiment asks for, if they need not be exact."""
-        joined, X0, none = _Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
+        joined, X0, none = Joined.of(experiments, _LOOKED_AT), np.array(initial), self.columns(())
         steps = np.ones(len(experiments), dtype=np.int64)
         for _ in range(4):
             X, *_ = self._simulated(joined, X0, p, steps, none)
@@ -286,7 +295,7 @@ class Simulator:
         none = self.columns(())
 
         def outputs(which: Integers, substeps: Integers) -> list[Array]:
-            joined = _Joined.of([parts[k] for k in which])
+            joined = Joined.of([parts[k] for k in which])
             return joined.cut(self._simulated(joined, X0[which], p, substeps, none)[1])
 
         runs = dict(zip(open_.tolist(), outputs(open_, steps), strict=True))
@@ -310,13 +319,13 @@ class Simulator:
 
     def substeps_along_each(self, experiments: Sequence[Experiment], X: Sequence[Array], p: Array) -> list[int]:
         """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X of each experiment ask for."""
-        return self._needed_along(_Joined.of(experiments), np.concatenate(X), p).tolist()
+        return self._needed_along(Joined.of(experiments), np.concatenate(X), p).tolist()
 
-    def _needed_along(self, joined: _Joined, X: Array, p: Array) -> Integers:
+    def _needed_along(self, joined: Joined, X: Array, p: Array) -> Integers:
         """Steps a sample of each of several experiments, at most 64."""
         return np.minimum(np.ceil(self._asked_along(joined, X, p)), MOST_SUBSTEPS).astype(np.int64)
 
-    def _asked_along(self, joined: _Joined, X: Array, p: Array) -> Array:
+    def _asked_along(self, joined: Joined, X: Array, p: Array) -> Array:
         """Steps a sample that the fastest mode of each experiment asks for, infinite where no sample is finite.
 
         Looked at are samples all along, those where a state is largest or smallest, and where such a sample's change leads on:
@@ -334,7 +343,7 @@ class Simulator:
         looks = ((X, np.concatenate([along, far], axis=1)), (beyond, far))
         return np.max([self._asked_at(joined, states, samples, p) for states, samples in looks], axis=0)
 
-    def _asked_at(self, joined: _Joined, X: Array, samples: Integers, p: Array) -> Array:
+    def _asked_at(self, joined: Joined, X: Array, samples: Integers, p: Array) -> Array:
         """What the states X at these samples of each experiment ask for, shape (experiments,); infinite where none is finite."""
         finite = np.all(np.isfinite(X[joined.starts[:-1, None] + samples]), axis=2)
         A = integration.rate_slopes(
@@ -355,7 +364,7 @@ def _extremes(X: Array, starts: Integers) -> Integers:
 
 
 @dataclass(frozen=True, eq=False)
-class _Joined:
+class Joined:
     """Experiments laid end to end, as the integrator takes them: inputs U, first rows and the last one's end. Of each also its
     sample time, its hold, and whether it follows the one before in time.
     """
@@ -367,7 +376,7 @@ class _Joined:
     follows: Integers
 
     @classmethod
-    def of(cls, experiments: Sequence[Experiment], most: int | None = None) -> _Joined:
+    def of(cls, experiments: Sequence[Experiment], most: int | None = None) -> Joined:
         """Of each experiment at most so many samples."""
         inputs = [e.U[:most] for e in experiments]
         return cls(
