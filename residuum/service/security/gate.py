@@ -19,6 +19,7 @@ from residuum.service.problems import problem
 from residuum.service.request_ids import begin_request
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
+from residuum.service.security.forwarded import TrustedProxies, origin_of
 from residuum.service.security.rate_limit import RateLimit, retry_after
 from residuum.service.settings import Settings, is_loopback
 
@@ -80,6 +81,9 @@ class Gate:
         self.tokens = tokens
         self.measure = measure
         self.local = is_loopback(settings.host)
+        self.proxies = TrustedProxies(settings.trusted_proxies)
+        self.origin = None if settings.public_url is None else origin_of(str(settings.public_url))
+        self.name = None if self.origin is None else urlsplit(self.origin).hostname
         rate = settings.requests_per_second
         self.rate_limit = None if rate is None else RateLimit(rate, max(1.0, _BURST * rate), time.monotonic)
 
@@ -91,6 +95,7 @@ class Gate:
         begun = time.perf_counter()
         status = 500
         headers = dict(scope["headers"])
+        self._look_behind_the_proxy(scope, headers)
         more = [begin_request(headers), *(_DATA if scope["path"].startswith("/api/") else _PAGES)]
         more += _BY_TLS if scope["scheme"] == "https" else []
 
@@ -137,12 +142,27 @@ class Gate:
         if (wrapped := _wrapped(headers)) is not None:
             return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
         host = headers.get(b"host", b"").decode("latin-1")
-        if self.local and not is_loopback(_host_name(host)):
-            return problem(421, f"Host {host[:100]!r}: this service answers to its own machine's names only", "wrong-host")
+        if self.local and not is_loopback(name := _host_name(host)) and name.lower() != self.name:
+            says = f"Host {host[:100]!r}: this service answers to its own machine's names only; a proxy's is set by public_url"
+            return problem(421, says, "wrong-host")
         origin = headers.get(b"origin", b"").decode("latin-1")
-        if origin and scope["method"] not in _SAFE and urlsplit(origin).netloc != host:
+        if origin and scope["method"] not in _SAFE and not self._is_own(origin, scope["scheme"], host):
             return problem(403, f"Origin {origin[:100]!r}: another site's page may not write here", "wrong-origin")
         return None
+
+    def _is_own(self, origin: str, scheme: str, host: str) -> bool:
+        """Whether a page of this origin is ours; without a public name the scheme is a proxy's matter, and not compared."""
+        if self.origin is None:
+            return urlsplit(origin).netloc == host
+        return origin.lower() in (self.origin, f"{scheme}://{host}".lower())
+
+    def _look_behind_the_proxy(self, scope: Scope, headers: dict[bytes, bytes]) -> None:
+        """Let the rest of the service see the client of a trusted proxy, and the scheme by which it came."""
+        peer, port = scope.get("client") or ("unknown", 0)
+        seen = self.proxies.seen(
+            peer, scope["scheme"], headers.get(b"x-forwarded-for", b""), headers.get(b"x-forwarded-proto", b"")
+        )
+        scope["client"], scope["scheme"] = (seen.address, port if seen.address == peer else 0), seen.scheme
 
     async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
         """Who has this token of the issuer."""
