@@ -42,7 +42,8 @@ def _install(folder):
 
 
 def _run(folder, *command):
-    done = subprocess.run([str(part) for part in command], cwd=folder, capture_output=True, text=True, check=False)
+    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}  # pip would take a checkout there for it
+    done = subprocess.run([str(part) for part in command], cwd=folder, env=alone, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 

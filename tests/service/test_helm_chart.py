@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jsonschema
 import pytest
 import yaml
 from gotpl import TemplateError
@@ -41,6 +40,8 @@ FULL = {
 
 def rendered(**given):
     """What the chart makes of values, by kind and name."""
+    import jsonschema  # takes seconds to load, which every process that collects tests would spend
+
     values = VALUES | given
     jsonschema.validate(values, SCHEMA)
     release = {"Name": "plant", "Service": "Helm", "Namespace": "default"}
@@ -169,5 +170,7 @@ def test_scorers_without_what_they_need_are_refused(given, says):
     "given", [{"servce": {}}, {"scorers": -1}, {"data": {"accessMode": "All"}}, {"apiKeys": {"existingSecret": ""}}]
 )
 def test_values_that_are_none_are_refused(given):
-    with pytest.raises(jsonschema.ValidationError):
+    from jsonschema import ValidationError
+
+    with pytest.raises(ValidationError):
         rendered(**given)

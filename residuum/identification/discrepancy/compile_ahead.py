@@ -1,12 +1,16 @@
-"""Compile what comparing and explaining would compile at their first use: `python -m …compile_ahead`.
+"""Compile what comparing and explaining would compile at their first use: `python -m …compile_ahead [--with-parent]`.
 
 The loops are compiled once for all models and kept on disk; that takes about a minute, in which a user would wait for a first
 answer. A running service has it done behind itself. A model's own equations are compiled when they are met.
+With `--with-parent` it ends when standard input closes, that is, with the program that started it, however that ended.
 """
 
 from __future__ import annotations
 
 import fcntl
+import os
+import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,5 +81,12 @@ def _record(truth: PhysicalModel) -> Record:
     return replace(empty, channels={**inputs, **measured})
 
 
+def _end_with_parent() -> None:
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+
 if __name__ == "__main__":
+    if "--with-parent" in sys.argv:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
     ensure_compiled()

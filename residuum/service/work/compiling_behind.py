@@ -32,8 +32,8 @@ class CompilingBehind:
         if compile_ahead.is_compiled():
             return
         log.info("compiling behind what the first explanation needs")
-        command = [sys.executable, "-m", compile_ahead.__name__]
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        command = [sys.executable, "-m", compile_ahead.__name__, "--with-parent"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         os.setpriority(os.PRIO_PROCESS, self._process.pid, _LOWEST_PRIORITY)
         threading.Thread(target=self._wait, args=(self._process,), name="compiling behind", daemon=True).start()
 
@@ -48,7 +48,9 @@ class CompilingBehind:
                 self._process.kill()
 
     def _wait(self, process: subprocess.Popen[bytes]) -> None:
-        _, said = process.communicate()
+        assert process.stderr is not None
+        said = process.stderr.read()
+        process.wait()
         if process.returncode == 0:
             log.info("compiled what the first explanation needs")
         elif not self._stopped:

@@ -1,7 +1,10 @@
 """After `compile_ahead` no loop of the library is left to be compiled in front of a waiting user."""
 
+import os
 import subprocess
 import sys
+
+from residuum.identification.discrepancy import compile_ahead
 
 EXPLAINING = """
 import gc
@@ -38,3 +41,12 @@ def test_nothing_is_left_to_compile():
     """Told by the types that each loop was called with, so that nothing has to be compiled: it may well be on disk already."""
     said = subprocess.run([sys.executable, "-c", EXPLAINING], capture_output=True, text=True, check=True).stdout
     assert said == ""
+
+
+def test_it_ends_with_the_program_that_started_it(tmp_path):
+    """Even where that was ended by force: the system closes its end of the pipe."""
+    nothing_kept = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "RESIDUUM_CACHE": str(tmp_path)}
+    command = [sys.executable, "-m", compile_ahead.__name__, "--with-parent"]
+    with subprocess.Popen(command, env=nothing_kept, stdin=subprocess.PIPE) as compiling:
+        compiling.stdin.close()
+        assert compiling.wait(300) == 1

@@ -16,7 +16,8 @@ const STATES = {
   cleared: ["gone again", (each) => each.cleared_at],
   unseen: ["never acknowledged", (each) => !each.acknowledged_at],
 };
-// What stands and nobody has seen comes first, a machine's fault before a signal's, the furthest above its threshold before others.
+// What stands and nobody has seen comes first, a machine's fault before a signal's, the furthest above its threshold
+// before others.
 const urgency = (each) =>
   [!each.cleared_at, !each.acknowledged_at, each.kind === "machine", each.times_threshold ?? 0].map(Number);
 const lasted = (each) => (each.cleared_at ? new Date(each.cleared_at) : Date.now()) - new Date(each.raised_at);

@@ -26,7 +26,7 @@ export function checkPanels(model) {
     if (test) queueMicrotask(() => drawCorrelation(place, test).catch((problem) => notify(problem.message)));
     const says = !test
       ? none
-      : `${test.passed ? "Within" : "Beyond"} what chance alone gives: p = ${number(test.p_value)} over ${test.lags.length} lags.`;
+      : `${test.passed ? "Within" : "Beyond"} what chance gives: p = ${number(test.p_value)} over ${test.lags.length} lags.`;
     return half(title, `dashed: ${level} band of each lag`, test ? place : null, h("p", { class: "muted small" }, says));
   });
   const reasons = model.check?.reasons ?? [];

@@ -21,8 +21,8 @@ const ranked = (found) =>
     .filter((each) => each.model)
     .sort((a, b) => (newError(a.model) ?? Infinity) - (newError(b.model) ?? Infinity) || (a.model.aic ?? 0) - (b.model.aic ?? 0));
 
-// Identifies by every one of `asked` = [{ title, body }] one after the other; `choose` is told the model that is to be shown whole,
-// first the one of the least error on new data.
+// Identifies by every one of `asked` = [{ title, body }] one after the other; `choose` is told the model that is to be shown
+// whole, first the one of the least error on new data.
 export async function compareModels(place, asked, choose, leaving) {
   const stop = new AbortController();
   leaving.push(() => stop.abort());
