@@ -7,6 +7,8 @@ import shutil
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import asdict
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
@@ -33,6 +35,7 @@ from residuum.service.metrics import Metrics
 from residuum.service.security.access import ApiKeys
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.gate import Gate
+from residuum.service.security.refusals import Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage import DiskStore
@@ -51,6 +54,8 @@ log = structlog.get_logger()
 API = "/api/v1"
 _TICK = 5.0
 """Seconds between looks at shelved alarms that have run out."""
+_AUDIT_EVERY = 10.0
+"""Seconds for which equal refusals are one entry of the audit trail."""
 _RETAIN_EVERY = 60.0
 """Seconds between looks at signals that need not be kept."""
 
@@ -64,7 +69,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
     """
     keys = ApiKeys(settings.api_keys, tokens=settings.oidc_issuer is not None)
     tokens = None if settings.oidc_issuer is None else BearerTokens(settings)
-    events = Events()
+    events, refusals = Events(), Refusals()
 
     def pipeline_status() -> Mapping[str, Any]:
         return app.state.services.pipeline.status()
@@ -73,7 +78,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        async with _running(app, settings, events, metrics, keys, make_pipeline) as services:
+        async with _running(app, settings, events, metrics, keys, refusals, make_pipeline) as services:
             app.state.services = services
             yield
 
@@ -88,7 +93,7 @@ def create_app(settings: Settings, make_pipeline: MakePipeline = Pipeline) -> Fa
     )
     problems.install(app)
     app.add_middleware(KnownQueries, document=app.openapi)  # behind the gate: a stranger is told of no keys
-    app.add_middleware(Gate, settings=settings, keys=keys, tokens=tokens, measure=metrics.request)
+    app.add_middleware(Gate, settings=settings, keys=keys, tokens=tokens, measure=metrics.request, refusals=refusals)
     _add_routes(app)
     return app
 
@@ -102,7 +107,13 @@ def _add_routes(app: FastAPI) -> None:
 
 @asynccontextmanager
 async def _running(
-    app: FastAPI, settings: Settings, events: Events, metrics: Metrics, keys: ApiKeys, make_pipeline: MakePipeline
+    app: FastAPI,
+    settings: Settings,
+    events: Events,
+    metrics: Metrics,
+    keys: ApiKeys,
+    refusals: Refusals,
+    make_pipeline: MakePipeline,
 ) -> AsyncIterator[Services]:
     set_up_logs(settings)
     notifications = Notifications(settings)
@@ -133,6 +144,7 @@ async def _running(
 
         store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
         ends(store.close)
+        ends(partial(_audit_refusals, store, refusals))
         outs += await asyncio.to_thread(_finding_outs, settings)
         for out in outs:
             ends(out.stop)
@@ -154,7 +166,12 @@ async def _running(
                 "signal blocks that no row names, left by a crash; `residuum doctor --sweep` removes them", blocks=orphans
             )
         await asyncio.to_thread(shutil.rmtree, downloads(settings.data), ignore_errors=True)  # left by a crash
-        for watch in (_watch_shelved(store), _retain(store, settings), watch_loop(metrics.stall)):
+        for watch in (
+            _watch_shelved(store),
+            _retain(store, settings),
+            watch_loop(metrics.stall),
+            _watch_refusals(store, refusals),
+        ):
             started.callback(asyncio.create_task(watch).cancel)
         if (file := sqlite_file(settings.database_url)) is not None and file.stat().st_size > LOOKED_THROUGH:
             threading.Thread(target=_look_for_damage, args=(store,), name="look for damage", daemon=True).start()
@@ -205,6 +222,19 @@ async def _watch_shelved(store: DiskStore) -> None:
         await asyncio.sleep(_TICK)
         with suppress(StorageUnavailable):
             await asyncio.to_thread(store.unshelve_expired)
+
+
+async def _watch_refusals(store: DiskStore, refusals: Refusals) -> None:
+    while True:
+        await asyncio.sleep(_AUDIT_EVERY)
+        await asyncio.to_thread(_audit_refusals, store, refusals)
+
+
+def _audit_refusals(store: DiskStore, refusals: Refusals) -> None:
+    """Into the trail with what was refused; what the database cannot take now is in the log."""
+    if told := refusals.take():
+        with suppress(StorageUnavailable):
+            store.audit_refusals([(asdict(refusal), times) for refusal, times in told])
 
 
 def _look_for_damage(store: DiskStore) -> None:

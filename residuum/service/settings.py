@@ -64,6 +64,14 @@ class Settings(BaseSettings):
     oidc_site_claim: str = Field("residuum_sites", description="Claim with the sites of its caller; without it: all.")
     tls_certificate: Path | None = Field(None, description="PEM file of the certificate (chain); with `tls_key`: HTTPS.")
     tls_key: Path | None = Field(None, description="PEM file of the certificate's private key.")
+    public_url: AnyHttpUrl | None = Field(
+        None, description="Address by which people reach the service through a proxy, https://plant.example/; needs keys."
+    )
+    trusted_proxies: list[str] = Field(
+        [],
+        max_length=100,
+        description="Addresses or networks of proxies whose X-Forwarded-For and -Proto are believed.",
+    )
     webhooks: list[AnyHttpUrl] = Field([], description="Addresses to which every change of an alarm is posted as JSON.")
     mqtt: str = Field("", description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix]; empty: none.")
     opcua_server: str = Field(
@@ -111,13 +119,38 @@ class Settings(BaseSettings):
     @property
     def requests_per_second(self) -> float | None:
         """The rate limit of a client, with the default filled in; None: no limit."""
-        return _RATE_LIMIT if self.rate_limit is None and not is_loopback(self.host) else self.rate_limit
+        return _RATE_LIMIT if self.rate_limit is None and self.open_to_others else self.rate_limit
+
+    @property
+    def open_to_others(self) -> bool:
+        """Whether other machines reach the service, themselves or through a proxy."""
+        return not is_loopback(self.host) or self.public_url is not None
 
     @model_validator(mode="after")
     def _refuse_an_open_door(self) -> Settings:
         if not is_loopback(self.host) and self.api_keys is None and self.oidc_issuer is None:
             raise ValueError(f"host {self.host!r} can be reached from other machines; set api_keys first, or listen on 127.0.0.1")
         return self
+
+    @model_validator(mode="after")
+    def _refuse_a_proxy_s_open_door(self) -> Settings:
+        if self.public_url is None:
+            return self
+        if self.api_keys is None and self.oidc_issuer is None:
+            raise ValueError(f"public_url {str(self.public_url)!r}: others reach the service by it; set api_keys first")
+        if self.public_url.path not in (None, "", "/") or self.public_url.query or self.public_url.username:
+            raise ValueError(f"public_url {str(self.public_url)!r}: must be a scheme and a name, as https://plant.example/")
+        return self
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _networks(cls, value: list[str]) -> list[str]:
+        for each in value:
+            try:
+                ipaddress.ip_network(each, strict=False)
+            except ValueError:
+                raise ValueError(f"{each!r} is neither an address nor a network; write 10.0.0.7 or 10.0.0.0/24") from None
+        return value
 
     @model_validator(mode="after")
     def _issuer_by_tls(self) -> Settings:

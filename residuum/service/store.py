@@ -368,7 +368,7 @@ class Store(Protocol):
     def record_samples(self, record: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of an uploaded record."""
 
-    def remove_record(self, record: int) -> None:
+    def remove_record(self, record: int, by: str | None = None) -> None:
         """Delete an uploaded record for good; NotFound when there is none."""
 
     def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:

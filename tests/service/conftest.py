@@ -231,7 +231,9 @@ class RunningService:
 
     def start(self):
         self.app = create_app(self._settings, self._make_pipeline)
-        config = uvicorn.Config(self.app, port=self.port, log_config=None, access_log=False, timeout_graceful_shutdown=1)
+        config = uvicorn.Config(
+            self.app, port=self.port, log_config=None, access_log=False, proxy_headers=False, timeout_graceful_shutdown=1
+        )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, daemon=True)
         self._thread.start()

@@ -22,7 +22,7 @@ from residuum.service.api.signal_body import body_of
 from residuum.service.api.windows import ChannelNames, Points, signal_view
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
 from residuum.service.machines.adding.known_dbc import known_dbc
-from residuum.service.services import Running
+from residuum.service.services import Running, caller_of
 from residuum.service.settings import Settings
 from residuum.service.work.upload_reader import read_upload
 
@@ -106,9 +106,9 @@ def get_record(running: Running, record: RecordId) -> Response:
 
 
 @router.delete("/{record}", status_code=204)
-def delete_record(running: Running, record: RecordId) -> Response:
+def delete_record(request: Request, running: Running, record: RecordId) -> Response:
     """Delete a record for good. What was made of it (models, findings) stays."""
-    running.store.remove_record(record)
+    running.store.remove_record(record, caller_of(request).name)
     return Response(status_code=204)
 
 

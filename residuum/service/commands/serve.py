@@ -67,6 +67,7 @@ def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
         service,
         log_config=None,
         access_log=False,
+        proxy_headers=False,  # the gate believes those of trusted proxies alone
         lifespan="off",  # begun and ended below: what fails at the start is then told as every other failure
         http=BoundedConnection,
         timeout_graceful_shutdown=_STOP_WITHIN,

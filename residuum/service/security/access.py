@@ -5,13 +5,23 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import IntEnum
 from pathlib import Path
 
+import structlog
+
 from residuum.service.settings import BadSettings
 
+log = structlog.get_logger()
+
+LOOK_EVERY = 1.0
+"""Seconds between looks at whether the file of keys has changed."""
+_UNTIL = "until="
 LONGEST_NAME = 64
 """Characters of a caller's name that journals and the audit trail keep."""
 
@@ -54,30 +64,83 @@ def new_key() -> tuple[str, str]:
     return key, hashlib.sha256(key.encode()).hexdigest()
 
 
-class ApiKeys:
-    """The keys of a file with a line each: `name role sha256 [site,site…]`; `#` begins a comment.
+@dataclass(frozen=True)
+class _Key:
+    """Whose key it is, and when it ends (None: never)."""
 
+    caller: Caller
+    until: datetime | None
+
+
+class ApiKeys:
+    """The keys of a file with a line each: `name role sha256 [site,site…] [until=2027-01-31]`; `#` begins a comment.
+
+    The file is read again when it changes: a key that is taken out of it is nobody's a second later, and one name may have two
+    while one takes over from the other. A file that cannot be read any more leaves the keys as they were, and is told in the log.
     Without a file everybody may do everything, unless there are `tokens` to be shown instead.
 
     Raises BadSettings with the line that is malformed, or when the file cannot be read or has no key.
     """
 
     def __init__(self, path: Path | None, *, tokens: bool = False) -> None:
-        self._callers: dict[str, Caller] | None = _read(path) if path is not None else {} if tokens else None
+        self._path, self._seen, self._looked = path, None if path is None else _version(path), time.monotonic()
+        self._keys: dict[str, _Key] | None = _read(path) if path is not None else {} if tokens else None
+        self._lock = threading.Lock()
 
     @property
     def needed(self) -> bool:
         """Whether a caller has to show a key."""
-        return self._callers is not None
+        return self._keys is not None
 
     def caller(self, key: str | None) -> Caller | None:
-        """Who has this key; None when nobody does. The lookup is by hash, so its time tells nothing about keys."""
-        if self._callers is None:
+        """Who has this key; None when nobody does, or it has ended. The lookup is by hash, so its time tells nothing of keys."""
+        if self._keys is None:
             return ANYBODY
-        return None if key is None else self._callers.get(hashlib.sha256(key.encode()).hexdigest())
+        known = self._known(key)
+        return None if known is None or _ended(known) else known.caller
+
+    def ended(self, key: str | None) -> str | None:
+        """Whose key this was before it ended; None for any other."""
+        known = self._known(key)
+        return known.caller.name if known is not None and _ended(known) else None
+
+    def _known(self, key: str | None) -> _Key | None:
+        if self._keys is None or key is None:
+            return None
+        self._read_again()
+        return self._keys.get(hashlib.sha256(key.encode()).hexdigest())
+
+    def _read_again(self) -> None:
+        """Read the file when it has changed, looking at most once a second."""
+        if self._path is None or time.monotonic() - self._looked < LOOK_EVERY or not self._lock.acquire(blocking=False):
+            return
+        try:
+            self._looked = time.monotonic()
+            if (version := _version(self._path)) == self._seen:
+                return
+            self._seen = version
+            self._keys = _read(self._path)
+            log.info("the file of API keys was read again", keys=len(self._keys))
+        except BadSettings as error:
+            log.error("the file of API keys has changed and cannot be read; the keys before it count", reason=str(error))
+        finally:
+            self._lock.release()
 
 
-def _read(path: Path) -> dict[str, Caller]:
+def _ended(key: _Key) -> bool:
+    return key.until is not None and datetime.now(UTC) >= key.until
+
+
+def _version(path: Path) -> tuple[int, int, int] | None:
+    """What changes when a file is written or replaced; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+def _read(path: Path) -> dict[str, _Key]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -87,15 +150,31 @@ def _read(path: Path) -> dict[str, Caller]:
         words = line.split("#")[0].split()
         if not words:
             continue
+        words, until = _without_end(words, f"{path}, line {number}")
         if len(words) not in (3, 4) or words[1].upper() not in Role.__members__ or len(words[2]) != 64:
             rule = "must be 'name monitor|viewer|operator|engineer|admin sha256', and may name sites: 'hall-1,hall-2'"
+            rule += ", and its end: until=2027-01-31"
             raise BadSettings(f"setting api_keys: {path}, line {number}: {rule}")
         if len(words[0]) > LONGEST_NAME:
             raise BadSettings(f"setting api_keys: {path}, line {number}: a name has at most {LONGEST_NAME} characters")
-        callers[words[2].lower()] = Caller(words[0], Role[words[1].upper()], _sites(words, f"{path}, line {number}"))
+        caller = Caller(words[0], Role[words[1].upper()], _sites(words, f"{path}, line {number}"))
+        callers[words[2].lower()] = _Key(caller, until)
     if not callers:
         raise BadSettings(f"setting api_keys: {path}: holds no key")
     return callers
+
+
+def _without_end(words: list[str], where: str) -> tuple[list[str], datetime | None]:
+    """The words of a line without the one that says when its key ends, and that moment."""
+    told = [word for word in words if word.startswith(_UNTIL)]
+    if not told:
+        return words, None
+    try:
+        until = datetime.fromisoformat(told[-1].removeprefix(_UNTIL))
+    except ValueError:
+        says = f"{told[-1][:60]!r}: must be until=2027-01-31, or with a time, until=2027-01-31T18:00+01:00"
+        raise BadSettings(f"setting api_keys: {where}: {says}") from None
+    return [word for word in words if word not in told], until if until.tzinfo else until.replace(tzinfo=UTC)
 
 
 def _sites(words: list[str], where: str) -> frozenset[str] | None:

@@ -19,7 +19,9 @@ from residuum.service.problems import problem
 from residuum.service.request_ids import begin_request
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
+from residuum.service.security.forwarded import TrustedProxies, origin_of
 from residuum.service.security.rate_limit import RateLimit, retry_after
+from residuum.service.security.refusals import Refusals
 from residuum.service.settings import Settings, is_loopback
 
 log = structlog.get_logger()
@@ -32,6 +34,8 @@ _DRAINED = 4
 _PATIENCE = 5.0
 """Seconds of silence after which no more of a body that is thrown away is waited for."""
 _CLOSE = {"Connection": "close"}  # the rest of the body is not waited for
+_SLOWEST = 2.0
+"""Seconds for which a wrong key's refusal is held back at most."""
 _BURST = 2.0
 """Seconds of the allowed rate that a client may ask for at once."""
 _HEALTH = frozenset(f"{root}/health/{what}" for root in ("", "/api/v1") for what in ("live", "ready"))
@@ -72,7 +76,13 @@ class Gate:
     """
 
     def __init__(
-        self, app: ASGIApp, settings: Settings, keys: ApiKeys, measure: Measure, tokens: BearerTokens | None = None
+        self,
+        app: ASGIApp,
+        settings: Settings,
+        keys: ApiKeys,
+        measure: Measure,
+        tokens: BearerTokens | None = None,
+        refusals: Refusals | None = None,
     ) -> None:
         self.app = app
         self.settings = settings
@@ -80,7 +90,12 @@ class Gate:
         self.tokens = tokens
         self.measure = measure
         self.local = is_loopback(settings.host)
+        self.proxies = TrustedProxies(settings.trusted_proxies)
+        self.origin = None if settings.public_url is None else origin_of(str(settings.public_url))
+        self.name = None if self.origin is None else urlsplit(self.origin).hostname
+        self.refusals = refusals or Refusals()
         rate = settings.requests_per_second
+        self.wrong_keys = None if rate is None else RateLimit(rate / 200.0, max(1.0, rate / 10.0), time.monotonic)
         self.rate_limit = None if rate is None else RateLimit(rate, max(1.0, _BURST * rate), time.monotonic)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -91,6 +106,7 @@ class Gate:
         begun = time.perf_counter()
         status = 500
         headers = dict(scope["headers"])
+        self._look_behind_the_proxy(scope, headers)
         more = [begin_request(headers), *(_DATA if scope["path"].startswith("/api/") else _PAGES)]
         more += _BY_TLS if scope["scheme"] == "https" else []
 
@@ -102,13 +118,18 @@ class Gate:
                 message["headers"] = [*message["headers"], *(header for header in more if header[0] not in own)]
             await send(message)
 
-        refusal = self._refusal(scope, headers)
+        refusal, by = self._refusal(scope, headers), None
         if refusal is None:
             key = headers.get(b"x-api-key", b"").decode("latin-1") or _bearer(headers)
             caller = self.keys.caller(key)
             if caller is None and self.tokens is not None:
                 caller = await self._owner_of_token(self.tokens, key)
+            by = self.keys.ended(key) if caller is None else caller.name
             refusal = self._refusal_of_caller(scope, key, caller)
+            if key and caller is None and refusal is not None:
+                refusal = await self._slowed_down(scope, refusal)
+        if refusal is not None and (told := getattr(refusal, "status_code", 0)) in (401, 403):
+            self.refusals.note(_address(scope), by, scope["method"], scope["path"], told, "key" if told == 401 else "not allowed")
         try:
             if refusal is not None:
                 await refusal(scope, receive, send_with_headers)
@@ -137,18 +158,43 @@ class Gate:
         if (wrapped := _wrapped(headers)) is not None:
             return problem(415, wrapped, "unsupported-body", {"Accept-Encoding": "identity"})
         host = headers.get(b"host", b"").decode("latin-1")
-        if self.local and not is_loopback(_host_name(host)):
-            return problem(421, f"Host {host[:100]!r}: this service answers to its own machine's names only", "wrong-host")
+        if self.local and not is_loopback(name := _host_name(host)) and name.lower() != self.name:
+            says = f"Host {host[:100]!r}: this service answers to its own machine's names only; a proxy's is set by public_url"
+            return problem(421, says, "wrong-host")
         origin = headers.get(b"origin", b"").decode("latin-1")
-        if origin and scope["method"] not in _SAFE and urlsplit(origin).netloc != host:
+        if origin and scope["method"] not in _SAFE and not self._is_own(origin, scope["scheme"], host):
             return problem(403, f"Origin {origin[:100]!r}: another site's page may not write here", "wrong-origin")
         return None
+
+    def _is_own(self, origin: str, scheme: str, host: str) -> bool:
+        """Whether a page of this origin is ours; without a public name the scheme is a proxy's matter, and not compared."""
+        if self.origin is None:
+            return urlsplit(origin).netloc == host
+        return origin.lower() in (self.origin, f"{scheme}://{host}".lower())
+
+    def _look_behind_the_proxy(self, scope: Scope, headers: dict[bytes, bytes]) -> None:
+        """Let the rest of the service see the client of a trusted proxy, and the scheme by which it came."""
+        peer, port = scope.get("client") or ("unknown", 0)
+        seen = self.proxies.seen(
+            peer, scope["scheme"], headers.get(b"x-forwarded-for", b""), headers.get(b"x-forwarded-proto", b"")
+        )
+        scope["client"], scope["scheme"] = (seen.address, port if seen.address == peer else 0), seen.scheme
 
     async def _owner_of_token(self, tokens: BearerTokens, token: str | None) -> Caller | None:
         """Who has this token of the issuer."""
         if token is None or not tokens.looks_like_one(token):
             return None
         return tokens.known(token) or await asyncio.to_thread(tokens.caller, token)
+
+    async def _slowed_down(self, scope: Scope, refusal: Any) -> Any:
+        """The refusal of a key that nobody has; who has shown many such keys of late waits for it, and is refused as too many."""
+        wait = 0.0 if self.wrong_keys is None else self.wrong_keys.wait(_address(scope))
+        if not wait:
+            return refusal
+        await asyncio.sleep(min(wait, _SLOWEST))
+        self.refusals.note(_address(scope), None, scope["method"], scope["path"], 429, "wrong keys again and again")
+        says = f"API key: too many wrong ones from {_address(scope)}; show the right one, or ask for a new one"
+        return problem(429, says, "too-many-wrong-keys", retry_after(wait) | _CLOSE)
 
     def _refusal_of_caller(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
         guarded = scope["path"].startswith("/api/") or scope["path"] in _METRICS
@@ -158,8 +204,7 @@ class Gate:
         """A client is the key it shows, or without a known one its address. Health is always told."""
         if self.rate_limit is None or scope["path"] in _HEALTH:
             return None
-        address = (scope.get("client") or ("unknown", 0))[0]
-        client = address if caller is None or caller is ANYBODY else f"key {caller.name}"
+        client = _address(scope) if caller is None or caller is ANYBODY else f"key {caller.name}"
         wait = self.rate_limit.wait(client)
         if not wait:
             return None
@@ -170,7 +215,14 @@ class Gate:
 
     def _without_role(self, scope: Scope, key: str | None, caller: Caller | None) -> Any:
         if caller is None:
-            reason = "is not known" if key else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+            ended = self.keys.ended(key)
+            reason = (
+                f"of {ended!r} has ended"
+                if ended
+                else "is not known"
+                if key
+                else "is needed: send it as 'Authorization: Bearer …' or 'X-API-Key: …'"
+            )
             return problem(401, f"API key: {reason}", "no-key", {"WWW-Authenticate": "Bearer"})
         needed = _role_for(scope["method"], scope["path"])
         if caller.role < needed:
@@ -235,6 +287,11 @@ def _wrapped(headers: dict[bytes, bytes]) -> str | None:
         shown = kind.split(";")[0][:60]
         return f"Content-Type {shown!r}: send the file's bytes themselves as the body (curl --data-binary @FILE), not as a form"
     return None
+
+
+def _address(scope: Scope) -> str:
+    """The client's address, behind trusted proxies too."""
+    return str((scope.get("client") or ("unknown", 0))[0])
 
 
 def _host_name(host: str) -> str:

@@ -417,10 +417,22 @@ class DiskStore:
             row = records.row_of(connection, record)
         return self._blocks.read(row.block_path, channels, row.block_checksum)
 
-    def remove_record(self, record: int) -> None:
+    def audit_refusals(self, refusals: Sequence[tuple[Mapping[str, Any], int]]) -> None:
+        """Note in the trail what was refused: address, name of the key, method, path and status of each, and how often."""
+        now = _now()
+        with self._database.write() as connection:
+            for told, times in refusals:
+                subject = f"{told['method']} {told['path']}"
+                detail = {"address": told["address"], "status": told["status"], "times": times}
+                audit.append(connection, "refused", subject, by=told["by"], now=now, detail=detail)
+
+    def remove_record(self, record: int, by: str | None = None) -> None:
         """Delete an uploaded record for good: its row first, so that a crash leaves at most an orphan for `sweep`."""
         with self._database.write() as connection:
+            row = records.row_of(connection, record)
             path = records.remove(connection, record)
+            told = {"name": row.name, "checksum": row.block_checksum}
+            audit.append(connection, "record removed", f"record {record}", by=by, now=_now(), detail=told)
         self._blocks.remove(path)
 
     def add_model_version(self, model: str, kind: str, content: bytes, note: str = "", by: str | None = None) -> ModelVersion:
@@ -493,6 +505,10 @@ class DiskStore:
         orphans = self.orphans(settled)
         for path in orphans:
             self._blocks.remove(path)
+        if orphans:
+            with self._database.write() as connection:
+                told = {"blocks": len(orphans)}
+                audit.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=told)
         return len(orphans)
 
 
