@@ -4,6 +4,7 @@ import fcntl
 import hashlib
 import os
 import shutil
+import sys
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -57,6 +58,16 @@ def made_once(request, tmp_path_factory):
         return file
 
     return once
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_effects():
+    """Effects that the model files of a module define are in the catalogue as long as its tests run."""
+    effects = sys.modules.get("residuum.identification.physics.effects")
+    before = effects.EFFECTS._here.get() if effects else {}
+    yield
+    if effects := sys.modules.get("residuum.identification.physics.effects"):
+        effects.EFFECTS._here.set(before)
 
 
 def _kept_folder(config, tmp_path_factory):

@@ -31,7 +31,7 @@ from residuum.identification.physics.effects import EFFECTS
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^(?:<!-- (?P<note>[^>]*?) -->\n)?```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 TYPED = ("sh", "console", "pycon", "python")
-SHOWN = ("yaml", "json", "toml", "text")
+SHOWN = ("yaml", "json", "toml", "text", "nginx", "caddy")
 INDENTED = re.compile(r"\n\n    \S[^\n]*")
 SERVES = re.compile(r"(\w+=\S+ )*residuum (serve|machine) ")
 EXTRAS = {"notebook": ("pandas", "xarray", "control"), "fmi": ("fmpy",), "opcua": ("asyncua",), "formats": ("asammdf", "h5py")}
