@@ -103,7 +103,7 @@ def test_the_page_writes_and_the_client_is_known_behind_a_proxy(proxy, certifica
                     running.services.events.publish("job", {"id": "j"})
                     assert next(line for line in events.iter_lines() if '"id":"j"' in line)  # as it comes
         finally:
-            process.terminate()
+            process.kill()  # its way of ending waits for open streams
 
 
 def test_only_a_trusted_proxy_is_believed():
