@@ -93,8 +93,17 @@ class _AdvisoryLock:
         self._session: int | None = None
 
     def take(self) -> bool:
-        """Whether it is held now, over a new connection; a session of ours that the server still believes in is ended first."""
+        """Whether it is held now, over a new connection; a session of ours that the server still believes in is ended first.
+
+        StorageUnavailable where the connection is lost meanwhile.
+        """
         connection = self._held.enter_context(self._database.held_open())
+        try:
+            return self._taken(connection)
+        except DBAPIError as error:
+            raise StorageUnavailable(f"database: {str(error.orig).splitlines()[0]}") from error
+
+    def _taken(self, connection: Connection) -> bool:
         if self._session is not None:
             connection.execute(_END_OURS, {"session": self._session, "number": self._number})
         taken = bool(connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}))

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from sqlalchemy import text
 from sqlalchemy.engine import make_url
+from sqlalchemy.exc import OperationalError
 
 from benchmarks.partition import Source, from_the_bus, silence, stored
 from benchmarks.silent_proxy import SilentProxy
@@ -95,6 +96,31 @@ def test_the_lock_of_the_folder_is_taken_again_after_a_silence(proxy, monkeypatc
         proxy.speak()
         wait_for(lambda: sessions() == 1 and held_by_another(), "the lock was not taken again")
     wait_for(lambda: not held_by_another(), "the lock was not let go")
+    ours.close()
+    theirs.close()
+
+
+def test_a_connection_that_is_lost_while_the_lock_is_taken_again_is_not_the_last(new_postgresql_database, monkeypatch):
+    monkeypatch.setattr(service_lock, "LOOK_EVERY", 0.1)
+    url, lost = new_postgresql_database(), []
+    ours, theirs = Database(url), Database(url)
+    taken = service_lock._AdvisoryLock._taken
+
+    def lost_once(lock, connection):
+        if not lost:
+            lost.append(lock)
+            raise OperationalError("SELECT", {}, Exception("the connection is lost"))
+        return taken(lock, connection)
+
+    def held_by_another():
+        with theirs.read() as connection:
+            return connection.scalar(text("SELECT count(*) FROM pg_locks WHERE locktype = 'advisory'")) > 0
+
+    with database_lock(ours, "folder"):
+        monkeypatch.setattr(service_lock._AdvisoryLock, "_taken", lost_once)
+        with theirs.read() as connection:
+            connection.execute(text("SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory'"))
+        wait_for(lambda: lost and held_by_another(), "the lock was not taken again")
     ours.close()
     theirs.close()
 
