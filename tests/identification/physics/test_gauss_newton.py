@@ -87,7 +87,8 @@ def test_huber_s_weights_make_an_event_count_no_more_than_its_size():
 
 
 def test_a_descent_ends_at_the_least_error_and_keeps_bounds():
-    model = read_model(DRIVE.replace("lower: 0.1, upper: 2", "lower: 0.1, upper: 0.5"))
+    bounded = DRIVE.replace("value: 0.6, unit: N*m/V, lower: 0.1, upper: 2", "value: 0.4, unit: N*m/V, lower: 0.1, upper: 0.5")
+    model = read_model(bounded)
     e, weights = drive(noise=0.02), np.array([3.0, 0.7])
     found = problem(model, [e], Scale(weights, np.full(2, np.inf))).begin(np.array([[0.0, 0.0]])).descended(40, 1e-9)
     known = estimate(model, [e], settings=Settings(weights=weights), substeps=[1])
