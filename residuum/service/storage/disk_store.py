@@ -159,7 +159,25 @@ class DiskStore:
                 return known
             self._place.check()
             block = self._blocks.write(record, _day(now))
-            return self._add_with_block(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
+            try:
+                with self._discarded_on_failure(block):
+                    return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
+            except IntegrityError:  # another request with the same key was faster
+                known = None if idempotency_key is None else self.window_with_key(asset, idempotency_key, digest)
+                if known is None:
+                    raise
+                return known
+
+    @contextmanager
+    def _discarded_on_failure(self, block: BlockReference) -> Iterator[None]:
+        """Discard a block whose row could not be written; one whose row may be there stays, and who asks again finds out."""
+        try:
+            yield
+        except OutcomeUnknown:
+            raise
+        except BaseException:
+            self._blocks.discard(block.path)
+            raise
 
     @contextmanager
     def _noted(self) -> Iterator[None]:
@@ -179,31 +197,6 @@ class DiskStore:
             self._place.check()
         except StorageUnavailable as error:
             raise OutcomeUnknown(str(error)) from None
-
-    def _add_with_block(
-        self,
-        asset: str,
-        record: Record,
-        finding: Finding,
-        block: BlockReference,
-        *,
-        now: datetime,
-        idempotency_key: str | None,
-        digest: str | None,
-    ) -> int:
-        try:
-            return self._add_rows(asset, record, finding, block, now=now, idempotency_key=idempotency_key, digest=digest)
-        except IntegrityError:  # another request with the same key was faster
-            self._blocks.discard(block.path)
-            known = None if idempotency_key is None else self.window_with_key(asset, idempotency_key, digest)
-            if known is None:
-                raise
-            return known
-        except OutcomeUnknown:  # the row may be there: its block stays, and a second call with the key finds out
-            raise
-        except BaseException:
-            self._blocks.discard(block.path)
-            raise
 
     def _add_rows(
         self,
@@ -390,16 +383,11 @@ class DiskStore:
         now = _now()
         self._place.check()
         block = self._blocks.write(record, _day(now))
-        try:
+        with self._discarded_on_failure(block):
             with self._database.write() as connection:
                 number = records.add(connection, name, record, block, now)
             self._refuse_moved()
             return number
-        except OutcomeUnknown:
-            raise
-        except BaseException:
-            self._blocks.discard(block.path)
-            raise
 
     def records(self, cursor: str | None = None, limit: int = 50) -> Page[StoredRecord]:
         """Uploaded records, newest first."""
