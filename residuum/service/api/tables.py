@@ -11,11 +11,11 @@ from fastapi import APIRouter, Query, Response
 from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.record import Record
 from residuum.library.picture import Curve
-from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute, in_pieces
 from residuum.service.api.parameters import AssetName
 from residuum.service.api.results import Begin, End
+from residuum.service.api.windows import known_channels
 from residuum.service.results.month_report import Followed
 from residuum.service.results.time_span import findings_in, span_of
 from residuum.service.services import Running, Services
@@ -89,8 +89,7 @@ def _channel(running: Services, asset: str, window: int | None, channel: str | N
         window = newest[0].id
     units = running.store.window(asset, window).units
     name = channel or next(iter(units))
-    if name not in units:
-        raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
+    known_channels([name], units)
     return name, running.store.window_record(asset, window, [name])
 
 

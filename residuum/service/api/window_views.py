@@ -16,10 +16,10 @@ from residuum.diagnosis.vibration.spectra.envelope import band_envelope
 from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
-from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName, WindowId
+from residuum.service.api.windows import known_channels
 from residuum.service.services import Running, Services
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.signal_view import extremes
@@ -178,8 +178,7 @@ def _trained_judge(running: Services, asset: str, kind: type[Judge], what: str) 
 def _channel(running: Services, asset: str, window: int, channel: str | None) -> tuple[str, Record]:
     units = running.store.window(asset, window).units
     name = channel if channel is not None else next(iter(units))
-    if name not in units:
-        raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
+    known_channels([name], units)
     record = running.store.window_record(asset, window, [name])
     if np.isnan(record[name]).any():
         raise BadRecord(f"window {window}, channel {name!r}: has missing samples; this view needs all of them")

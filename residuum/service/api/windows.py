@@ -100,7 +100,7 @@ async def get_signal(
 ) -> Response:
     """A stretch of the signals: all samples when there are few, else minimum and maximum of every interval."""
     known = await run_in_threadpool(running.store.window, asset, window)
-    wanted = _known(channels, known.units)
+    wanted = known_channels(channels, known.units)
 
     def view() -> Response:
         return Json({"window": window, **signal_view(running.store.window_record(asset, window, wanted), points, begin, end)})
@@ -120,7 +120,7 @@ async def get_spectrum(
     """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval kept."""
     known = await run_in_threadpool(running.store.window, asset, window)
     name = channel if channel is not None else next(iter(known.units))
-    wanted = _known([name], known.units)
+    wanted = known_channels([name], known.units)
     return await running.sampling(_bytes(known, wanted), lambda: _spectrum(running, known, name, points, highest))
 
 
@@ -179,7 +179,8 @@ def _values(signal: Any, points: int, reduced: bool) -> dict[str, Any]:
     return {"minimum": kept.minimum, "maximum": kept.maximum}
 
 
-def _known(channels: list[str] | None, units: Any) -> list[str] | None:
+def known_channels(channels: list[str] | None, units: Any) -> list[str] | None:
+    """The channels (None: all) of a window with these units; NotFound for one that it has not."""
     for name in channels or ():
         if name not in units:
             raise NotFound(f"channel {name[:60]!r}: the window has none of this name; {known_names(name, units, 'there are')}")
