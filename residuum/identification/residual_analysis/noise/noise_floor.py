@@ -56,9 +56,7 @@ def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: S
     ----------
     P. Whittle, *Estimation and information in stationary time series*, Ark. Mat. 2 (1953).
     """
-    parts = [part for residual in residuals for part in _whole_parts(residual)]
-    every = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
-    rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
+    parts, rms = _parts_and_rms(residuals)
     if not parts:
         return rms
     length = min(SPECTRUM_SAMPLES, *(len(part) for part in parts))
@@ -100,9 +98,7 @@ def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
     ----------
     P. Whittle, *Estimation and information in stationary time series*, Ark. Mat. 2 (1953).
     """
-    parts = [part for residual in residuals for part in _whole_parts(residual)]
-    every = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
-    rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
+    parts, rms = _parts_and_rms(residuals)
     if not parts:
         return Floor(rms, at_most=True)
     length = min(SPECTRUM_SAMPLES // 2, *(len(part) for part in parts))
@@ -116,6 +112,13 @@ def floor_under_drift(residuals: Sequence[FloatArray]) -> Floor:
     believed = np.minimum(sizes[2.0 * independent * (cost - cost.min()) < STILL_LIKELY], rms)
     least, largest = float(believed.min()), float(believed.max())
     return Floor(largest, at_most=True) if largest > AGREED * least else Floor(float(np.sqrt(least * largest)), at_most=False)
+
+
+def _parts_and_rms(residuals: Sequence[FloatArray]) -> tuple[list[FloatArray], float]:
+    """The stretches without a missing sample that are long enough, and the RMS of all samples."""
+    every = np.concatenate([residual[np.isfinite(residual)] for residual in residuals])
+    rms = float(np.sqrt(np.mean(every**2))) if every.size else 0.0
+    return [part for residual in residuals for part in _whole_parts(residual)], rms
 
 
 def _whittle_sizes(frequency: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
