@@ -90,29 +90,33 @@ class _AdvisoryLock:
         self._number = int.from_bytes(hashlib.sha256(identity.encode()).digest()[:8], "big", signed=True)
         self._held = ExitStack()
         self._connection: Connection | None = None
-        self._session: int | None = None
+        self._sessions: set[int] = set()
+        """Sessions of the server that hold it for us, or may: of one whose answer was lost, it is not known."""
 
     def take(self) -> bool:
         """Whether it is held now, over a new connection; a session of ours that the server still believes in is ended first.
 
-        StorageUnavailable where the connection is lost meanwhile.
+        StorageUnavailable where the connection is lost meanwhile, or a session of ours has not ended yet.
         """
         connection = self._held.enter_context(self._database.held_open())
         try:
-            return self._taken(connection)
+            self._sessions.add(connection.scalar(text("SELECT pg_backend_pid()")))
+            if self._free(connection):
+                self._connection = connection
+                return True
+            holders = set(connection.scalars(_HOLDERS, {"number": self._number}))
+            for ours in holders & self._sessions:
+                connection.execute(text("SELECT pg_terminate_backend(:session)"), {"session": ours})
         except DBAPIError as error:
             raise StorageUnavailable(f"database: {str(error.orig).splitlines()[0]}") from error
+        self.let_go()
+        if holders <= self._sessions:
+            raise StorageUnavailable("database: a session of this service that held the lock of the data folder ends")
+        return False
 
-    def _taken(self, connection: Connection) -> bool:
-        if self._session is not None:
-            connection.execute(_END_OURS, {"session": self._session, "number": self._number})
-        taken = bool(connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}))
-        if taken:
-            self._connection = connection
-            self._session = connection.scalar(text("SELECT pg_backend_pid()"))
-        else:
-            self.let_go()
-        return taken
+    def _free(self, connection: Connection) -> bool:
+        """Whether nobody held it; then this session does."""
+        return bool(connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": self._number}))
 
     def let_go(self) -> None:
         """Close the connection, and with it the lock."""
@@ -146,8 +150,6 @@ class _AdvisoryLock:
         return True
 
 
-_END_OURS = text(
-    "SELECT pg_terminate_backend(pid) FROM pg_locks WHERE locktype = 'advisory' AND pid = :session AND pid <> pg_backend_pid() "
-    "AND ((classid::bigint << 32) | objid::bigint) = :number"
+_HOLDERS = text(
+    "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND granted AND ((classid::bigint << 32) | objid::bigint) = :number"
 )
-"""Nobody but a service of ours holds this lock, so a session of our number that has it is ours."""
