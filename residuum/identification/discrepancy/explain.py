@@ -101,13 +101,16 @@ def explained(
     seconds: float | None,
     tell: Tell,
 ) -> Explanation:
-    """The answer; an exact structure is sought on `records`, and what takes away most on unseen blocks of those `judging`."""
+    """The answer; an exact structure is sought on `records`, and what takes away most on unseen blocks of those `judging`, which
+    also say whether one may be exact: a part of them asked alone could say otherwise, and `improve` add what `explain` denies.
+    """
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         first = experiments_and_base(model, records, mapping)
+        whole = first if judging is records else experiments_and_base(model, judging, mapping)
         exact = None
-        if worth := may_be_exact(first, records):
+        if worth := may_be_exact(whole, judging):
             exact = exact_in_bounds(first, model, records, mapping, wanted.effects, seconds, tell)
         structured = exact is not None and is_structured(exact.found, records, mapping)
         if exact is None or structured or leaves_more_than_noise(exact.found):
