@@ -69,6 +69,9 @@ WHITENING = 12
 """[coefficients] Of the whitening autoregression at most. Chosen."""
 TIE = 3.0
 """[nat] That cannot tell two structures apart: odds of twenty. Chosen."""
+ONE_PHYSICS = 0.9
+"""[of what the general effect takes away] From which on its special case is told beside it: a loss with and without a bend is one
+loss. Chosen."""
 EVERYWHERE = 2.0
 """[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
 

@@ -18,14 +18,22 @@ from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
-from residuum.identification.unseen_blocks.data import Data
+from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.policy import (
+    BEAM,
+    DEEPEST,
+    FOLLOWED,
+    FULLY_FITTED,
+    KEPT,
+    ONE_PHYSICS,
+    RUNG_ERROR,
+)
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
-from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
+from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
@@ -79,8 +87,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
                 beam = _settled(found, ranked)
-            elif found.best.keys and _lengthened(found):
-                beam = [found.best]
+            elif found.best.keys and (longer := _lengthened(found)):
+                beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
                 beam = going_on(ranked, found.court.scale)
             else:
@@ -240,32 +248,47 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     return [chosen, *found.group][:BEAM]
 
 
-def _lengthened(found: Search) -> bool:
-    """Whether the best one follows the next longer windows now; it and the base are judged there from now on."""
+def _lengthened(found: Search) -> list[Judged]:
+    """The beam on the next longer windows, where the best one follows them now; base and beam are judged there from now on. Empty
+    where it does not.
+
+    What looked best on short windows goes with those that stood beside it: a second store of heat is a loss until it is full.
+    """
     data, court = found.court.data, found.court
-    if court.scale.nats:
-        return False
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
-    if not longer:
-        return False
+    if court.scale.nats or not longer:
+        return []
     rung, flat = longer[0], plain(data)
-    best = fitted(found.best.model, rung, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or best.mean > RUNG_ERROR:
-        return False
+    if base is None:
+        return []
     scale = clipped(flat, base.residuals, rung)
-    best, base = (one.in_unit(scale).descended(6, 1e-4) for one in (best, base))
-    first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
+    first = judged(found.base.structure.at(rung, base), base.in_unit(scale).descended(6, 1e-4), rung, data, scale)
     if first is None:
-        return False
+        return []
     scale = of_power(scale, data, first.power)
-    now = judged(found.best.structure.at(rung, best), best, rung, data, scale)
-    if now is None:
-        return False
+    like = [one for one in found.every.values() if len(one.keys) == len(found.best.keys) and one is not found.best]
+    tasks = [found.best, *sorted(like, key=lambda one: one.cost)[: 2 * BEAM]]
+    there = each_beside(lambda one: _on_longer_windows(one, rung, flat, scale, found), tasks)
+    ranked = sorted((one for one in there if one is not None), key=lambda one: one.cost)
+    if not ranked:
+        return []
     first = replace(first, cost=scale.cost(first.power, first.parameters))
-    found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, now
-    found.every, found.group = {(): first, now.keys: now}, []
-    return True
+    found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, simplest(ranked, scale)
+    found.every = {(): first} | {one.keys: one for one in ranked}
+    found.group = [one for one in ranked if one is not found.best and is_alike(one, found.best, None, scale)]
+    return [found.best, *(one for one in going_on(ranked, scale) if one is not found.best)][:BEAM]
+
+
+def _on_longer_windows(one: Judged, rung: Rung, flat: Scale, scale: Scale, found: Search) -> Judged | None:
+    """A structure fitted and judged on longer windows; None where it does not follow them, or shows less than an unknown load."""
+    fit = fitted(one.model, rung, None, flat, steps=15, tolerance=1e-4)
+    if fit is None or fit.mean > RUNG_ERROR:
+        return None
+    fit = fit.in_unit(scale).descended(6, 1e-4)
+    if found.along is not None and not shows(fit.model, found.along, rung):
+        return None
+    return judged(one.structure.at(rung, fit), fit, rung, found.court.data, scale)
 
 
 def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
@@ -283,18 +306,35 @@ def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]
     return order
 
 
-def _with(found: Search, keys: Iterable[Key]) -> Judged | None:
-    """The best structure with these of its effects alone."""
-    names = tuple(sorted(keys))
+def _with(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
+    """A structure, by default the best one, with these of its effects alone."""
+    names, whole = tuple(sorted(keys)), whole or found.best
     if names not in found.every:
-        model = found.best.model
-        for use in found.best.model.effects:
-            if use.key in found.best.keys and use.key not in names:
+        model = whole.model
+        for use in whole.model.effects:
+            if use.key in whole.keys and use.key not in names:
                 model = model.without_effect(use.label)
-        one = found.court.judge(
-            Structure(names, model, found.best.structure.states, found.best.structure.steps), steps=15, tolerance=1e-5
-        )
+        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
         if one is None:
             return None
         found.every[names] = one
     return found.every[names]
+
+
+def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
+    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
+    best, kept = found.best, set(found.best.keys) - {key}
+    without = found.every.get(tuple(sorted(kept)))
+    there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
+    same = []
+    for one in there:
+        other = next(iter(set(one.keys) - kept))
+        if is_alike(one, best, without, found.court.scale) or _are_one_physics(one, best, without, (other, key)):
+            same.append(_with(found, (*rest, other), one))
+    return [one for one in same if one is not None]
+
+
+def _are_one_physics(one: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
+    """Whether of two effects one generalises the other, and the one in the other's place takes away nearly as much."""
+    related = special_of(keys[0]) == keys[1] or special_of(keys[1]) == keys[0]
+    return related and without is not None and without.cost - one.cost > ONE_PHYSICS * (without.cost - best.cost)

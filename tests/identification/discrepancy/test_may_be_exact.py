@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from residuum.identification.discrepancy.exact_structure import may_be_exact
-from residuum.identification.discrepancy.explain import explain, explained
+from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.fitting.structures import times_its_innovations
 from residuum.identification.discrepancy.policy.acceptance import FAR_FROM_NOISE
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.search import Wanted
-from residuum.identification.work import untold
 
 CART = """name: cart
 inputs: {}
@@ -47,10 +45,3 @@ def test_only_near_noise_or_where_nothing_else_can_judge(noise, samples, sought)
 def test_blocks_answer_where_none_is_sought():
     found = explain(read_model(CART), [let_go(1e-7)], effects=("coulomb-friction",))
     assert found.by_share and found.candidates[0].effect == "coulomb-friction"
-
-
-def test_all_records_say_whether_one_is_sought_in_a_part_of_them():
-    """Noise on the part that an improvement is estimated from would have it seek what the whole of the records rules out."""
-    wanted = Wanted(("coulomb-friction",))
-    part, whole = [let_go(0.01)], [let_go(1e-7)]
-    assert explained(read_model(CART), part, whole, None, wanted, None, untold).by_share
