@@ -97,6 +97,12 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
     return gain > WORTH * (1.0 + rarer) * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
 
 
+def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:
+    """Those that are real, without rare ones that do no better than one that is less rare."""
+    real = [one for one in ranked if is_real(one, old, base, scale, tried)]
+    return [one for one in real if not any(other.rarity < one.rarity and other.cost <= one.cost for other in ranked)]
+
+
 def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
     """Whether what is left is so small a part of the first error that nothing is sought in it."""
     return not scale.nats and left.cost - scale.floor < SMALL * (base.cost - scale.floor)

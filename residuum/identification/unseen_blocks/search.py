@@ -17,7 +17,7 @@ import numpy as np
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
+from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, real_ones, simplest
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
@@ -29,7 +29,6 @@ from residuum.identification.unseen_blocks.policy import (
     FOLLOWED,
     FULLY_FITTED,
     KEPT,
-    ONE_PHYSICS,
     RUNG_ERROR,
 )
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
@@ -221,12 +220,12 @@ def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
 
 
 def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
-    """Whether the simplest of the best is real; it is the best from now on."""
+    """Whether any is real; the simplest of the best that are is the best from now on."""
     scale, before = found.court.scale, found.best
-    chosen = simplest(ranked, scale)
-    if not is_real(chosen, before, found.base, scale, found.tried):
+    real = real_ones(ranked, before, found.base, scale, found.tried)
+    if not real:
         return False
-    found.best = chosen
+    found.best = chosen = simplest(real, scale)
     found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
     return True
 
@@ -289,52 +288,3 @@ def _on_longer_windows(one: Judged, rung: Rung, flat: Scale, scale: Scale, found
     if found.along is not None and not shows(fit.model, found.along, rung):
         return None
     return judged(one.structure.at(rung, fit), fit, rung, found.court.data, scale)
-
-
-def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
-    """The effects of the best structure in the order in which each takes away most, with what was before and after it."""
-    rest, before, order = list(keys), found.base, []
-    while rest:
-        each = [(key, _with(found, (*before.keys, key))) for key in rest]
-        known = [(key, one) for key, one in each if one is not None]
-        if not known:
-            break
-        key, after = min(known, key=lambda one: one[1].cost)
-        order.append((key, before, after))
-        rest.remove(key)
-        before = after
-    return order
-
-
-def _with(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
-    """A structure, by default the best one, with these of its effects alone."""
-    names, whole = tuple(sorted(keys)), whole or found.best
-    if names not in found.every:
-        model = whole.model
-        for use in whole.model.effects:
-            if use.key in whole.keys and use.key not in names:
-                model = model.without_effect(use.label)
-        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
-        if one is None:
-            return None
-        found.every[names] = one
-    return found.every[names]
-
-
-def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
-    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
-    best, kept = found.best, set(found.best.keys) - {key}
-    without = found.every.get(tuple(sorted(kept)))
-    there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
-    same = []
-    for one in there:
-        other = next(iter(set(one.keys) - kept))
-        if is_alike(one, best, without, found.court.scale) or _are_one_physics(one, best, without, (other, key)):
-            same.append(_with(found, (*rest, other), one))
-    return [one for one in same if one is not None]
-
-
-def _are_one_physics(one: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
-    """Whether of two effects one generalises the other, and the one in the other's place takes away nearly as much."""
-    related = special_of(keys[0]) == keys[1] or special_of(keys[1]) == keys[0]
-    return related and without is not None and without.cost - one.cost > ONE_PHYSICS * (without.cost - best.cost)
