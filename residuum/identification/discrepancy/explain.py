@@ -107,7 +107,7 @@ def explained(
         if worth := may_be_exact(first, records):
             exact = exact_in_bounds(first, model, records, mapping, wanted.effects, seconds, tell)
         structured = exact is not None and is_structured(exact.found, records, mapping)
-        if exact is None or structured or leaves_more_than_noise(exact.found):
+        if exact is None or structured or leaves_more_than_noise(exact):
             tell(0.5, "what takes away most on blocks kept aside")
             left = None if seconds is None else seconds - (time.perf_counter() - began)
             found = search_on_blocks(model, records, mapping, wanted, left, tell)
