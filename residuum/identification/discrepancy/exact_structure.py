@@ -5,15 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
 from residuum.identification.discrepancy.fitting.structures import Structure, times_its_innovations
 from residuum.identification.discrepancy.judging.completeness import at_the_noise
 from residuum.identification.discrepancy.judging.experiments_to_blame import searched
-from residuum.identification.discrepancy.policy.acceptance import EXACT_TIME, EXACT_WORK, FAR_FROM_NOISE, MOST_HELD
+from residuum.identification.discrepancy.policy.acceptance import (
+    EXACT_TIME,
+    EXACT_WORK,
+    FAR_ABOVE_SENSORS,
+    FAR_FROM_NOISE,
+    MOST_HELD,
+)
 from residuum.identification.discrepancy.searching.held_values import wrongly_held
 from residuum.identification.discrepancy.searching.last_look import keep_what_shows
 from residuum.identification.discrepancy.searching.search_state import Search
-from residuum.identification.physics import Experiment, PhysicalModel, candidates
+from residuum.identification.physics import Experiment, PhysicalModel, candidates, noise_floor
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.data import long_enough
@@ -74,12 +82,16 @@ def is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str
     return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
 
 
-def leaves_more_than_noise(found: Search) -> bool:
-    """Whether a search for an exact structure ended without one.
+def leaves_more_than_noise(exact: Exact) -> bool:
+    """Whether a search for an exact structure ended without one: what is left stands above the noise of its own fast part, or far
+    above that of the sensors.
 
     What drifts has a mean in every neighbouring block, and an effect would stand for it: then nothing is named.
     """
-    return not found.drifting and not at_the_noise(found.best)
+    best = exact.found.best
+    floor = noise_floor(np.concatenate([e.Y for e in exact.experiments]))
+    far = np.any(best.rmse[floor > 0.0] > FAR_ABOVE_SENSORS * floor[floor > 0.0])
+    return not exact.found.drifting and (bool(far) or not at_the_noise(best))
 
 
 def _exact(

@@ -76,9 +76,7 @@ def explain(
     then named as a group).
     """
     check_length(records)
-    return explained(
-        model, records, records, mapping, Wanted(None if effects is None else tuple(effects), learned), seconds, tell
-    )
+    return explained(model, records, mapping, Wanted(None if effects is None else tuple(effects), learned), seconds, tell)
 
 
 def check_length(records: Sequence[Record]) -> None:
@@ -95,13 +93,12 @@ def check_length(records: Sequence[Record]) -> None:
 def explained(
     model: PhysicalModel,
     records: Sequence[Record],
-    judging: Sequence[Record],
     mapping: Mapping[str, str] | None,
     wanted: Wanted,
     seconds: float | None,
     tell: Tell,
 ) -> Explanation:
-    """The answer; an exact structure is sought on `records`, and what takes away most on unseen blocks of those `judging`."""
+    """The answer: by an exact structure, else by what takes away most on unseen blocks of the records."""
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
@@ -110,12 +107,12 @@ def explained(
         if worth := may_be_exact(first, records):
             exact = exact_in_bounds(first, model, records, mapping, wanted.effects, seconds, tell)
         structured = exact is not None and is_structured(exact.found, records, mapping)
-        if exact is None or structured or leaves_more_than_noise(exact.found):
+        if exact is None or structured or leaves_more_than_noise(exact):
             tell(0.5, "what takes away most on blocks kept aside")
             left = None if seconds is None else seconds - (time.perf_counter() - began)
-            found = search_on_blocks(model, judging, mapping, wanted, left, tell)
+            found = search_on_blocks(model, records, mapping, wanted, left, tell)
             if found is not None and (exact is None or does_better(found, exact.found.best.model)):
-                return answer_on_blocks(found, wanted, judging, mapping, began)
+                return answer_on_blocks(found, wanted, records, mapping, began)
             if found is None and not worth:
                 exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left, tell)
                 structured = exact is not None and is_structured(exact.found, records, mapping)

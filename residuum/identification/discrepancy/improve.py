@@ -90,9 +90,11 @@ def improve(
 def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, seconds: float | None, tell: Tell) -> Improvement:
     """The improvement with the end of the records kept aside, or with the beginning where that end is strange."""
     began, parts = time.perf_counter(), split(records)
-    found = _improved(model, records, parts, how, tell)
-    if found.improvement.explanation is not None and found.improvement.explanation.by_share:
-        return found.improvement
+    tell(0.0, "estimating the model as it is")
+    said = named(model, records, parts, how, tell) if how.add is None else None
+    if said is not None and said.on_blocks is not None:
+        return _improved_on_blocks(model, records, said, said.on_blocks, how, tell)
+    found = _improved(model, records, parts, said, how, tell)
     if how.add is not None or not found.strange or len(records) > 1 or records[0].split is not None:
         return found.improvement
     again = split(records, end=False)
@@ -100,7 +102,7 @@ def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, s
     if again.aside == parts.aside or (seconds is not None and spent > EXPLAINING_TIME * seconds):
         return found.improvement
     later: Tell = lambda share, doing: tell(0.8 + 0.2 * share, doing)  # noqa: E731
-    other = _improved(model, records, again, replace(how, seconds=None if seconds is None else seconds - spent), later)
+    other = _improved(model, records, again, said, how, later)
     return found.improvement if other.strange else other.improvement
 
 
@@ -111,11 +113,9 @@ def _check_fixed(model: PhysicalModel, names: Sequence[str]) -> None:
         raise BadModel(f"free {unknown[0]!r}: is no parameter that model {model.name!r} holds fixed; {there}")
 
 
-def _improved(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> _Attempt:
-    tell(0.0, "estimating the model as it is")
-    said = named(model, records, parts, how, tell) if how.add is None else None
-    if said is not None and said.on_blocks is not None:
-        return _Attempt(_improved_on_blocks(model, records, said, said.on_blocks, how, tell), False)
+def _improved(
+    model: PhysicalModel, records: Sequence[Record], parts: Split, said: Explanation | None, how: Request, tell: Tell
+) -> _Attempt:
     if said is not None and said.exact is not None:
         begun, finer = begun_exactly(model, parts, how, said.exact), said.exact.finer
     else:

@@ -89,12 +89,18 @@ def corrected(new: Judged, old: Judged) -> float:
 
 
 def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
-    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it."""
+    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it; a rare effect more."""
     gain = old.cost - new.cost
     if scale.nats:
         return gain > np.log(max(tried, 1)) + TIE and corrected(new, old) > EVERYWHERE
-    left = max(old.cost - scale.floor, 1e-9)
-    return gain > WORTH * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
+    left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
+    return gain > WORTH * (1.0 + rarer) * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
+
+
+def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:
+    """Those that are real, without rare ones that do no better than one that is less rare."""
+    real = [one for one in ranked if is_real(one, old, base, scale, tried)]
+    return [one for one in real if not any(other.rarity < one.rarity and other.cost <= one.cost for other in ranked)]
 
 
 def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:

@@ -41,7 +41,7 @@ class BlockTerm:
     at: Array
     value: Array
     power: Array
-    parameters: int
+    parameters: float
     cost: float
     evidence: float
 

@@ -43,8 +43,8 @@ class Judged:
     Attributes
     ----------
     structure : Structure
-    parameters : int
-        How many its effects have that are estimated.
+    parameters : float
+        How many its effects have that are estimated, and for how many more these count as they are rare.
     power : array, shape (blocks, measured outputs)
         Sums of squares in the scale, clipped.
     left : array, shape (rows, measured outputs)
@@ -58,7 +58,7 @@ class Judged:
     """
 
     structure: Structure
-    parameters: int
+    parameters: float
     power: Array
     left: Array
     cost: float
@@ -76,6 +76,11 @@ class Judged:
     def model(self) -> PhysicalModel:
         """With the values fitted to everything."""
         return self.structure.model
+
+    @property
+    def rarity(self) -> float:
+        """For how many of the parameters the effects count besides their own."""
+        return self.structure.rarity
 
     @property
     def rms(self) -> Array:
@@ -193,13 +198,15 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
     power, seen = (summed(each**2, rung, data.blocks) for each in (left, in_scale(errors)))
     if not np.all(np.isfinite(power)):
         return None
-    parameters = sum(not p.fixed for use in structure.model.effects for p in use.parameters.values())
-    parameters += sum(not p.fixed for p in structure.model.parameters.values())
+    model = structure.model
+    parameters = sum(not p.fixed for p in model.parameters.values())
+    parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
+    priced = parameters + structure.rarity
     squares, count = np.zeros((2, data.blocks, len(measured)))
     squares[:, measured] = summed(np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks)
     count[:, measured] = summed(known.astype(float), rung, data.blocks)
-    cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
-    return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
+    cost, seen_cost = scale.cost(power, priced), scale.cost(seen, priced)
+    return Judged(structure, priced, power, left, cost, seen_cost, squares, count, errors)
 
 
 def summed(values: Array, rung: Rung, blocks: int) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
-from residuum.identification.physics.model import find_effect
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
@@ -153,7 +152,7 @@ def _lowest(begun: Sequence[Fit], structure: Structure, seen: Glance, court: Cou
 
 
 def _is_refused(model: PhysicalModel, seen: Glance, court: Court) -> bool:
-    return _is_absurd(model, seen) or not _shows(model, seen, court)
+    return _is_absurd(model, seen) or not shows(model, seen.along, court.last)
 
 
 def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
@@ -163,12 +162,15 @@ def _values(model: PhysicalModel, key: Key) -> dict[str, float]:
     return {name: p.value for name, p in use.parameters.items()}
 
 
-def _shows(model: PhysicalModel, seen: Glance, court: Court) -> bool:
-    """Whether the effect can be told from an unknown load within a window: a far body on a soft spring is one."""
-    if seen.key.effect == HELD or type(find_effect(seen.key.effect)).shows is Effect.shows:
-        return True
-    conditions = replace(conditions_along(seen.key, seen.along), duration=max(p.n * p.sample_time for p in court.last.parts))
-    return find_effect(seen.key.effect).shows(_values(model, seen.key), conditions)
+def shows(model: PhysicalModel, along: Track, rung: Rung) -> bool:
+    """Whether each effect can be told from an unknown load within a window of a rung: a far body on a soft spring is one, and a
+    second store that never fills.
+    """
+    duration = max(part.n * part.sample_time for part in rung.parts)
+    asked = [use for use in model.effects if type(use.effect).shows is not Effect.shows]
+    return all(
+        use.effect.shows(_values(model, use.key), replace(conditions_along(use.key, along), duration=duration)) for use in asked
+    )
 
 
 def _is_absurd(model: PhysicalModel, seen: Glance) -> bool:

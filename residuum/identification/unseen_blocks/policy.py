@@ -48,6 +48,11 @@ KEPT = 20
 ABSURD = 100.0
 """Times all its first values at which a value is refused; small ones go a hundred times further. Chosen."""
 
+USUAL_SHARE = 0.1
+"""Share of the counted machines of a kind that lacked an effect from which on it is usual. Chosen."""
+OCCASIONAL, RARE = 0.5, 1.0
+"""[parameters] For which an effect counts besides its own that few of the machines lacked, and one that none did. Chosen."""
+
 WEAKEST = 0.1
 """[of the largest] As what the error of an output counts at least: one that is followed well has a vote. Chosen."""
 MERITLESS = 0.02
@@ -64,6 +69,9 @@ WHITENING = 12
 """[coefficients] Of the whitening autoregression at most. Chosen."""
 TIE = 3.0
 """[nat] That cannot tell two structures apart: odds of twenty. Chosen."""
+ONE_PHYSICS = 0.9
+"""[of what the general effect takes away] From which on its special case is told beside it: a loss with and without a bend is one
+loss. Chosen."""
 EVERYWHERE = 2.0
 """[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
 

@@ -50,7 +50,7 @@ class Scale:
                 out[begin:end, o] = lfilter(a, [1.0], values[begin:end, o], axis=0)
         return out
 
-    def cost(self, power: Array, parameters: int) -> float:
+    def cost(self, power: Array, parameters: float) -> float:
         """Of power (blocks, measured outputs): nats with the parameters' price, or power in units of the first model's."""
         if self.nats:
             return float(0.5 * power.sum() + self.price * parameters)

@@ -17,15 +17,22 @@ import numpy as np
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, is_real, simplest
-from residuum.identification.unseen_blocks.data import Data
+from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, real_ones, simplest
+from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.policy import (
+    BEAM,
+    DEEPEST,
+    FOLLOWED,
+    FULLY_FITTED,
+    KEPT,
+    RUNG_ERROR,
+)
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
-from residuum.identification.unseen_blocks.scale import clipped, of_power, plain
+from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
@@ -79,8 +86,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
                 beam = _settled(found, ranked)
-            elif found.best.keys and _lengthened(found):
-                beam = [found.best]
+            elif found.best.keys and (longer := _lengthened(found)):
+                beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
                 beam = going_on(ranked, found.court.scale)
             else:
@@ -213,12 +220,12 @@ def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
 
 
 def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
-    """Whether the simplest of the best is real; it is the best from now on."""
+    """Whether any is real; the simplest of the best that are is the best from now on."""
     scale, before = found.court.scale, found.best
-    chosen = simplest(ranked, scale)
-    if not is_real(chosen, before, found.base, scale, found.tried):
+    real = real_ones(ranked, before, found.base, scale, found.tried)
+    if not real:
         return False
-    found.best = chosen
+    found.best = chosen = simplest(real, scale)
     found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
     return True
 
@@ -240,61 +247,44 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     return [chosen, *found.group][:BEAM]
 
 
-def _lengthened(found: Search) -> bool:
-    """Whether the best one follows the next longer windows now; it and the base are judged there from now on."""
+def _lengthened(found: Search) -> list[Judged]:
+    """The beam on the next longer windows, where the best one follows them now; base and beam are judged there from now on. Empty
+    where it does not.
+
+    What looked best on short windows goes with those that stood beside it: a second store of heat is a loss until it is full.
+    """
     data, court = found.court.data, found.court
-    if court.scale.nats:
-        return False
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
-    if not longer:
-        return False
+    if court.scale.nats or not longer:
+        return []
     rung, flat = longer[0], plain(data)
-    best = fitted(found.best.model, rung, None, flat, steps=15, tolerance=1e-4)
     base = fitted(data.model, rung, None, flat, steps=15, tolerance=1e-4)
-    if best is None or base is None or best.mean > RUNG_ERROR:
-        return False
+    if base is None:
+        return []
     scale = clipped(flat, base.residuals, rung)
-    best, base = (one.in_unit(scale).descended(6, 1e-4) for one in (best, base))
-    first = judged(found.base.structure.at(rung, base), base, rung, data, scale)
+    first = judged(found.base.structure.at(rung, base), base.in_unit(scale).descended(6, 1e-4), rung, data, scale)
     if first is None:
-        return False
+        return []
     scale = of_power(scale, data, first.power)
-    now = judged(found.best.structure.at(rung, best), best, rung, data, scale)
-    if now is None:
-        return False
+    like = [one for one in found.every.values() if len(one.keys) == len(found.best.keys) and one is not found.best]
+    tasks = [found.best, *sorted(like, key=lambda one: one.cost)[: 2 * BEAM]]
+    there = each_beside(lambda one: _on_longer_windows(one, rung, flat, scale, found), tasks)
+    ranked = sorted((one for one in there if one is not None), key=lambda one: one.cost)
+    if not ranked:
+        return []
     first = replace(first, cost=scale.cost(first.power, first.parameters))
-    found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, now
-    found.every, found.group = {(): first, now.keys: now}, []
-    return True
+    found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, simplest(ranked, scale)
+    found.every = {(): first} | {one.keys: one for one in ranked}
+    found.group = [one for one in ranked if one is not found.best and is_alike(one, found.best, None, scale)]
+    return [found.best, *(one for one in going_on(ranked, scale) if one is not found.best)][:BEAM]
 
 
-def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
-    """The effects of the best structure in the order in which each takes away most, with what was before and after it."""
-    rest, before, order = list(keys), found.base, []
-    while rest:
-        each = [(key, _with(found, (*before.keys, key))) for key in rest]
-        known = [(key, one) for key, one in each if one is not None]
-        if not known:
-            break
-        key, after = min(known, key=lambda one: one[1].cost)
-        order.append((key, before, after))
-        rest.remove(key)
-        before = after
-    return order
-
-
-def _with(found: Search, keys: Iterable[Key]) -> Judged | None:
-    """The best structure with these of its effects alone."""
-    names = tuple(sorted(keys))
-    if names not in found.every:
-        model = found.best.model
-        for use in found.best.model.effects:
-            if use.key in found.best.keys and use.key not in names:
-                model = model.without_effect(use.label)
-        one = found.court.judge(
-            Structure(names, model, found.best.structure.states, found.best.structure.steps), steps=15, tolerance=1e-5
-        )
-        if one is None:
-            return None
-        found.every[names] = one
-    return found.every[names]
+def _on_longer_windows(one: Judged, rung: Rung, flat: Scale, scale: Scale, found: Search) -> Judged | None:
+    """A structure fitted and judged on longer windows; None where it does not follow them, or shows less than an unknown load."""
+    fit = fitted(one.model, rung, None, flat, steps=15, tolerance=1e-4)
+    if fit is None or fit.mean > RUNG_ERROR:
+        return None
+    fit = fit.in_unit(scale).descended(6, 1e-4)
+    if found.along is not None and not shows(fit.model, found.along, rung):
+        return None
+    return judged(one.structure.at(rung, fit), fit, rung, found.court.data, scale)

@@ -14,6 +14,7 @@ from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
 from residuum.identification.unseen_blocks.data import Rung
 from residuum.identification.unseen_blocks.policy import COARSE, STIFFEST
 from residuum.identification.unseen_blocks.scale import Scale
+from residuum.identification.unseen_blocks.usual import rarity
 from residuum.identification.work import count_fit, go_on
 
 Array = npt.NDArray[np.float64]
@@ -31,6 +32,11 @@ class Structure:
     model: PhysicalModel
     states: Mapping[int, States]
     steps: Mapping[int, Sequence[int]]
+
+    @property
+    def rarity(self) -> float:
+        """For how many parameters the effects count besides their own, as they are rarely missing."""
+        return sum(rarity(self.model, key) for key in self.keys)
 
     def at(self, rung: Rung, found: Fit, keys: tuple[Key, ...] | None = None) -> Structure:
         """The structure with what was found on a rung."""

@@ -19,7 +19,8 @@ from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
-from residuum.identification.unseen_blocks.search import Search, chain
+from residuum.identification.unseen_blocks.search import Search
+from residuum.identification.unseen_blocks.steps import chain, in_place_of
 
 NONE, UNKNOWN = "none", "unknown"
 
@@ -59,6 +60,7 @@ def steps_of(found: Search) -> list[Step]:
         alike = [o for o in there if is_alike(o, after, before, found.court.scale)]
         if after.keys == found.best.keys:
             alike += [o for o in found.group if o.keys not in {a.keys for a in alike} and set(o.keys) > rest]
+        alike += [o for o in in_place_of(found, key, before.keys) if o.keys not in {a.keys for a in alike}]
         steps.append(Step(key, before, after, tuple(alike), tuple(o for o in there if o not in alike)))
     return steps
 

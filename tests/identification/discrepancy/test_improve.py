@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Step, quantities_of
 from residuum.identification.discrepancy.improving.final_estimate import vanished
@@ -93,6 +94,7 @@ def test_a_tank_that_runs_over_at_the_end_of_its_record_is_learnt_from_there():
     record = Record({"pump": u, "height": height + 1e-3 * rng.normal(size=u.size)}, {"pump": "V", "height": "m"}, 1.0)
     found = improve(read_model(VESSEL), [record])
     assert [use.id for use in found.model.effects] == ["overflow"]
+    assert found.explanation.candidates == explain(read_model(VESSEL), [record]).candidates  # one answer at both doors
     (use,) = found.added
     rim = quantities_of(use)["h_max"]
     assert 0.0 < rim.std < 0.005 and abs(rim.value - 0.45) < 4.0 * rim.std

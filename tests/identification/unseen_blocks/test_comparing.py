@@ -5,8 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from residuum.identification.physics import Key, load_model
 from residuum.identification.unseen_blocks.comparing import ahead, evidence, is_alike, is_real, paired, simplest
+from residuum.identification.unseen_blocks.policy import RARE
 from residuum.identification.unseen_blocks.scale import Scale
+from residuum.identification.unseen_blocks.usual import rarity
 
 POWER = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
 NATS = replace(POWER, nats=True, price=3.0)
@@ -20,6 +23,7 @@ class One:
     power: np.ndarray
     parameters: int = 1
     scale: Scale = POWER
+    rarity: float = 0.0
 
     @property
     def cost(self):
@@ -73,3 +77,17 @@ def test_alike_is_what_no_pairs_of_blocks_tell_apart():
     chosen, other = one(0.3 * np.exp(0.3 * rng.normal(size=20))), one(0.3 * np.exp(0.3 * rng.normal(size=20)))
     assert is_alike(other, chosen, None, POWER)
     assert not is_alike(one(0.6 * EVEN), one(0.3 * EVEN), None, POWER)
+
+
+def test_a_rare_effect_has_to_earn_more_than_one_that_is_often_missing():
+    """With the same errors the usual one stands first; and a tenth of what is left is too little for what was never seen."""
+    base, less = one(EVEN, 0), 0.85 * EVEN
+    assert is_real(one(less), base, base, POWER, 30)
+    assert not is_real(replace(one(less), rarity=RARE), base, base, POWER, 30)
+    assert is_real(replace(one(0.7 * EVEN), rarity=RARE), base, base, POWER, 30)
+    drive = load_model("gate-drive")
+    shaft = next(name for name, balance in drive.balances.items() if balance.kind == "torque")
+    output = next(iter(drive.outputs))
+    assert rarity(drive, Key("coulomb-friction", shaft)) == 0.0 < rarity(drive, Key("elastic-transmission", shaft)) < RARE
+    assert rarity(drive, Key("output-drift", output)) == RARE
+    assert rarity(drive, Key("held", "J")) == 0.0

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from residuum.identification.physics import read_model
+from residuum.identification.physics import find_effect, read_model
+from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.search import Wanted
@@ -60,3 +61,36 @@ def test_dry_friction_is_named_and_sized_in_a_world_with_a_small_drag_besides(se
 def test_a_complete_model_is_given_nothing():
     found = _searched(["coulomb-friction", "quadratic-drag", "constant-load", "output-absolute"], seed=7)
     assert found.best is found.base
+
+
+CELL = """
+name: cell
+inputs: {current: A, room: degC}
+states: {T: {unit: degC}}
+parameters: {C: {value: 800, unit: J/K, fixed: true}, R: {value: 0.002, unit: ohm, lower: 1e-4, upper: 0.05}}
+balances:
+  cell: {kind: heat, storage: C * der(T), terms: {joule: R * current**2}, temperature: T, ambient: room}
+outputs: {temperature: {value: T, unit: degC}}
+"""
+
+
+def _warm_cell(loss, n=1200, h=15.0):
+    """Discharged and at rest in turn; it loses heat to a room of 20 °C, and a little of its heat as the cube of the current."""
+    current = np.where(np.arange(n) // 150 % 2, 0.0, np.repeat(np.random.default_rng(4).uniform(20.0, 60.0, n // 150), 150))
+    T, seen = 20.0, []
+    for i in current:
+        seen.append(T)
+        T += h * (0.004 * i**2 * (1.0 + 0.004 * i) - loss * (T - 20.0)) / 800.0
+    noise = 0.02 * np.random.default_rng(5).standard_normal(n)
+    channels = {"current": current, "room": np.full(n, 20.0), "temperature": np.array(seen) + noise}
+    return Record(channels, {"current": "A", "room": "degC", "temperature": "degC"}, h)
+
+
+def test_a_loss_is_not_taken_for_a_store_that_never_fills():
+    found = searched(read_model(CELL), [_warm_cell(0.6)], None, Wanted(("ambient-loss", "second-heat-store", "constant-heat")))
+    assert found.best.keys[0].effect == "ambient-loss"
+    loss = next(use for use in found.best.model.effects if use.id == "ambient-loss").parameters["h"]
+    assert loss.value == pytest.approx(0.6, rel=0.1)
+    filled, far = {"C_2": 300.0, "G": 0.4}, {"C_2": 1.2e5, "G": 0.4}
+    store, window = find_effect("second-heat-store"), Conditions(15.0, 2800.0, 1.0)
+    assert store.shows(filled, window) and not store.shows(far, window)

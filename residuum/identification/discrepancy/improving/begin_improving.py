@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from residuum.identification.discrepancy.exact_structure import Exact
 from residuum.identification.discrepancy.explain import explained
@@ -17,6 +19,7 @@ from residuum.identification.errors import BadModel
 from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates
 from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.search import Wanted
 from residuum.identification.work import Tell
@@ -56,29 +59,25 @@ def asked_for(model: PhysicalModel, records: Sequence[Record], parts: Split, how
 
 
 def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Request, tell: Tell) -> Explanation:
-    """What `explain` says: of the training data by an exact structure, else of blocks of all records."""
+    """What `explain` says of all records; where a user notes which part is for training, of that."""
     wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned)
-    judging = parts.training if any(record.split is not None for record in records) else records
-    return explained(
-        freed(model, how.free),
-        parts.training,
-        judging,
-        how.mapping,
-        wanted,
-        how.seconds,
-        lambda share, doing: tell(0.1 + 0.5 * share, doing),
-    )
+    asked = parts.training if any(record.split is not None for record in records) else records
+    told: Tell = lambda share, doing: tell(0.1 + 0.5 * share, doing)  # noqa: E731
+    return explained(freed(model, how.free), asked, how.mapping, wanted, how.seconds, told)
 
 
 def begun_exactly(model: PhysicalModel, parts: Split, how: Request, exact: Exact) -> Beginning:
-    """The base on the experiments that the search for an exact structure settled on, and the effects that it accepts."""
-    search, experiments = exact.found, exact.experiments
-    initial, chosen = search.base.initial, [*search.accepted, *search.timing]
-    if turned := at_turned_timing(search, experiments):
-        experiments, initial, chosen = turned[0], turned[1].initial, list(search.accepted)
-    started = experiments_and_base(with_inputs_of(model, search.base.model), parts.training, how.mapping, exact.finer)
-    model = started[1].model
-    as_it_was = fit_structure(model, experiments, initial) or replace(search.base, model=model)
+    """The base on the training data, at the input timing that the search for an exact structure settled on, and the effects that
+    it accepts.
+    """
+    search, like, chosen = exact.found, exact.experiments, [*exact.found.accepted, *exact.found.timing]
+    if turned := at_turned_timing(search, like):
+        like, chosen = turned[0], list(search.accepted)
+    knowing = with_inputs_of(model, search.base.model)
+    experiments, as_it_was = experiments_and_base(knowing, parts.training, how.mapping, exact.finer)
+    if not np.array_equal(experiments[0].hold, like[0].hold):
+        experiments = turned_timing(experiments)
+        as_it_was = fit_structure(as_it_was.model, experiments, as_it_was.initial) or as_it_was
     return Beginning(experiments, as_it_was, _with_free(as_it_was, how.free, experiments), exact, chosen)
 
 

@@ -28,11 +28,13 @@ def steps_that_hold(
     models: Sequence[PhysicalModel], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> int:
     """How many of the `models` after the first, each with one effect more, can be kept so that no output is simulated worse than
-    by the first where data are kept aside: at the end, and on the most different record. It is all of them where the records are
-    too short to ask.
+    by the first where data are kept aside: at the end, and on the most different record; nor over whole records, where they were
+    judged in windows. It is all of them where the records are too short to ask.
     """
-    kept = len(models) - 1
-    for parts in _kept_aside(records):
+    kept, asked = len(models) - 1, _kept_aside(records)
+    if found.court.last.windows > 1:  # whose first states hide where a model goes in the long run
+        asked.append(Split(list(records), [(record, 0) for record in records]))
+    for parts in asked:
         if parts.testing and long_enough([r.n for r in parts.training]):
             kept = _that_hold(models[: kept + 1], found, parts, mapping)
     return kept

@@ -19,7 +19,8 @@ from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.search import Search, Wanted, chain
+from residuum.identification.unseen_blocks.search import Search, Wanted
+from residuum.identification.unseen_blocks.steps import chain
 from residuum.identification.work import Tell
 
 ASIDE = "every block in turn"

@@ -53,6 +53,9 @@ FAR_FROM_NOISE = 500.0
 """Times its innovations beyond which no exact structure is sought for the error of the model as it is. Measured: 1 to 105 on 55
 simulated machines that hide effects, but for one that shows an output's magnitude (460); 850, 900 and 10 900 on three of 18 real
 machines."""
+FAR_ABOVE_SENSORS = 10.0
+"""Times the noise floor of the records from which on what an exact structure leaves is not all noise, and blocks kept aside are
+asked. Chosen."""
 EXACT_WORK = 400_000_000
 """[samples] In which an exact structure has to be found. Chosen."""
 EXACT_TIME = 0.4

@@ -50,5 +50,9 @@ class SecondHeatStore(Effect):
             found.append({"C_2": C_2, "G": C_2 / (fraction * conditions.duration)})
         return found
 
+    def shows(self, values: Mapping[str, float], conditions: Conditions) -> bool:
+        """Whether the second store fills within the record. One that does not is a loss to where its temperature began."""
+        return values["C_2"] < values["G"] * conditions.duration
+
     def examples(self) -> list[Example]:
         return [oven_example()]

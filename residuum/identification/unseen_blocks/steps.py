@@ -1,0 +1,62 @@
+"""The best structure taken apart: in which order its effects take away what, and what does the same in the place of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from residuum.identification.physics import Key
+from residuum.identification.unseen_blocks.comparing import is_alike
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import ONE_PHYSICS
+from residuum.identification.unseen_blocks.proposals import special_of
+from residuum.identification.unseen_blocks.search import Search
+from residuum.identification.unseen_blocks.structure import Structure
+
+
+def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
+    """The effects `keys` of the best structure in the order in which each takes away most, with what was before and after it."""
+    rest, before, order = list(keys), found.base, []
+    while rest:
+        each = [(key, _with(found, (*before.keys, key))) for key in rest]
+        known = [(key, one) for key, one in each if one is not None]
+        if not known:
+            break
+        key, after = min(known, key=lambda one: one[1].cost)
+        order.append((key, before, after))
+        rest.remove(key)
+        before = after
+    return order
+
+
+def _with(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
+    """A structure, by default the best one, with these of its effects alone."""
+    names, whole = tuple(sorted(keys)), whole or found.best
+    if names not in found.every:
+        model = whole.model
+        for use in whole.model.effects:
+            if use.key in whole.keys and use.key not in names:
+                model = model.without_effect(use.label)
+        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
+        if one is None:
+            return None
+        found.every[names] = one
+    return found.every[names]
+
+
+def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
+    """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
+    best, kept = found.best, set(found.best.keys) - {key}
+    without = found.every.get(tuple(sorted(kept)))
+    there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
+    same = []
+    for one in there:
+        other = next(iter(set(one.keys) - kept))
+        if is_alike(one, best, without, found.court.scale) or _are_one_physics(one, best, without, (other, key)):
+            same.append(_with(found, (*rest, other), one))
+    return [one for one in same if one is not None]
+
+
+def _are_one_physics(one: Judged, best: Judged, without: Judged | None, keys: tuple[Key, Key]) -> bool:
+    """Whether of two effects one generalises the other, and the one in the other's place takes away nearly as much."""
+    related = special_of(keys[0]) == keys[1] or special_of(keys[1]) == keys[0]
+    return related and without is not None and without.cost - one.cost > ONE_PHYSICS * (without.cost - best.cost)
