@@ -15,8 +15,10 @@ from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.improving.begin_improving import Request
 from residuum.identification.discrepancy.improving.ends_kept_aside import steps_that_hold
 from residuum.identification.discrepancy.on_blocks import doubts_of, search_on_blocks
-from residuum.identification.physics import PhysicalModel
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Estimate, PhysicalModel, estimate, with_coloured_noise
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.data import Data
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
@@ -60,9 +62,24 @@ def joined_of(found: Search, records: Sequence[Record], mapping: Mapping[str, st
         Step(name, float(one.rms[o]), remaining=remaining(found.base, one, found.court))
         for name, one in zip(names, each[: kept + 1], strict=False)
     ]
-    refused = [key.effect for key, _, _ in steps[kept:]]
-    std = doubts_of(replace(found, best=each[kept]))
-    return Joined(each[kept].model, history, refused, std, list(found.best.model.outputs)[o])
+    refused, output = [key.effect for key, _, _ in steps[kept:]], list(found.best.model.outputs)[o]
+    if kept == 0 and (alone := _estimated(each[0].model, found.court.data.finer or found.court.data)) is not None:
+        return Joined(
+            alone.model,
+            history,
+            refused,
+            dict(zip(alone.parameters, np.sqrt(np.diag(alone.covariance)).tolist(), strict=True)),
+            output,
+        )
+    return Joined(each[kept].model, history, refused, doubts_of(replace(found, best=each[kept])), output)
+
+
+def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
+    """The model that nothing joins at its least simulation error over whole records, which a search in windows does not seek."""
+    try:
+        return with_coloured_noise(estimate(model, data.experiments), data.experiments)
+    except NotIdentifiable:
+        return None
 
 
 def _told(found: Search) -> int:
