@@ -19,7 +19,7 @@ LONGEST_TEXT = 1_000_000
 
 
 class PlainNumbers(FASTEST):
-    """Numbers as people mean them: YAML 1.1 takes 010 for eight and 1:29 for eighty-nine, without a word; here both are refused."""
+    """Numbers as people mean them: YAML 1.1 takes 010 for eight and 1:29 for eighty-nine; here both are refused."""
 
     def construct_plain(self, node: yaml.ScalarNode) -> Any:
         """The scalar; ConstructorError with the line where it is such a number."""

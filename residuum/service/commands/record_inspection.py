@@ -62,7 +62,7 @@ def _text(shown: dict[str, Any]) -> str:
         lines.append(f"  without a unit: {', '.join(bare)}; {how}")
     for row in shown["first_rows"]:
         lines.append("  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row))
-    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
+    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}: {gap['looks_like']}" for gap in samples["gaps"]]
     if samples["gap_count"] > len(samples["gaps"]):
         lines.append(f"  {samples['gap_count']} gaps in all")
     if not samples["even"]:

@@ -43,7 +43,10 @@ class DeviceRefused(Exception):
 
 
 class CheckedModbusClient:
-    """One connection to one device; unit 0 takes replies of any. `timeout` is for connecting and for each reply [s]; advice counts from `address_base`."""
+    """One connection to one device; unit 0 takes replies of any.
+
+    `timeout` is for connecting and for each reply [s]; advice counts registers from `address_base`.
+    """
 
     def __init__(self, host: str, port: int, unit_id: int, timeout: float, address_base: int = 0) -> None:
         self._client = AsyncModbusTcpClient(host, port=port, timeout=timeout, retries=0, reconnect_delay=0)

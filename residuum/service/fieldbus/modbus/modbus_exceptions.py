@@ -12,6 +12,7 @@ _MEANINGS = {
     11: "no answer from behind the gateway; look at unit_id",
 }
 _TABLES = {"holding": "holding registers", "input": "input registers", "coils": "coils", "discrete": "discrete inputs"}
+_HOLES = "holes: name registers that are there, gap: 0"
 _MANUAL = {"holding": ((400_001, 465_536), (40_001, 49_999)), "input": ((300_001, 365_536), (30_001, 39_999))}
 """How manuals number a table: with a digit for the table before, and from 1."""
 
@@ -35,5 +36,5 @@ def explained(code: int, function: str, address: int, count: int, address_base: 
         off = f"take {manual - address_base} off the address" + " (address_base: 1)" * address_base
         return f"{says}; a manual's {written} is address {meant} of this table: {off}"
     if address_base:
-        return f"{says}; one off? where the manual counts from 0, leave address_base out; holes: name registers that are there, gap: 0"
-    return f"{says}; one off? where the manual counts from 1, say address_base: 1; holes: name registers that are there, gap: 0"
+        return f"{says}; one off? where the manual counts from 0, leave address_base out; {_HOLES}"
+    return f"{says}; one off? where the manual counts from 1, say address_base: 1; {_HOLES}"
