@@ -447,6 +447,7 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
+        "signals": dict(zip(mapping.names.values(), values, strict=True)),
         "notes": [note for _, notes in told for note in notes],
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
