@@ -28,7 +28,7 @@ _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
 """Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
 _EXCITES = "the input is persistently exciting"
 _NOT_OVER = 0.05
-_MOST_REFITTED, _MOST_JUDGED, _BEFORE = 100_000, 20_000, 1000
+_MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
 _FEW = 6
 """Directions that a record has to tell for a response without an order to be more than its prior."""
 _ANOTHER_RECORD = (
@@ -268,7 +268,7 @@ def parts_kept_aside(
 ) -> tuple[Part, ...]:
     """What split notes kept, with the model; without notes the last part of every record, with a fit of the first.
 
-    That fit has the model's delay and order, and sees at most the 100 000 samples before the cut; at most the first 20 000 after
+    That fit has the model's delay and order, and sees at most the 20 000 samples before the cut; at most the first 8000 after
     it are judged. None where the first part is too short for it.
     """
     cuts = [record.n for record in estimation]

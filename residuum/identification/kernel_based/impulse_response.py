@@ -196,7 +196,7 @@ def fit_impulse_response(
         if like is None:
             x, value = maximise(likelihood)
         else:
-            x, value = maximise(likelihood, _variables(likelihood, like, input_scale[0]), 1e-8)
+            x, value = maximise(likelihood, _variables(likelihood, like, input_scale[0]), 1e-7)
         posterior = likelihood.posterior(x)
         spread = likelihood.hyper_parameter_spread(x) if hyper_uncertainty else 0.0
     ratio = output_scale / input_scale

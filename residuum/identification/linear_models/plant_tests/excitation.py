@@ -23,7 +23,7 @@ from residuum.identification.linear_models.plant_tests.long_autoregression impor
 from residuum.identification.record import Record
 
 _LAGS, _SAMPLES_A_LAG, _FEWEST_LAGS = 60, 6, 4
-_MOST = 40_000
+_MOST = 10_000
 _THERE = 3.3
 """Standard deviations of a gain that is there: 0.1 %, two-sided."""
 
@@ -45,7 +45,7 @@ class ExcitationTest:
 
 @one_thread_if_small(_LAGS)
 def excitation_test(records: Sequence[Record], input: str, output: str, first_lag: int = 1) -> ExcitationTest:
-    """The test over all records, each with a level of its own; at most their first 40 000 samples count.
+    """The test over all records, each with a level of its own; at most their first 10 000 samples count.
 
     Raises NotIdentifiable where no row is complete, or a signal does not move.
 

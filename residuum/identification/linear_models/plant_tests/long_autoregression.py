@@ -31,7 +31,7 @@ OUTPUT_LAGS = (2, 4, 8, 16, 30)
 SHORT_REACH, LONG_REACH = 120, 600
 """Input lags Q of a first look, and at most."""
 _SAMPLES_A_LAG = 12
-_FEWEST, _MOST = 120, 40_000
+_FEWEST, _MOST = 120, 20_000
 _RIDGE, _RESOLUTION = 1e-10, 1e-10
 
 
@@ -76,7 +76,7 @@ class LongAutoregression:
 def long_autoregression(
     records: Sequence[Record], input: str, output: str, *, first_lag: int = 1, reach: int = SHORT_REACH
 ) -> LongAutoregression:
-    """Estimate it over all records, each with a level of its own; at most their first 40 000 samples count.
+    """Estimate it over all records, each with a level of its own; at most their first 20 000 samples count.
 
     Parameters
     ----------

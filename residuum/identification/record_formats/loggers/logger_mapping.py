@@ -333,18 +333,18 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
     if _sorting_mends(stamps, steps, usual):
         return []
     found = []
-    for place in back:
+    for place in map(int, back):
         first, last = max(0, place - _AROUND), min(len(stamps) - 1, place + _AROUND)
         short = usual * (last - first) - float(stamps[last] - stamps[first])
         lacks = usual - float(steps[place - 1])
         if abs(short - lacks) < 0.5 * lacks:
-            found.append(int(place))
+            found.append(place)
     return found
 
 
 def _sorting_mends(stamps: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], usual: float) -> bool:
     """Whether the rows in the order of their stamps are the usual step apart, each once, without a hole that was not there."""
-    merged = np.diff(np.sort(stamps))
+    merged: FloatArray = np.diff(np.sort(stamps)).astype(np.float64)
     even = np.abs(merged - usual * np.maximum(np.rint(merged / max(usual, 1.0)), 1)) < 0.01 * usual
     return bool((merged > 0).all() and even.all() and merged.max() <= steps.max())
 
