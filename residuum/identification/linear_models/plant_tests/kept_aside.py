@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import regression_sums
 from residuum.identification.linear_models.identified_model import IdentifiedModel
@@ -55,6 +56,7 @@ class KeptAside:
         return self.fit_percent < _WORSE_THAN_A_CONSTANT or (self.missing > _TOO_MUCH and self.p_value < _LEVEL)
 
 
+@one_thread_if_small(_MOST_LAGS)
 def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAside:
     """The model on the samples of `record` from `first` on; those before only give the input its past.
 
