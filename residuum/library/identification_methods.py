@@ -64,6 +64,8 @@ class Request:
     noise_bound: float | None = None
     integrator: bool = False
     check: bool = False
+    like: IdentifiedModel | None = None
+    """A model of the same plant and method: the search begins there, and what only describes the model is left out."""
 
 
 def identified_by(method: str, records: Sequence[Record], request: Request) -> IdentifiedModel:
@@ -87,6 +89,9 @@ def _kernel(records: Sequence[Record], request: Request) -> IdentifiedModel:
         delay=delay,
         noise_variance=request.noise_variance,
         offset=request.offset,
+        hyper_uncertainty=request.like is None or request.check,
+        cover_cut=request.like is None,
+        like=request.like,
     )
 
 

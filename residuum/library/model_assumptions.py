@@ -7,19 +7,30 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from residuum.identification.errors import BadInput
+import numpy as np
+
+from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.plant_tests.dead_time import dead_time
+from residuum.identification.linear_models.plant_tests.excitation import ExcitationTest, excitation_test
 from residuum.identification.linear_models.plant_tests.feedback import FeedbackTest, feedback_test
 from residuum.identification.linear_models.plant_tests.integrator import IntegratorTest, integrator_test
 from residuum.identification.linear_models.plant_tests.kept_aside import KEPT_ASIDE, KeptAside, kept_aside
 from residuum.identification.linear_models.plant_tests.long_autoregression import LONG_REACH, long_autoregression
+from residuum.identification.linear_models.plant_tests.unstable import UnstableTest, unstable_test
 from residuum.identification.linear_models.prediction_error import STRUCTURES
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
 from residuum.identification.record import Record
 from residuum.library.identification_methods import LAGS, NOISE_MODELLED, Request, identified_by
 
 _POOR_FIT = 50.0
+_MAY_BE_UNSTABLE = ("arx", "armax", "ar")
+"""Methods whose poles may lie outside the unit circle, and whose predictor is stable there."""
+_EXCITES = "the input is persistently exciting"
+_NOT_OVER = 0.05
+_MOST_REFITTED, _MOST_JUDGED, _BEFORE = 20_000, 8_000, 1000
+_FEW = 6
+"""Directions that a record has to tell for a response without an order to be more than its prior."""
 _ANOTHER_RECORD = (
     "for a controller record steps of the set point of a loop that holds it (a proportional one is enough), and identify from "
     "set point to output"
@@ -39,6 +50,10 @@ class Assumptions:
         One a record: of this model where a split note kept data aside, else of a fit of the first part on the last.
     late : bool
         Whether the input acts later than the model's last input lag, and the model misses it.
+    unstable : UnstableTest
+    excitation : ExcitationTest
+    needed : int
+        To which order the input has to excite for the parameters of this model to be told.
     """
 
     integrator: IntegratorTest | None
@@ -46,11 +61,22 @@ class Assumptions:
     dead_time: int | None
     aside: tuple[KeptAside, ...]
     late: bool = False
+    unstable: UnstableTest | None = None
+    excitation: ExcitationTest | None = None
+    needed: int = 0
 
     @property
     def worst(self) -> KeptAside | None:
         """The part kept aside on which the fit is poorest."""
         return min(self.aside, key=lambda part: part.fit_percent, default=None)
+
+    @property
+    def tells_model(self) -> bool:
+        """Whether the input excites to the order that the model needs."""
+        return self.excitation is None or self.excitation.order >= min(self.needed, self.excitation.lags)
+
+    def _excitation_json(self, found: ExcitationTest) -> dict[str, Any]:
+        return asdict(found) | {"needed": self.needed, "tells_model": self.tells_model, "tells_gain": found.tells_gain}
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON."""
@@ -59,30 +85,113 @@ class Assumptions:
             "integrator": None if integrator is None else asdict(integrator) | {"present": integrator.integrates},
             "feedback": None if feedback is None else asdict(feedback) | {"present": feedback.present},
             "dead_time": {"samples": self.dead_time, "beyond_order": self.late},
+            "unstable": None if self.unstable is None else _unstable_json(self.unstable),
+            "excitation": None if self.excitation is None else self._excitation_json(self.excitation),
             "kept_aside": [asdict(part) | {"fails": part.fails} for part in self.aside],
         }
 
 
+def _unstable_json(found: UnstableTest) -> dict[str, Any]:
+    return {"present": found.unstable, "pole_size": abs(found.pole), "spread": found.spread}
+
+
 def assumptions(
-    model: IdentifiedModel, method: str, request: Request, estimation: Sequence[Record], parts: Sequence[Part]
+    model: IdentifiedModel,
+    method: str,
+    request: Request,
+    estimation: Sequence[Record],
+    parts: Sequence[Part],
+    plant: PlantTests,
 ) -> Assumptions:
-    """Test the records that a model with an input was identified from, and the model on `parts_kept_aside`."""
-    integrator, feedback, dead = _plant(estimation, request, model.delay)
+    """Test the records that a model with an input was identified from, and the model on `parts_kept_aside`.
+
+    `plant` is what `plant_tests` found before; where the model's delay differs from the one that was assumed they are done again.
+    """
+    if plant.first_lag != min(model.delay, 1):
+        plant = plant_tests(estimation, request, model.delay)
+    integrator, feedback, dead, unstable = plant.integrator, plant.feedback, plant.dead_time, plant.unstable
+    try:
+        excitation = excitation_test(estimation, request.input, request.output, min(model.delay, 1))
+    except BadInput:
+        excitation = None  # too short to tell
     aside = _aside(parts)
     late = dead is not None and dead > _last_input_lag(model, method, request) and any(part.fails for part in aside)
-    return Assumptions(integrator, feedback, dead, aside, late)
+    return Assumptions(integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, method))
 
 
-def told(model: IdentifiedModel, method: str, found: Assumptions) -> IdentifiedModel:
+def told(model: IdentifiedModel, method: str, found: Assumptions, estimation: Sequence[Record]) -> IdentifiedModel:
     """The model with what was found: as warnings, and as unfit where no controller may be promised for it."""
-    unfit = _unfit(model, method, found)
+    untold = _untold(model, found, estimation)
+    unfit = [*_unstable(model, found), *untold, *_unfit(model, method, found)]
     remarks = _remarks(method, found, trusted=not unfit)
-    return replace(model, warnings=(*model.warnings, *unfit, *remarks), unfit=(*model.unfit, *unfit))
+    own = [text for text in model.warnings if not (untold and text.startswith(untold[0][: len(_EXCITES)]))]
+    return replace(model, warnings=(*own, *unfit, *remarks), unfit=(*model.unfit, *unfit))
+
+
+def check_stable(method: str, found: PlantTests, sample_time: float) -> None:
+    """Refuse a method whose models are stable only, on a plant that is not: its gain would be a number without a meaning."""
+    if found.unstable is None or not found.unstable.unstable or method in _MAY_BE_UNSTABLE:
+        return
+    raise NotIdentifiable(
+        f"the plant is unstable ({found.unstable.says(sample_time)}), and recorded in a closed loop: models of method "
+        f"{method!r} are stable, and would say something else; identify it with method arx or armax"
+    )
+
+
+def _unstable(model: IdentifiedModel, found: Assumptions) -> list[str]:
+    if found.unstable is None or not found.unstable.unstable:
+        return []
+    pole = found.unstable.says(model.sample_time)
+    return [f"the plant is unstable ({pole}), and controllers are designed for stable plants; {_ANOTHER_RECORD}"]
+
+
+def _untold(model: IdentifiedModel, found: Assumptions, estimation: Sequence[Record]) -> list[str]:
+    """What one experiment cannot tell: directions of the response, its gain, its end."""
+    excitation = found.excitation
+    if excitation is None:
+        return []
+    says = []
+    if not found.tells_model or not excitation.tells_gain:
+        gain = "" if excitation.tells_gain else ", not its static gain"
+        says.append(
+            f"{_EXCITES} of order {excitation.order} only at the noise of this record: it tells {excitation.order} "
+            f"number{'s' * (excitation.order != 1)} of the response{gain}, and the rest is the model's structure; record "
+            "steps or random moves, fast and slow ones"
+        )
+    if (left := _beyond_the_record(model, estimation)) > _NOT_OVER:
+        says.append(
+            f"the records end before the response to their first move does: {100 * left:.0f} % of the static gain is "
+            "extrapolated by the model; record on until the output rests"
+        )
+    return says
+
+
+def _beyond_the_record(model: IdentifiedModel, records: Sequence[Record]) -> float:
+    """Part of the static gain that the model puts later than any record goes on after its input first moves."""
+    longest = 0
+    for record in records:
+        moved = np.flatnonzero(np.diff(np.asarray(record[model.input_name], dtype=float)) != 0)
+        longest = max(longest, record.n - 1 - int(moved[0]) - model.delay) if moved.size else longest
+    total = float(model.impulse_response.sum())
+    if model.diverges or model.integrates or total == 0:
+        return 0.0
+    return abs(float(model.impulse_response[max(longest, 0) :].sum()) / total)
+
+
+def _needed(model: IdentifiedModel, method: str) -> int:
+    """To which order an input has to excite for the model's parameters to be told."""
+    orders = dict(re.findall(r"(n[a-f]) = (\d+)", str(model.provenance.get("orders", ""))))
+    if method in STRUCTURES and orders:
+        return int(orders.get("nb", 0)) + max(int(orders.get("na", 0)), int(orders.get("nf", 0)))
+    return _FEW
 
 
 def _unfit(model: IdentifiedModel, method: str, found: Assumptions) -> list[str]:
     says = []
-    if model.integrates:
+    unstable = found.unstable is not None and found.unstable.unstable
+    if unstable:
+        pass  # A(1) says nothing where a root lies outside
+    elif model.integrates:
         says.append(f"the model integrates, and controllers are designed for stable plants; {_ANOTHER_RECORD}")
     elif found.integrator is not None and found.integrator.integrates:
         says.append(
@@ -120,18 +229,29 @@ def _remarks(method: str, found: Assumptions, trusted: bool) -> list[str]:
     return says
 
 
-def _plant(
-    records: Sequence[Record], request: Request, delay: int
-) -> tuple[IntegratorTest | None, FeedbackTest | None, int | None]:
+@dataclass(frozen=True)
+class PlantTests:
+    """What the records say of their plant before any model; None where they are too short to tell."""
+
+    first_lag: int
+    integrator: IntegratorTest | None = None
+    feedback: FeedbackTest | None = None
+    dead_time: int | None = None
+    unstable: UnstableTest | None = None
+
+
+def plant_tests(records: Sequence[Record], request: Request, delay: int | None) -> PlantTests:
+    """The tests on a long autoregression; of a delay that is to be estimated they take 1."""
+    first_lag = 1 if delay is None else min(delay, 1)
     try:
-        regression = long_autoregression(records, request.input, request.output, first_lag=min(delay, 1))
+        regression = long_autoregression(records, request.input, request.output, first_lag=first_lag)
         dead = dead_time(regression)
         if dead is None:
-            longer = long_autoregression(records, request.input, request.output, first_lag=min(delay, 1), reach=LONG_REACH)
+            longer = long_autoregression(records, request.input, request.output, first_lag=first_lag, reach=LONG_REACH)
             dead = dead_time(longer)
     except BadInput:
-        return None, None, None
-    return integrator_test(regression), feedback_test(regression), dead
+        return PlantTests(first_lag)
+    return PlantTests(first_lag, integrator_test(regression), feedback_test(regression), dead, unstable_test(regression))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,23 +268,29 @@ def parts_kept_aside(
 ) -> tuple[Part, ...]:
     """What split notes kept, with the model; without notes the last part of every record, with a fit of the first.
 
-    That fit has the model's delay and order. None where the first part is too short for it.
+    That fit has the model's delay and order, and sees at most the 20 000 samples before the cut; at most the first 8000 after
+    it are judged. None where the first part is too short for it.
     """
     cuts = [record.n for record in estimation]
     judged = model
     if cuts == [record.n for record in whole]:
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
-        first = [record.window(0, cut) for record, cut in zip(whole, cuts, strict=True)]
+        first = [record.window(max(0, cut - _MOST_REFITTED), cut) for record, cut in zip(whole, cuts, strict=True)]
         try:
             judged = identified_by(method, first, as_before(model, method, request))
         except BadInput:
             return ()
-    return tuple(Part(judged, record, cut) for record, cut in zip(whole, cuts, strict=True) if cut < record.n)
+    return tuple(_part(judged, record, cut) for record, cut in zip(whole, cuts, strict=True) if cut < record.n)
+
+
+def _part(model: IdentifiedModel, record: Record, cut: int) -> Part:
+    first = max(0, cut - model.delay - max(model.order, _BEFORE))  # the rest of the past acts no more
+    return Part(model, record.window(first, min(record.n, cut + _MOST_JUDGED)), cut - first)
 
 
 def as_before(model: IdentifiedModel, method: str, request: Request) -> Request:
     """The request with the delay and the order that the model was found with, for another fit of the same kind."""
-    return replace(request, delay=model.delay, order=_input_lags(model, method, request))
+    return replace(request, delay=model.delay, order=_input_lags(model, method, request), like=model)
 
 
 def _aside(parts: Sequence[Part]) -> tuple[KeptAside, ...]:

@@ -17,7 +17,7 @@ from residuum.identification.linear_models.identified_model_file import identifi
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
 from residuum.library.identification_methods import Request, check_method, identified_by, with_uncertainty
-from residuum.library.model_assumptions import Assumptions, assumptions, parts_kept_aside
+from residuum.library.model_assumptions import Assumptions, assumptions, check_stable, parts_kept_aside, plant_tests
 from residuum.library.model_assumptions import told as told_assumptions
 from residuum.library.model_check import ModelCheck, model_check
 from residuum.library.optional_package import need
@@ -407,20 +407,24 @@ def identified(records: Sequence[MeasuredRecord], request: Request, method: str,
     """The plant that a method finds; each record's part after its split note is kept for validation."""
     estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
+    plant = None
+    if request.input:
+        plant = plant_tests(estimation, request, request.delay)
+        check_stable(method, plant, estimation[0].sample_time)
     model = with_uncertainty(identified_by(method, estimation, request), held_out or estimation, request)
-    if not model.input_name:
+    if plant is None:
         if request.check:
             raise BadInput("check: needs a model with an input; a time series has none")
         return Plant(model, method, estimation, held_out)
     tell(0.6, "testing what the model assumes")
     parts = parts_kept_aside(model, method, request, estimation, records)
-    found = assumptions(model, method, request, estimation, parts)
+    found = assumptions(model, method, request, estimation, parts, plant)
     check = None
     if request.check:
         tell(0.7, "testing residuals and drawing blocks")
         check = model_check(model, method, request, parts, estimation)
     tell(0.9, "simulating beside the records")
-    return Plant(told_assumptions(model, method, found), method, estimation, held_out, found, check)
+    return Plant(told_assumptions(model, method, found, estimation), method, estimation, held_out, found, check)
 
 
 def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:

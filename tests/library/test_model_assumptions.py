@@ -99,3 +99,59 @@ def test_a_model_of_too_low_an_order_fails_on_data_kept_aside():
     assert found.assumptions.aside[0].fails
     assert "what the model misses" in refused(found)
     assert rs.identify(record, input="u", output="y", method="oe", order=2).identified.unfit == ()
+
+
+def _unstable_in_its_loop(seed, pole):
+    rng, n = np.random.default_rng(seed), 2000
+    y, u, (e, r) = np.zeros(n), np.zeros(n), rng.standard_normal((2, n))
+    for t in range(1, n):
+        y[t] = pole * y[t - 1] + 0.5 * u[t - 1] + 0.1 * e[t]
+        u[t] = 2 * (pole - 0.6) * (np.sign(r[t // 7]) - y[t])
+    return Record({"u": u, "y": y}, {"u": "V", "y": "m"}, 0.1)
+
+
+@pytest.mark.parametrize(("seed", "pole"), [(0, 1.05), (1, 1.16)])
+def test_an_unstable_plant_has_no_stable_model(seed, pole):
+    record = _unstable_in_its_loop(seed, pole)
+    for method in ("kernel", "oe", "bj"):
+        with pytest.raises(BadInput, match=r"the plant is unstable \(pole at 1\.\d+ ± .* method arx or armax"):
+            rs.identify(record, input="u", output="y", method=method)
+    found = rs.identify(record, input="u", output="y", method="arx")
+    assert found.assumptions.unstable.unstable
+    gain = found.identified.frequency_response(0.0).real
+    assert gain == pytest.approx(0.5 / (1 - pole), rel=0.15)
+    assert "by one-step predictions" in str(found)
+    assert max(map(len, str(found).split())) < 30  # no number of a hundred digits
+    assert "the plant is unstable" in refused(found)
+
+
+@pytest.mark.parametrize("method", ["kernel", "arx", "oe"])
+@pytest.mark.parametrize("kind", ["step", "pulse"])
+def test_one_step_or_pulse_near_the_begin_tells_the_gain(method, kind):
+    rng, k = np.random.default_rng(5), np.arange(300)
+    u = (k >= 20) * 1.0 if kind == "step" else 3.0 * ((k >= 20) & (k < 26))
+    y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(300)
+    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method)
+    spread = np.sqrt(found.identified.frequency_covariance(0.0)[0, 0, 0])
+    assert abs(found.identified.frequency_response(0.0).real - 1.0) < 4 * spread < 0.6
+    assert found.to_dict()["fit_percent"][0] > 60
+    assert not found.identified.warnings
+
+
+@pytest.mark.parametrize("method", ["kernel", "arx", "oe"])
+def test_one_sine_tells_no_gain(method):
+    rng, k = np.random.default_rng(5), np.arange(600)
+    u = np.sin(2 * np.pi * k / 13).round(6)
+    y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(600)
+    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method)
+    assert "static gain       the record does not tell it" in str(found)
+    assert any("persistently exciting of order 2 only" in text for text in found.identified.warnings)
+    assert "persistently exciting" in refused(found)
+
+
+def test_a_record_that_ends_before_its_step_is_answered_says_so():
+    rng, k = np.random.default_rng(5), np.arange(60)
+    u = (k >= 20) * 1.0
+    y = signal.lfilter([0.0, 0.05], [1.0, -0.95], u) + 0.005 * rng.standard_normal(60)
+    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx")
+    assert any("the records end before the response" in text for text in found.identified.warnings)

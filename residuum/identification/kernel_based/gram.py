@@ -92,10 +92,11 @@ def regression_sums(
     order: int,
     delay: int = 1,
     *,
+    orders: Sequence[int] | None = None,
     input_levels: Sequence[float] | None = None,
     output_level: float = 0.0,
 ) -> RegressionSums:
-    """Sums over the complete rows of one record, shape (len(inputs)·order, …).
+    """Sums over the complete rows of one record, shape (sum(orders), …).
 
     Parameters
     ----------
@@ -104,6 +105,8 @@ def regression_sums(
     output : array, shape (n,)
     order, delay : int
         Lags delay … delay + order − 1 of every input.
+    orders : sequence of int, none above `order`
+        How many of these lags each input has; None: all. A row begins where the longest does.
     input_levels, output_level : float
         Subtracted from the signals first, block by block.
 
@@ -127,25 +130,32 @@ def regression_sums(
         )
     reach = delay + order - 1
     levels = [0.0] * len(signals) if input_levels is None else input_levels
+    lags = [order] * len(signals) if orders is None else list(orders)
     total = RegressionSums.zero(len(signals) * order)
-    for start, stop in _complete_runs(signals, y, order, delay):
+    for start, stop in _complete_runs(signals, lags, y, order, delay):
         for k in range(start, stop, _ROWS_AT_ONCE):
             end = min(k + _ROWS_AT_ONCE, stop)
             past = [
                 np.subtract(signal[k - reach : end - delay], level, dtype=float)
                 for signal, level in zip(signals, levels, strict=True)
             ]
+            # Beyond its own lags a signal may be missing; what stands there is in columns that are left out.
+            past = [one if own == order else np.nan_to_num(one) for one, own in zip(past, lags, strict=True)]
             total = total + _run_sums(past, np.subtract(y[k:end], output_level, dtype=float), order)
     if total.rows == 0:
         raise NotIdentifiable(
             f"record of {len(y)} samples: order {order} with delay {delay} needs {reach + 1} samples in a row without a gap; "
             "record longer, or take a smaller order"
         )
-    return total
+    if orders is None:
+        return total
+    return total.columns(np.concatenate([j * order + np.arange(own) for j, own in enumerate(lags)]))
 
 
-def _complete_runs(inputs: Sequence[FloatArray], y: FloatArray, order: int, delay: int) -> list[tuple[int, int]]:
-    """Runs [start, stop) of output samples whose own value and whose whole past are there."""
+def _complete_runs(
+    inputs: Sequence[FloatArray], lags: Sequence[int], y: FloatArray, order: int, delay: int
+) -> list[tuple[int, int]]:
+    """Runs [start, stop) of output samples whose own value and whose whole past, `lags` of each input, are there."""
     n, reach = len(y), delay + order - 1
     if n <= reach:
         return []
@@ -153,9 +163,10 @@ def _complete_runs(inputs: Sequence[FloatArray], y: FloatArray, order: int, dela
         return [(reach, n)]
     complete = ~np.isnan(y)
     complete[:reach] = False
-    for signal in inputs:
+    for signal, own in zip(inputs, lags, strict=True):
         missing = np.concatenate([[0], np.cumsum(np.isnan(signal))])
-        complete[reach:] &= missing[order : n - delay + 1] == missing[: n - reach]
+        first = order - own
+        complete[reach:] &= missing[order : n - delay + 1] == missing[first : first + n - reach]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], complete.astype(np.int8), [0]])))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 

@@ -38,6 +38,8 @@ FloatArray = npt.NDArray[np.float64]
 NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000
+_ROUNDING = 1e-20
+"""Of a level's square, below which a movement about it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,7 @@ def identify_impulse_response(
     tail: int | None = None,
     hyper_uncertainty: bool = True,
     cover_cut: bool = True,
+    like: IdentifiedModel | None = None,
 ) -> IdentifiedModel:
     """Identify the impulse response from `input` to `output`.
 
@@ -95,6 +98,8 @@ def identify_impulse_response(
     cover_cut : bool
         Whether a response that outlasts the order gets a longer one beside it (`longer_response`), which random models and
         bounds on the error are drawn from; False: they know nothing of what the order cuts off.
+    like : IdentifiedModel or None
+        A model of this kernel from records of the same plant: the search of the hyper-parameters begins at its.
 
     Returns
     -------
@@ -130,7 +135,7 @@ def identify_impulse_response(
     if tail is None:
         tail = min(order // 2, sum(record.n for record in experiments) // 100)
     data = lagged_data(experiments, [input], output, order + tail, delay, offset=offset)
-    fit = fit_impulse_response(data.sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty)
+    fit = fit_impulse_response(data.sums, kernel, 1, noise_variance, hyper_uncertainty=hyper_uncertainty, like=like)
 
     def refit(length: int) -> tuple[FloatArray, FloatArray]:
         sums = lagged_data(experiments, [input], output, length, delay, offset=offset).sums
@@ -167,6 +172,7 @@ def fit_impulse_response(
     noise_variance: NoiseVariance = "marginal",
     *,
     hyper_uncertainty: bool = True,
+    like: IdentifiedModel | None = None,
 ) -> ImpulseResponseFit:
     """Posterior of the impulse responses from regression sums alone; parameters as in `identify_impulse_response`.
 
@@ -187,7 +193,10 @@ def fit_impulse_response(
         excited = excitation_order(scaled.gram)
         known = _known_variance(scaled, noise_variance, output_scale, excited)
         likelihood = marginal_likelihood(scaled, KERNELS[kernel], n_inputs, known)
-        x, value = maximise(likelihood)
+        if like is None:
+            x, value = maximise(likelihood)
+        else:
+            x, value = maximise(likelihood, _variables(likelihood, like, input_scale[0]), 1e-7)
         posterior = likelihood.posterior(x)
         spread = likelihood.hyper_parameter_spread(x) if hyper_uncertainty else 0.0
     ratio = output_scale / input_scale
@@ -212,7 +221,17 @@ def _named(likelihood: MarginalLikelihood, x: FloatArray, units: FloatArray) -> 
     )
 
 
-def maximise(likelihood: MarginalLikelihood, start: FloatArray | None = None) -> tuple[FloatArray, float]:
+def _variables(likelihood: MarginalLikelihood, like: IdentifiedModel, input_scale: float) -> FloatArray:
+    """The search variables that a model's hyper-parameters are: the inverse of `_named` for one input."""
+    values = like.hyper_parameters
+    kappa = values["scale"] * input_scale**2 / max(like.noise_variance, np.finfo(float).tiny)
+    eta = [item.free(values[item.name]) for item in likelihood.kernel.parameters]
+    return np.array([*eta, math.log(max(kappa, np.finfo(float).tiny))])
+
+
+def maximise(
+    likelihood: MarginalLikelihood, start: FloatArray | None = None, tolerance: float = 1e-11
+) -> tuple[FloatArray, float]:
     """Search variables of the largest marginal likelihood and −log p there.
 
     A coarse grid of time constants and signal-to-noise ratios (or `start`), then L-BFGS-B on the exact gradient.
@@ -227,7 +246,7 @@ def maximise(likelihood: MarginalLikelihood, start: FloatArray | None = None) ->
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        options={"ftol": 1e-11, "gtol": 1e-6 * likelihood.n},
+        options={"ftol": tolerance, "gtol": 1e-6 * likelihood.n},
     )
     return np.asarray(found.x), float(found.fun)
 
@@ -249,12 +268,17 @@ def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:
 def scaled_sums(sums: RegressionSums, n_inputs: int) -> tuple[RegressionSums, FloatArray, float]:
     """The sums with every signal at unit mean square, and the scales; refuses signals that do not move."""
     n = sums.degrees_of_freedom
-    input_scale = np.sqrt(np.diag(sums.gram).reshape(n_inputs, -1).mean(axis=1) / n)
+    power = np.diag(sums.gram).reshape(n_inputs, -1).mean(axis=1) / n
+    level = np.square(sums.regressor_sum / max(sums.rows, 1)).reshape(n_inputs, -1).mean(axis=1)
+    input_scale = np.sqrt(np.where(power > _ROUNDING * level, power, 0.0))
     output_scale = math.sqrt(max(sums.energy, 0.0) / n)
     if not (output_scale > 0 and output_scale**2 > 0):
         raise NotIdentifiable("the output does not move: an impulse response needs a response")
     if not np.all(np.square(input_scale) > 0):
-        raise NotIdentifiable("the input does not move: it is persistently exciting of order 0")
+        raise NotIdentifiable(
+            "the input does not move in the rows whose whole past is there (persistently exciting of order 0): take a smaller "
+            "order, or record longer before and after what moves it"
+        )
     scale = np.repeat(input_scale, len(sums.cross) // n_inputs)
     gram = sums.gram / scale / scale[:, None]
     if not (np.isfinite(gram).all() and np.isfinite(output_scale)):

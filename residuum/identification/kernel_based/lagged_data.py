@@ -19,6 +19,8 @@ FloatArray = npt.NDArray[np.float64]
 _APART = 1e-3
 """Part of its size by which an input must differ from what the others add up to."""
 _PART = 0.1
+_STILL, _LEFT_OUT = 3, 0.5
+"""Samples at the begin by which an input is seen to stand still; the part of its movement that must not be left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ def lagged_data(
     _check_moves(experiments, output, "take a channel that answers the input", offset=offset)
     if len(inputs) > 1:
         _check_apart(experiments, inputs, offset=offset)
-    levels = [_record_sums(record, inputs, output, order, delay, offset=offset) for record in experiments]
+    levels = [record_sums(record, inputs, output, order, delay, offset=offset) for record in experiments]
     centred = [sums.centred() if offset else sums for sums, _, _ in levels]
     first = experiments[0]
     return LaggedData(
@@ -75,15 +77,34 @@ def lagged_data(
     )
 
 
-def _record_sums(
+def past_at_rest(inputs: Sequence[npt.NDArray[np.floating]], reach: int) -> int:
+    """How many samples before the record the inputs are taken to have stood still, as they do at its beginning: 0 or `reach`.
+
+    The rows of a step or a pulse that comes within `reach` samples have no whole past, and what is left has no movement. The past
+    is taken from the beginning only there: three samples of every input alike, and most of its movement left out otherwise.
+
+    >>> past_at_rest([np.r_[np.zeros(20), np.ones(280)]], 100), past_at_rest([np.arange(300.0) % 7], 100)
+    (100, 0)
+    """
+    if any(len(u) <= _STILL or not (u[:_STILL] == u[0]).all() for u in inputs):
+        return 0
+    steps = [np.square(np.diff(u)) for u in inputs]
+    late = any(np.nansum(step[: max(reach - 1, 0)]) > _LEFT_OUT * np.nansum(step) for step in steps)
+    return reach if late else 0
+
+
+def record_sums(
     record: Record, inputs: Sequence[str], output: str, order: int, delay: int, *, offset: bool
 ) -> tuple[RegressionSums, FloatArray, float]:
     """Sums of one record. Signals are taken from their own mean when a level is fitted, so that no digits are lost."""
     input_levels = np.array([_mean(record[name]) if offset else 0.0 for name in inputs])
     output_level = _mean(record[output]) if offset else 0.0
-    signals = [record[name] for name in inputs]
+    signals, answer = [record[name] for name in inputs], record[output]
+    if before := past_at_rest(signals, delay + order - 1):
+        signals = [np.concatenate([np.full(before, signal[0]), signal]) for signal in signals]
+        answer = np.concatenate([np.full(before, np.nan), answer])
     try:
-        sums = regression_sums(signals, record[output], order, delay, input_levels=list(input_levels), output_level=output_level)
+        sums = regression_sums(signals, answer, order, delay, input_levels=list(input_levels), output_level=output_level)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{record.source or 'record'}: {error}") from None
     return sums, input_levels, output_level

@@ -22,6 +22,7 @@ RESOLUTION = 1e-13
 # Difference step and widest standard deviation of the search variables, which are logarithms.
 _STEP = 1e-4
 _WIDEST = 2.0
+_RAISES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +270,10 @@ def cholesky(A: FloatArray) -> FloatArray:
     if not math.isfinite(size):
         raise NotIdentifiable("the sums of the regression are not finite: the signals are too large for double precision")
     raised = 0.0
-    while True:
-        L, info = lapack.dpotrf(A + raised * np.eye(len(A)) if raised else A, lower=1, clean=1)
-        if info == 0:
-            return np.asarray(L)
-        raised = 100 * raised or 1e-16 * size
+    if np.isfinite(A).all():
+        for _ in range(_RAISES):
+            L, info = lapack.dpotrf(A + raised * np.eye(len(A)) if raised else A, lower=1, clean=1)
+            if info == 0:
+                return np.asarray(L)
+            raised = 100 * raised or 1e-16 * size
+    raise NotIdentifiable("the sums of the regression are no Gram matrix: the signals are too large or too small to tell")

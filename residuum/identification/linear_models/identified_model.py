@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy import signal, stats
 
 from residuum.identification.errors import BadModel
+from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
 FloatArray = npt.NDArray[np.float64]
@@ -214,6 +215,11 @@ class IdentifiedModel:
         """Whether G is given as numerator/denominator."""
         return self.numerator is not None
 
+    @property
+    def diverges(self) -> bool:
+        """Whether its simulation grows without bound: a pole of the estimate on or outside the unit circle."""
+        return self.denominator is not None and not self.integrates and not is_schur(self.denominator)
+
     def transfer_function(self) -> TransferFunction:
         """G(z): numerator/denominator, or the impulse response as a polynomial in z⁻¹."""
         if self.numerator is not None and self.denominator is not None:
@@ -329,13 +335,31 @@ class IdentifiedModel:
         return size * scale * std
 
     def predict(self, u: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
-        """One-step-ahead prediction of `y`, shape (n,): ŷ = H⁻¹G u + (1 − H⁻¹) y; `simulate(u)` when H = 1."""
-        simulated = self.simulate(u)
+        """One-step-ahead prediction of `y`, shape (n,): ŷ = H⁻¹G u + (1 − H⁻¹) y; `simulate(u)` when H = 1.
+
+        Where H has the poles of G (arx, armax) they cancel, and the prediction of a plant that is not stable stays bounded.
+        """
         y = _finite(y, "y")
+        if self._poles_of_the_noise and self.numerator is not None and self.denominator is not None:
+            u, lag = _finite(u, "u"), len(self.denominator) - len(self.numerator)
+            _rule(len(y) == len(u), "y", f"has {len(y)} samples, u has {len(u)}; must be equal")
+            of_input = signal.lfilter(np.r_[np.zeros(lag), self.numerator], self.noise_numerator, u)
+            about = y - self.offset
+            return np.asarray(of_input + y - signal.lfilter(self.noise_denominator, self.noise_numerator, about))
+        simulated = self.simulate(u)
         _rule(len(y) == len(simulated), "y", f"has {len(y)} samples, u has {len(simulated)}; must be equal")
         if self.noise_numerator is None:
             return simulated
         return np.asarray(y - signal.lfilter(self.noise_denominator, self.noise_numerator, y - simulated))
+
+    @property
+    def _poles_of_the_noise(self) -> bool:
+        """Whether H and G divide by the same polynomial."""
+        if self.numerator is None or self.denominator is None or self.noise_denominator is None or self.integrates:
+            return False
+        same = min(len(self.denominator), len(self.noise_denominator))
+        longer = self.denominator[same:], self.noise_denominator[same:]
+        return np.array_equal(self.denominator[:same], self.noise_denominator[:same]) and not any(map(np.any, longer))
 
     def _before_the_sum(self, rows: FloatArray) -> FloatArray:
         """Impulse responses (rows, m) without the pole at one of a model that integrates; others as they are."""

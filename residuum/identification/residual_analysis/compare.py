@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
@@ -18,6 +20,7 @@ from residuum.identification.residual_analysis.error_sizes import (
     prediction_errors,
 )
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
+from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_codes
 from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.places.locate import Axis, Region
 from residuum.identification.residual_analysis.places.regions import regions
@@ -52,6 +55,20 @@ class Comparison:
     smoothed: list[Smoothed]
     axes: list[list[Axis]]
     where: tuple[Region, ...]
+    odd: tuple[OddReadings, ...] = ()
+
+    @property
+    def odd_samples(self) -> bool:
+        """Whether samples that no sensor measured make most of an output's error, which no test of noise judges then."""
+        squares = {odd.output: [0.0, 0.0] for odd in self.odd}
+        for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
+            for k, name in enumerate(self.model.outputs):
+                if name in squares:
+                    error = np.nan_to_num(residuals[:, k]) ** 2
+                    rows = [row for odd in self.odd if (odd.output, odd.source) == (name, source) for row in odd.rows]
+                    squares[name][0] += float(error[sorted({row for row in rows if row < len(error)})].sum())
+                    squares[name][1] += float(error.sum())
+        return any(odd > 0.5 * whole for odd, whole in squares.values())
 
     @property
     def present(self) -> bool:
@@ -70,8 +87,8 @@ class Comparison:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What of the model the records contradict before anything is simulated."""
-        return begins_elsewhere(self.model, self.experiments)
+        """What of the model the records contradict before anything is simulated, and what a sensor says without a value."""
+        return (*begins_elsewhere(self.model, self.experiments), *(text for odd in self.odd for text in odd.says()))
 
     @property
     def not_recorded(self) -> dict[str, tuple[str, ...]]:
@@ -118,6 +135,7 @@ def compare(
         The model diverges on a record.
     """
     model, experiments = match(model, records, mapping)
+    experiments, odd = without_codes(model, experiments)
     experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
@@ -142,5 +160,15 @@ def compare(
         structured=structured,
         smoothed=smoothed,
         axes=seen,
+        odd=_beside(model, experiments, simulation, odd),
         where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
     )
+
+
+def _beside(
+    model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate, coded: Sequence[OddReadings]
+) -> tuple[OddReadings, ...]:
+    """Error codes that were left out, and what stands out of the rest beside the simulation."""
+    simulated = [each.Y - rest for each, rest in zip(experiments, simulation.residuals, strict=True)]
+    codes = [replace(odd, beside=odd.coded, still=()) for odd in coded if odd.coded.size]
+    return (*codes, *odd_readings(model, experiments, simulated))

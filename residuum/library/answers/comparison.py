@@ -106,6 +106,8 @@ def _structured(comparison: Comparison) -> str:
     """Whether the error is structured, in a line."""
     if not comparison.structured:
         return "structured error: not told; the records are too short to tell an error from noise"
+    if not comparison.present and comparison.odd_samples:
+        return "structured error: not told; the sensor's readings are odd where the warning says so"
     if not comparison.present:
         return f"structured error: no ({chance(comparison.p_value)}; noise alone explains the error)"
     percent = 100 * comparison.share

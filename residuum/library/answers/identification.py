@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,20 +59,17 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     """The short human report."""
     if not model.input_name:
         return _series_text(model, result)
-    gain_unit = _gain_unit(model)
-    peak = int(np.argmax(np.abs(model.impulse_response)))
+    assumed = result.get("assumptions") or {}
     lines = [
         f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
         f"{result['samples']} samples of {model.sample_time:g} s",
-        f"  impulse response  {model.order} coefficients from lag {model.delay}; largest {model.impulse_response[peak]:.4g} "
-        f"± {model.std[peak]:.2g}{gain_unit} at {(model.delay + peak) * model.sample_time:g} s",
-        f"  static gain       {_gain(model)}",
+        f"  impulse response  {model.order} coefficients from lag {model.delay}; {_largest(model, assumed)}",
+        f"  static gain       {_gain(model, assumed)}",
         f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
-        f"  fit               {_fits(result['fit_percent'])} of the estimation data",
+        f"  fit               {_fits(result['fit_percent'])} of the estimation data{_shown(model)}",
     ]
-    aside = result.get("assumptions") or {}
-    if aside.get("kept_aside") and not result["held_out_fit_percent"]:
-        kept = _fits([part["fit_percent"] for part in aside["kept_aside"]])
+    if assumed.get("kept_aside") and not result["held_out_fit_percent"]:
+        kept = _fits([part["fit_percent"] for part in assumed["kept_aside"]])
         lines.append(f"  fit kept aside    {kept} of the last 30 %, by the first 70 %")
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
@@ -86,13 +83,30 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _gain(model: IdentifiedModel) -> str:
+def _largest(model: IdentifiedModel, assumed: Mapping[str, Any]) -> str:
+    if model.diverges:
+        return "grows without bound, for the model is not stable"
+    if model.is_parametric and (assumed.get("excitation") or {}).get("tells_model") is False:
+        return "the record does not tell them"
+    peak = int(np.argmax(np.abs(model.impulse_response)))
+    size = f"largest {model.impulse_response[peak]:.4g} ± {model.std[peak]:.2g}{_gain_unit(model)}"
+    return f"{size} at {(model.delay + peak) * model.sample_time:g} s"
+
+
+def _shown(model: IdentifiedModel) -> str:
+    return ", by one-step predictions" if model.diverges else ""
+
+
+def _gain(model: IdentifiedModel, assumed: Mapping[str, Any]) -> str:
     if model.integrates:
         slope = float(np.diff(model.impulse_response, prepend=0.0).sum())
         return f"none: the model integrates {slope:.4g}{_gain_unit(model)} a sample"
     gain = float(model.frequency_response(0.0).real)
     std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
-    return f"{gain:.4g} ± {std:.2g}{_gain_unit(model)} (one standard deviation)"
+    if (assumed.get("excitation") or {}).get("tells_gain") is False:
+        return "the record does not tell it"
+    formal = "; formal, for the model is not stable" if model.diverges else ""
+    return f"{gain:.4g} ± {std:.2g}{_gain_unit(model)} (one standard deviation{formal})"
 
 
 def _series_text(model: IdentifiedModel, result: dict[str, Any]) -> str:

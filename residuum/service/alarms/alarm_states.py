@@ -67,16 +67,35 @@ _COMING_BACK = {
     AlarmEvent.RELEASE: AlarmState.SUPPRESSED,
     AlarmEvent.RETURN_TO_SERVICE: AlarmState.OUT_OF_SERVICE,
 }
+_GAP = 2.0
+"""Pauses before, from which on a longer one is a gap."""
 _FROM_THE_MACHINE = (AlarmEvent.RAISE, AlarmEvent.CLEAR)
 
 
 @dataclass(frozen=True)
 class AlarmStatus:
-    """State and condition of an alarm; `pending_since` is when the machine began to show the opposite of the condition."""
+    """State and condition of an alarm, and what its delays count.
+
+    Attributes
+    ----------
+    state : AlarmState
+    condition : bool
+    pending_since : datetime or None
+        When the machine began to show the opposite of the condition.
+    pending_seconds : float
+        For how long it was seen to show it since.
+    judged_at : datetime or None
+        When the last window was that told; None where one that could not be judged came after it.
+    judged_every : float or None
+        Seconds between that one and the one before it.
+    """
 
     state: AlarmState = AlarmState.NORMAL
     condition: bool = False
     pending_since: datetime | None = None
+    pending_seconds: float = 0.0
+    judged_at: datetime | None = None
+    judged_every: float | None = None
 
 
 def next_state(state: AlarmState, event: AlarmEvent, *, condition: bool = False, latch: bool = False) -> AlarmState:
@@ -118,15 +137,38 @@ def next_state(state: AlarmState, event: AlarmEvent, *, condition: bool = False,
 def follow(status: AlarmStatus, seen: bool, rule: AlarmRule, now: datetime) -> tuple[AlarmStatus, AlarmEvent | None]:
     """The status after the machine was seen with or without the fault, and the event that this was, None for none.
 
-    What is seen becomes the condition once it has been seen without a break for the rule's delay.
+    What is seen becomes the condition once it has been seen for the rule's delay. Only time between two windows in a row that
+    both show it counts: windows that could not be judged stop the count, a clock that was set back does not wind it back, and
+    after a gap (longer than the delay, and than twice the pause before) it begins anew, for nobody knows what was in between.
+
+    Parameters
+    ----------
+    status : AlarmStatus
+    seen : bool
+        Whether the machine shows the fault.
+    rule : AlarmRule
+    now : datetime
+        Of the window that shows it.
     """
+    delay = rule.on_delay if seen else rule.off_delay
+    pause = None if status.judged_at is None else max((now - status.judged_at).total_seconds(), 0.0)
+    gap = pause is not None and pause > max(delay, _GAP * (status.judged_every or 0.0))
+    judged = replace(status, judged_at=now, judged_every=status.judged_every if pause is None else pause)
     if seen == status.condition:
-        return replace(status, pending_since=None), None
-    since = status.pending_since or now
-    if (now - since).total_seconds() < (rule.on_delay if seen else rule.off_delay):
-        return replace(status, pending_since=since), None
+        return replace(judged, pending_since=None, pending_seconds=0.0), None
+    begins = status.pending_since is None or gap
+    since = now if begins or status.pending_since is None else status.pending_since
+    seconds = 0.0 if begins else status.pending_seconds + (pause or 0.0)
+    if seconds < delay:
+        return replace(judged, pending_since=since, pending_seconds=seconds), None
     event = AlarmEvent.RAISE if seen else AlarmEvent.CLEAR
-    return AlarmStatus(next_state(status.state, event, latch=rule.latch), seen), event
+    state = next_state(status.state, event, latch=rule.latch)
+    return replace(judged, state=state, condition=seen, pending_since=None, pending_seconds=0.0), event
+
+
+def unjudged(status: AlarmStatus) -> AlarmStatus:
+    """The status after a window that says nothing of the condition: time around it does not count."""
+    return replace(status, judged_at=None)
 
 
 def operate(status: AlarmStatus, event: AlarmEvent) -> AlarmStatus:

@@ -1,16 +1,21 @@
 """What `inspect` shows of a file, of one shape for every format: guesses, channels, rate, what has no unit, the first rows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_file import LoggerFile
 from residuum.identification.record_formats.read_apart import read_safely
+from residuum.identification.residual_analysis.odd_readings import far_beside
 
+_CODES = frozenset((-127.0, 85.0, 850.0, -999.0, -999.9, -9999.0, 999.9, 9999.0, 32767.0, -32768.0, 3276.7, -3276.8, 65535.0))
+"""Of 1-wire and resistance thermometers, meters, and registers of 16 bits."""
+_FEWEST = 30
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
 
@@ -22,7 +27,9 @@ def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[di
     samples: dict[str, Any] = {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True}
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
     rows = first_rows(record.time, np.stack([record[name] for name in record.names]))
-    shown = _shown(file, columns, samples, rows) | {"notes": list(record.notes)}
+    signals = {name: np.asarray(record[name]) for name in record.names}
+    shown = _shown(file, columns, samples, rows) | {"notes": [*record.notes, *_error_codes(signals)]}
+    shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
     return shown, _text(shown)
 
 
@@ -30,8 +37,10 @@ def of_logger_file(file: Path, found: LoggerFile) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a logger's text file, as it is understood."""
     mapping, samples = found.mapping, dict(found.samples)
     missing, rows, notes = samples.pop("missing"), samples.pop("first_rows"), samples.pop("notes")
+    signals = samples.pop("signals")
     columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]
-    shown = _shown(file, columns, samples, rows) | {"notes": notes}
+    shown = _shown(file, columns, samples, rows) | {"notes": [*notes, *_error_codes(signals)]}
+    shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
     shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
     shown["mapping"] = mapping.to_yaml()
     return shown, _text(shown)
@@ -56,18 +65,48 @@ def _text(shown: dict[str, Any]) -> str:
     lines[0] += "" if samples["duplicates"] else f", {samples['rate']:.6g} Hz"
     lines += [f"  {guess['what']}: {guess['value']!r} ({guess['reason']})" for guess in shown["guesses"]]
     lines += [f"  {note}" for note in shown["notes"]]
-    lines += [f"  column {c['column']}: {c['name']} [{c['unit']}], {c['missing']} missing" for c in columns]
+    lines += [f"  column {c['column']}: {c['name']} [{c['unit']}], {c['missing']} missing{_span(shown, c)}" for c in columns]
     if bare := shown["without_unit"]:
         how = "--unit COLUMN=UNIT" + (", or the mapping, says it" if shown["mapping"] else " says it to the commands")
         lines.append(f"  without a unit: {', '.join(bare)}; {how}")
     for row in shown["first_rows"]:
         lines.append("  " + ", ".join("missing" if value is None else f"{value:.12g}" for value in row))
-    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}" for gap in samples["gaps"]]
+    lines += [f"  gap of {gap['seconds']:.6g} s after row {gap['after_row']}: {gap['looks_like']}" for gap in samples["gaps"]]
     if samples["gap_count"] > len(samples["gaps"]):
         lines.append(f"  {samples['gap_count']} gaps in all")
     if not samples["even"]:
         lines.append("  steps are uneven: the commands take it with --resample")
     return "\n".join(lines)
+
+
+def _range(signal: npt.NDArray[np.floating]) -> list[float] | None:
+    """Lowest and highest value; None of a channel without any."""
+    known = signal[np.isfinite(signal)]
+    return [float(known.min()), float(known.max())] if known.size else None
+
+
+def _span(shown: dict[str, Any], column: dict[str, Any]) -> str:
+    span = shown["ranges"].get(column["name"])
+    return "" if span is None else f", {span[0]:.6g} … {span[1]:.6g}"
+
+
+def _error_codes(signals: Mapping[str, npt.NDArray[np.floating]]) -> list[str]:
+    """What sensors write where they have no value, among single rows far beside their neighbours."""
+    says = []
+    for name, signal in signals.items():
+        if np.isfinite(signal).sum() < _FEWEST:
+            continue
+        rows, _, _ = far_beside(np.asarray(signal, dtype=float))
+        coded = [row for row in rows.tolist() if float(signal[row]) in _CODES]
+        if coded:
+            values = sorted({float(signal[row]) for row in coded})
+            marks = " ".join(f"--missing {value:.10g}" for value in values)
+            where = ", ".join(map(str, coded[:12])) + ", …" * (len(coded) > 12)
+            says.append(
+                f"{name}: {len(coded)} single samples (numbers {where}, from 0) read {' or '.join(f'{v:.10g}' for v in values)} "
+                f"beside their neighbours, as sensors write where they have no value; then say {marks}"
+            )
+    return says
 
 
 def _rows(samples: dict[str, Any]) -> str:

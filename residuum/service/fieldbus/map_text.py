@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from residuum.identification.yaml_text import FASTEST, read_yaml, short_text, what_is_wrong
+from residuum.identification.yaml_text import PlainNumbers, read_yaml, short_text, what_is_wrong
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
 Map = TypeVar("Map", bound=BaseModel)
 
 
-class _EachNameOnce(FASTEST):
+class _EachNameOnce(PlainNumbers):
     """YAML itself would let the later of two equal names win, without a word."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:

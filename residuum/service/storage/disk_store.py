@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,9 @@ SETTLED = 120.0
 _CHECK_WITHIN = 2.0
 """Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
+_FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
+"""Of window times that are taken for a clock: from the year 2000 to 9999 [s]; others count from some start."""
+_AHEAD = timedelta(minutes=1)
 """Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
 
 Announce = Callable[[str, Mapping[str, Any]], None]
@@ -214,7 +217,7 @@ class DiskStore:
             window = windows.add(connection, asset, record, block, now=now, idempotency_key=idempotency_key, digest=digest)
             number = assets.add_finding(connection, asset, window, finding, now)
             finding_notices.add(connection, number)
-            changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset))
+            changed = alarms.follow(connection, asset, window, finding, now, self._rule_of(asset), _seen_at(record, now))
         self._refuse_moved()
         self._announce("finding", StoredFinding(number, asset, window, now, finding).to_json())
         for alarm in changed:
@@ -498,6 +501,13 @@ class DiskStore:
                 told = {"blocks": len(orphans)}
                 audit.append(connection, "blocks swept", "signal blocks", by=None, now=_now(), detail=told)
         return len(orphans)
+
+
+def _seen_at(record: Record, now: datetime) -> datetime:
+    """When a window ended by its own clock, where that is one: windows that a gateway sends late were not all seen at once."""
+    end = record.t0 + record.n * record.sample_time
+    own = datetime.fromtimestamp(end, UTC) if record.t0 > _FIRST_CLOCK and end < _LAST_CLOCK else now
+    return own if own <= now + _AHEAD else now
 
 
 def _now() -> datetime:

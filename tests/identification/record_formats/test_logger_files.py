@@ -204,3 +204,24 @@ def test_the_unit_of_times_may_be_said_like_any_other(tmp_path):
     file = tmp_path / "log.csv"
     file.write_text("t;speed\n0;1\n10;2\n20;3\n")
     assert read_record(file, ReadOptions(units={"t": "ms", "speed": "rpm"})).sample_time == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("word", ["unavailable", "unknown", "Offline", "#DIV/0!", "kaputt"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_few_words_for_no_value_make_no_delimiter(word, delimiter):
+    rng = np.random.default_rng(len(word))
+    rows = [delimiter.join(["time", "a [kW]", "b [degC]"])]
+    gone = rng.choice(100, 7, replace=False)
+    for k in range(100):
+        cells = [f"2024-02-05 {k // 60:02d}:{k % 60:02d}:00", f"{rng.normal():.3f}", f"{rng.normal():.2f}"]
+        rows.append(delimiter.join([cells[0], word, word] if k in gone else cells))
+    said = {"missing": [word]} if word == "kaputt" else {}
+    found = understand("\n".join(rows).encode(), "hub.csv", **said)
+    assert found.mapping.delimiter == delimiter
+    assert set(found.samples["missing"].values()) == {7}
+
+
+def test_the_long_form_is_refused_with_its_signals():
+    rows = [f"sensor.{'abc'[k % 3]},{k},2024-02-05T00:{k:02d}:00Z" for k in range(30)]
+    with pytest.raises(BadRecord, match=r"'entity_id' names the signal of each row \(3: sensor.a, .*long form.*pivot"):
+        understand("\n".join(["entity_id,state,last_changed", *rows]).encode(), "history.csv")

@@ -1,5 +1,6 @@
 """Stamps as loggers write them: read as what they are, or asked for; and numbers that mean no value."""
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -221,3 +222,48 @@ def test_what_means_no_value_is_told_where_the_file_is_understood():
     assert ["U: 1 samples of 9.99999999e+37" in samples["notes"][0], "T: 1 samples of -999.9" in samples["notes"][1]] == [
         True
     ] * 2
+
+
+def _logged(tmp_path, seconds, step):
+    """A file of rows in the order in which they came, with these local stamps; the channel counts them."""
+    begin = datetime(2024, 10, 27, 0, 0)
+    rows = [f"{begin + timedelta(seconds=round(float(s), 3))!s},{k}" for k, s in enumerate(seconds)]
+    file = tmp_path / "log.csv"
+    file.write_text("time,count [1]\n" + "\n".join(rows) + "\n")
+    return file
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_clock_that_was_set_back_is_neither_sorted_nor_merged(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    step = float(rng.choice([0.5, 1.0, 15.0, 60.0]))
+    n, back = 400, float(rng.choice([2 * step, 7.3 * step, 30.0 * step, 3600.0]))
+    at = int(rng.integers(20, n - 20))
+    seconds = step * np.arange(n)
+    seconds[at:] -= back
+    if back > seconds[at - 1]:
+        seconds += back
+    file = _logged(tmp_path, seconds, step)
+    with pytest.raises(BadRecord, match=rf"row {at + 2}: time goes back by .*cut the file there, or set .*bridge"):
+        read_record(file)
+    found = understand(file.read_bytes(), str(file))
+    assert found.mapping.reordered == found.mapping.duplicates == "refuse"
+    assert "clock was set back" in found.guesses["reordered"][1]
+    with pytest.raises(BadRecord, match="time goes back"):
+        parse_logger(file.read_bytes(), "log.csv", replace(found.mapping, reordered="sort", duplicates="first"))
+    bridged = parse_logger(file.read_bytes(), "log.csv", replace(found.mapping, reordered="bridge"))
+    assert bridged.sample_time == pytest.approx(step) and bridged["count"].tolist() == list(range(n))
+    assert any("clock was set back 1 time" in note for note in bridged.notes)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rows_that_are_shuffled_are_still_sorted(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    seconds = 60.0 * np.arange(300)
+    for k in rng.choice(np.arange(5, 290, 9), 6, replace=False):
+        seconds[k : k + 3] = rng.permutation(seconds[k : k + 3])
+    file = _logged(tmp_path, seconds, 60.0)
+    if (np.diff(seconds) < 0).any():
+        assert understand(file.read_bytes(), str(file)).mapping.reordered == "sort"
+    record = read_record(file)
+    assert record.n == 300 and np.all(np.sort(record["count"]) == np.arange(300))

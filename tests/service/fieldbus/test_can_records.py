@@ -1,6 +1,8 @@
 """Recorded buses as records: logs as python-can writes them, with losses and odd ends, read by a DBC file."""
 
 import json
+import re
+from datetime import UTC, datetime
 
 import can
 import cantools
@@ -177,3 +179,89 @@ def test_inspect_shows_what_is_in_a_log_beside_what_the_dbc_file_makes_of_it(wri
     assert run(["inspect", str(path), "--dbc", str(dbc)]) == 0
     text = capsys.readouterr().out
     assert "drive 0x1A0: 999 frames, one every 0.01 s, 1 lost" in text and "voltage [V]: not in it there; 48 … 48" in text
+
+
+def candump(stamps, form, rng):
+    """The drive's frames as candump writes them, `stamps` seconds each."""
+    layout = cantools.database.load_string(DBC).get_message_by_name("drive")
+    lines = []
+    for number, stamp in enumerate(stamps):
+        data = layout.encode(sent(number))
+        screen = f"can0  1A0   [{len(data)}]  {data.hex(' ').upper()}"
+        date = datetime.fromtimestamp(stamp, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")
+        if rng.random() < 0.05:
+            lines.append({"log": f"({stamp:.6f}) can0 20000004#0000000000000000"}.get(form, ""))
+        lines.append(
+            {
+                "log": f"({stamp:.6f}) can0 1A0#{data.hex().upper()}",
+                "direction": f"({stamp:.6f}) can0 1A0#{data.hex().upper()} {'RT'[number % 2]}",
+                "fd": f"({stamp:.6f}) can0 1A0##1{data.hex().upper()}",
+                "screen": f" ({stamp:.6f})  {screen}",
+                "date": f" ({date})  {screen}",
+                "ascii": f" ({stamp:.6f})  {screen}   '..{number % 10}.....'",
+                "printed direction": f" ({stamp:.6f})  can0  RX - -  1A0   [{len(data)}]  {data.hex(' ').upper()}",
+            }[form]
+        )
+    return "\n".join(line for line in lines if line) + "\n"
+
+
+def even(n=N):
+    return 1e9 + 0.01 * np.arange(n)
+
+
+@pytest.mark.parametrize("form", ["log", "direction", "fd", "screen", "date", "ascii", "printed direction"])
+@pytest.mark.parametrize("differences", [False, True])
+def test_candump_is_read_in_every_form_that_it_prints(tmp_path, form, differences):
+    if differences and form == "date":
+        pytest.skip("differences are no dates")
+    rng = np.random.default_rng(3)
+    stamps = even() + rng.uniform(0, 3e-4, N)
+    (tmp_path / "drive.dbc").write_text(DBC)
+    written = np.diff(stamps, prepend=stamps[0]) if differences else stamps
+    (tmp_path / "drive.log").write_text(
+        candump(written, form, np.random.default_rng(4) if form == "log" and not differences else Never())
+    )
+    record = read_can_record(tmp_path / "drive.log", tmp_path / "drive.dbc")
+    assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(N)])
+    notes = "; ".join(record.notes)
+    assert ("summed up" in notes) == differences
+    assert ("error frames" in notes) == (form == "log" and not differences)
+    assert "not used" not in notes and "twice" not in notes
+
+
+class Never:
+    def random(self):
+        return 1.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_clock_that_was_set_is_said_and_bridged(tmp_path, seed, counted):
+    rng = np.random.default_rng(seed)
+    at, by = int(rng.integers(100, 900)), float(rng.choice([-1, 1]) * rng.choice([0.04, 0.5, 2.0, 30.0, 3600.0]))
+    if by > 0 and (not counted or by < 1 or by > 100):
+        by = -by  # a step forward is a pause without a counter, or where it is long; a short one is a few frames lost
+    stamps = even() + rng.uniform(0, 3e-4, N)
+    stamps[at:] += by
+    text = DBC if counted else DBC.replace("SG_ counter", "SG_ whatever")
+    (tmp_path / "drive.dbc").write_text(text)
+    (tmp_path / "drive.log").write_text(candump(stamps, "log", Never()))
+    record = read_can_record(tmp_path / "drive.log", tmp_path / "drive.dbc")
+    assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(N)])
+    notes = "; ".join(record.notes)
+    way, size, place = re.search(r"the clock was set (\w+) by ([\d.e+]+) s after frame (\d+)", notes).groups()
+    assert (way, int(place)) == ("forward" if by > 0 else "back", at)
+    assert float(size) == pytest.approx(abs(by), rel=0.01, abs=1e-3)
+    assert "lost," not in notes
+
+
+@pytest.mark.parametrize("together", [2, 5, 7])
+def test_frames_that_share_a_stamp_keep_their_order_and_their_number(tmp_path, together):
+    text = DBC.replace("SG_ counter", "SG_ whatever")
+    (tmp_path / "drive.dbc").write_text(text)
+    stamps = 1e9 + 0.01 * together * np.ceil(np.arange(1, N + 1) / together)
+    (tmp_path / "drive.log").write_text(candump(stamps, "log", Never()))
+    record = read_can_record(tmp_path / "drive.log", tmp_path / "drive.dbc")
+    assert record["speed"] == pytest.approx([sent(number)["speed"] for number in range(N)])
+    assert any("several frames share a stamp" in note for note in record.notes)
+    assert not any("twice" in note for note in record.notes)

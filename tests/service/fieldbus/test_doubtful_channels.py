@@ -47,3 +47,15 @@ def test_what_is_said_most_often_is_said():
     for k in range(10):
         channels.look(read("CDAB looks likelier" if k < 9 else "DCBA looks likelier"))
     assert channels.sentences == ["meter.temperature: CDAB looks likelier"]
+
+
+@pytest.mark.parametrize("celsius", [-4.5, -0.1, -40.0, -150.0])
+def test_an_unsigned_register_that_is_a_negative_number_is_told(celsius):
+    raw = round(celsius * 10) % 65536
+    where = ChannelRegisters(register=0, type="uint16", scale=0.1, unit="°C")
+    reading = _reading("meter", "temperature", where, ("holding", 0), (raw,), raw * 0.1)
+    if raw == 0xFFFF:
+        assert "no value" in reading.remark
+    else:
+        assert f"looks more like {celsius:g} than" in reading.remark and "say type: int16" in reading.remark
+    assert not _reading("meter", "temperature", where, ("holding", 0), (30_000,), 3000.0).remark

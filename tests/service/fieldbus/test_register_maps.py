@@ -14,8 +14,10 @@ import yaml
 
 from residuum.service.cli import run
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
+from residuum.service.fieldbus.modbus.modbus_exceptions import explained
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
 from residuum.service.fieldbus.modbus.register_map import read_register_map
+from residuum.service.fieldbus.modbus.register_table import register_map_of
 
 _spec = importlib.util.spec_from_file_location("small_device", Path(__file__).with_name("small_device.py"))
 _module = importlib.util.module_from_spec(_spec)
@@ -255,3 +257,39 @@ def test_inspect_says_what_it_lacks(write_map, capsys, free_port):
 def test_a_map_that_is_not_there_is_said_to_be_so(tmp_path):
     with pytest.raises(BadBusDescription, match=r"^none\.yaml: no such file$"):
         read_register_map(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("number", ["0040", "010", "-007", "0100", "0089", "1:29", "12:30:00", "1:29.5"])
+@pytest.mark.parametrize("place", ["address", "register", "unit_id", "scale"])
+def test_a_number_that_yaml_reads_otherwise_is_refused_where_it_stands(tmp_path, number, place):
+    at = {"address": "40", "register": "0", "unit_id": "1", "scale": "0.1"} | {place: number}
+    file = tmp_path / "map.yaml"
+    file.write_text(
+        f"unit_id: {at['unit_id']}\nstreams:\n  m:\n    sample_time: 0.1\n    poll: {{address: {at['address']}}}\n"
+        f"    channels:\n      flow: {{register: {at['register']}, type: int16, scale: {at['scale']}, unit: l/min}}\n"
+    )
+    with pytest.raises(BadBusDescription, match=r"line \d.*(leading zero|colon).*(write|quote)"):
+        read_register_map(file)
+    file.write_text(file.read_text().replace(f": {number}", ": 0x2" if place != "scale" else ": 0.2"))
+    read_register_map(file)
+
+
+@pytest.mark.parametrize("pad", ["", "0", "00"])
+def test_a_table_of_registers_is_decimal_with_zeros_before_or_not(tmp_path, pad):
+    rng = np.random.default_rng(len(pad))
+    addresses = sorted(rng.choice(np.arange(8, 120), 5, replace=False).tolist())
+    rows = "\n".join(f"s{a},{pad}{a},int16,l/min" for a in addresses)
+    (tmp_path / "t.csv").write_text(f"name,register,type,unit\n{rows}\n")
+    made = register_map_of((tmp_path / "t.csv").read_text(), 0.1)
+    (stream,) = made["streams"].values()
+    assert [stream["poll"]["address"] + c["register"] for c in stream["channels"].values()] == addresses
+
+
+@pytest.mark.parametrize("base", [0, 1])
+@pytest.mark.parametrize("address", [40001, 40041, 400101])
+def test_the_advice_counts_as_the_map_does(base, address):
+    said = explained(2, "holding", address - base, 1, base)
+    first = 400001 if address > 400000 else 40001
+    meant = address - first + base
+    assert f"a manual's {address} is address {meant} of this table: take {first - base} off" in said
+    assert address - (first - base) == meant

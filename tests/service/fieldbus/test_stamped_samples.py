@@ -88,3 +88,51 @@ def test_of_too_many_open_samples_the_oldest_are_lost(samples, monkeypatch):
     assert counted(samples) == {"lost": 1}
     feed(samples, [3, 4, 5, 6, 18], names=["y"])
     assert [number + 3 for number in samples.take(now=2.0).number] == [3, 4, 5, 6] and counted(samples) == {"lost": 2}
+
+
+def drawn_changes(seed, n=300):
+    """What two fast channels and two that report by change are told, and what each sample then holds."""
+    rng = np.random.default_rng(seed)
+    slow = {"y": np.repeat(rng.integers(0, 5, n // 20 + 1), 20)[:n].astype(float), "z": np.zeros(n)}
+    slow["z"][rng.integers(30, 90) :] = 7.0
+    bad = slice(int(rng.integers(120, 150)), int(rng.integers(160, 200)))
+    slow["z"][bad] = np.nan  # a bad status, reported once, and once that it is good again
+    told = []
+    for k in range(n):
+        told += [("u", k, float(k))]
+        for name, values in slow.items():
+            before = values[k - 1] if k else None
+            if k == 0 or not (values[k] == before or (np.isnan(values[k]) and np.isnan(before))):
+                told.append((name, -400 if k == 0 else k, values[k]))  # the first was written long ago
+    return told, slow, n
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("said", [None, True])
+def test_what_is_reported_by_change_holds_until_the_next_report(seed, said):
+    told, slow, n = drawn_changes(seed)
+    held = {"u": None, "y": said, "z": said}
+    samples = StampedSamples(StreamFormat("s", STEP, {"u": "V", "y": "", "z": ""}), SourceHealth(), held=held)
+    found = {name: [] for name in held}
+    now = 0.0
+    for name, k, value in told:
+        now = max(now, STEP * k)
+        samples.add(name, 1e9 + STEP * k, value, now=now)
+        if name == "u" and (block := samples.take(now)) is not None:
+            for channel, values in block.channels.items():
+                found[channel] += values.tolist()
+    first = int(found["u"][0])
+    assert first <= 4 and len(found["u"]) > n - 15
+    assert counted(samples) == {}
+    for name, values in slow.items():
+        np.testing.assert_array_equal(found[name], values[first : first + len(found[name])])
+
+
+def test_a_channel_that_reports_each_sample_is_not_held_where_one_is_lost():
+    samples = StampedSamples(StreamFormat("s", STEP, {"u": "V", "y": "m"}), SourceHealth(), held={"u": None, "y": None})
+    feed(samples, range(20))
+    feed(samples, [20], names=["u"])
+    feed(samples, range(21, 60))
+    blocks = [samples.take(now=2.0), samples.take(now=9.0)]
+    y = np.concatenate([block.channels["y"] for block in blocks if block is not None])
+    assert np.isnan(y).sum() == 1

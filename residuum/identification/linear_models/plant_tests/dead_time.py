@@ -24,7 +24,5 @@ def dead_time(found: LongAutoregression) -> int | None:
     >>> dead_time(long_autoregression([record], "u", "y"))
     40
     """
-    L = np.linalg.cholesky(found.input_covariance)
-    leading = np.cumsum(np.linalg.solve(L, found.input_weights) ** 2)  # θ₁ᵀ Σ₁₁⁻¹ θ₁ of the first 1, 2, … weights
-    refused = np.flatnonzero(stats.chi2.sf(leading, np.arange(1, len(leading) + 1)) < _LEVEL)
+    refused = np.flatnonzero(stats.chi2.sf(found.leading, np.arange(1, len(found.leading) + 1)) < _LEVEL)
     return found.first_lag + int(refused[0]) if refused.size else None

@@ -12,17 +12,22 @@ Fails to see a loop whose noise is small beside what its set point moves, which 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from residuum.identification.linear_models.plant_tests.long_autoregression import LongAutoregression, complete_rows, ridged
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
+from residuum.identification.linear_models.plant_tests.long_autoregression import LongAutoregression, factored
 
 FloatArray = npt.NDArray[np.float64]
 _INPUT_PAST, _NOISE_PAST = 30, 10
 _LEVEL, _LEAST_SHARE = 1e-4, 0.003
 _FEWEST_A_COLUMN = 3
+_LEAST_NEWS = 1e-8
 
 
 @dataclass(frozen=True)
@@ -53,31 +58,25 @@ def feedback_test(found: LongAutoregression) -> FeedbackTest | None:
     """
     if not found.resolved:
         return None
-    pairs = [_rows(u, e, found.first_lag) for u, e in zip(found.inputs, found.innovations, strict=True)]
-    X, t = np.vstack([pair[0] for pair in pairs]), np.concatenate([pair[1] for pair in pairs])
-    noises = X.shape[1] - _INPUT_PAST
-    if len(t) < _FEWEST_A_COLUMN * X.shape[1]:
+    sums = reduce(add, [_sums(u, e) for u, e in zip(found.inputs, found.innovations, strict=True)])
+    own = np.arange(1, _INPUT_PAST + 1)
+    noise = _INPUT_PAST + 1 + np.arange(1 - found.first_lag, _NOISE_PAST)
+    columns = np.r_[own, noise]
+    if sums.rows < _FEWEST_A_COLUMN * len(columns):
         return None
-    without, with_noise = _left(X[:, :_INPUT_PAST], t), _left(X, t)
-    if not without > 1e-10 * float(t @ t):
+    _, explained = factored(sums.columns(columns))
+    without = sums.energy - float(np.sum(explained[: len(own)] ** 2))
+    if not without > _LEAST_NEWS * sums.energy:
         return None  # an input that its own past tells exactly has no news to answer with
-    freedom = len(t) - X.shape[1]
-    statistic = (without - with_noise) / noises / max(with_noise / freedom, np.finfo(float).tiny)
-    return FeedbackTest(float(stats.f.sf(statistic, noises, freedom)), 1.0 - with_noise / without)
+    answer = float(np.sum(explained[len(own) :] ** 2))
+    freedom = sums.rows - len(columns)
+    statistic = answer / len(noise) / max((without - answer) / freedom, np.finfo(float).tiny)
+    return FeedbackTest(float(stats.f.sf(statistic, len(noise), freedom)), answer / without)
 
 
-def _rows(u: FloatArray, e: FloatArray, first_lag: int) -> tuple[FloatArray, FloatArray]:
-    """Past inputs and innovations, and the input, of one record; lag 0 of the noise where `first_lag` is 1."""
-    columns = _INPUT_PAST + _NOISE_PAST - (1 - first_lag)
-    if len(u) <= _INPUT_PAST + 1:
-        return np.zeros((0, columns)), np.zeros(0)
-    past = np.lib.stride_tricks.sliding_window_view(u, _INPUT_PAST + 1)[:, ::-1]
-    noise = np.lib.stride_tricks.sliding_window_view(e, _INPUT_PAST + 1)[:, ::-1]
-    X, t, _ = complete_rows(np.hstack([past[:, 1:], noise[:, 1 - first_lag : _NOISE_PAST]]), past[:, 0])
-    return X, t
-
-
-def _left(X: FloatArray, t: FloatArray) -> float:
-    """Sum of squares that the regression leaves."""
-    left = t - X @ np.linalg.solve(ridged(X.T @ X), X.T @ t)
-    return float(left @ left)
+def _sums(u: FloatArray, e: FloatArray) -> RegressionSums:
+    """Of the input on itself and on the innovations, lags 0 … 30 of both, about the means of one record."""
+    try:
+        return regression_sums([u, e], u, _INPUT_PAST + 1, 0).centred()
+    except NotIdentifiable:
+        return RegressionSums.zero(2 * (_INPUT_PAST + 1))

@@ -53,8 +53,7 @@ def integrator_test(found: LongAutoregression) -> IntegratorTest:
     >>> integrator_test(long_autoregression([record], "u", "level")).integrates
     True
     """
-    P = len(found.output_weights)
-    at_one = 1.0 - float(found.output_weights.sum())
-    level_spread = float(np.sqrt(max(found.covariance[:P, :P].sum(), np.finfo(float).tiny)))
-    input_spread = float(np.sqrt(max(found.input_covariance.sum(), np.finfo(float).tiny)))
-    return IntegratorTest(at_one / level_spread, float(found.input_weights.sum()) / input_spread)
+    a, b = found.output_weights, found.input_weights
+    level_spread = found.spread(np.ones_like(a), np.zeros_like(b))
+    input_spread = found.spread(np.zeros_like(a), np.ones_like(b))
+    return IntegratorTest((1.0 - float(a.sum())) / level_spread, float(b.sum()) / input_spread)

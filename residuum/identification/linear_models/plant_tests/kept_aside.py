@@ -15,8 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import NotIdentifiable
+from residuum.identification.blas_threads import one_thread_if_small
+from residuum.identification.errors import BadRecord, NotIdentifiable
+from residuum.identification.kernel_based.gram import regression_sums
 from residuum.identification.linear_models.identified_model import IdentifiedModel
+from residuum.identification.linear_models.plant_tests.long_autoregression import factored
 from residuum.identification.linear_models.validation.fit import simulated_beside
 from residuum.identification.linear_models.validation.residual_tests import input_correlation_test
 from residuum.identification.record import Record
@@ -53,11 +56,17 @@ class KeptAside:
         return self.fit_percent < _WORSE_THAN_A_CONSTANT or (self.missing > _TOO_MUCH and self.p_value < _LEVEL)
 
 
+@one_thread_if_small(_MOST_LAGS)
 def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAside:
     """The model on the samples of `record` from `first` on; those before only give the input its past.
 
-    Raises BadRecord for a part too short to have a fit.
+    Raises BadRecord for a part too short to have a fit, or one in whose past and present the input stands still.
     """
+    seen = np.asarray(record[model.input_name], dtype=float)[max(first - model.delay - model.order + 1, 0) :]
+    if first and not np.nanmax(seen) > np.nanmin(seen):
+        raise BadRecord(
+            f"{record.source or 'record'}: the input stands still in the part kept aside, which therefore tells nothing"
+        )
     y, residual = simulated_beside(model, record, first)
     fit = 100 * (1 - float(np.nanstd(residual) / np.nanstd(y)))
     u = np.asarray(record[model.input_name], dtype=float)[first:]
@@ -75,12 +84,12 @@ def kept_aside(model: IdentifiedModel, record: Record, first: int = 0) -> KeptAs
 
 def _explained(residual: FloatArray, u: FloatArray, lags: int) -> float:
     """Adjusted R² of the residual on the last `lags` inputs, 0 at least."""
-    past = np.lib.stride_tricks.sliding_window_view(u, lags)[:, ::-1]
-    t = residual[lags - 1 :]
-    known = np.isfinite(past).all(axis=1) & np.isfinite(t)
-    X, t = past[known], t[known]
-    if len(t) <= 2 * lags:
+    try:
+        sums = regression_sums([u], residual, lags, 0).centred()
+    except NotIdentifiable:
         return 0.0
-    X, t = X - X.mean(axis=0), t - t.mean()
-    left = t - X @ np.linalg.lstsq(X, t, rcond=1e-8)[0]
-    return max(0.0, 1.0 - float(left @ left) / (len(t) - lags - 1) / (float(t @ t) / (len(t) - 1)))
+    if sums.rows <= 2 * lags or not sums.energy > 0:
+        return 0.0
+    _, explained = factored(sums)
+    left = sums.energy - float(explained @ explained)
+    return max(0.0, 1.0 - left / (sums.rows - lags - 1) / (sums.energy / (sums.rows - 1)))

@@ -4,18 +4,25 @@ A(q) y(t) = Σ_{j=0 or 1}^{Q} b_j u(t − j) + c + e(t),   A(q) = 1 + a₁ q⁻�
 
 by least squares, P by BIC. With lags enough e is white, and the estimates are consistent for open and closed loops alike (direct
 method: Ljung, System Identification (1999), 13.4).
+
+All comes from the Gram matrix and two Cholesky factors of it. With G = L Lᵀ and z = L⁻¹ Φᵀy, Σ z² of the last k columns is what
+they explain beyond all others, so that nested models and tests of the first k weights are running sums.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 import numpy.typing as npt
+from scipy import linalg
 
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import NotIdentifiable
+from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,7 +31,7 @@ OUTPUT_LAGS = (2, 4, 8, 16, 30)
 SHORT_REACH, LONG_REACH = 120, 600
 """Input lags Q of a first look, and at most."""
 _SAMPLES_A_LAG = 12
-_FEWEST, _MOST = 120, 40_000
+_FEWEST, _MOST = 120, 20_000
 _RIDGE, _RESOLUTION = 1e-10, 1e-10
 
 
@@ -38,8 +45,10 @@ class LongAutoregression:
         α_i = −a_i, of y(t − i).
     input_weights : array, shape (Q + 1 − first_lag,)
         b_j from lag `first_lag` on.
-    covariance : array, shape (P + Q + 1 − first_lag,) squared
-        Of both, the output's first.
+    leading : array, shape (Q + 1 − first_lag,)
+        θ₁ᵀ Σ₁₁⁻¹ θ₁ of the first 1, 2, … input weights, χ² where they are zero.
+    factor : array, shape (P + Q + 1 − first_lag,) squared
+        Lower Cholesky factor of the inverse of the covariance; the columns are α₁ … α_P, then b from the last lag to the first.
     first_lag : int
         0 where the input may act within its own sample, else 1.
     inputs, innovations : list of array
@@ -50,24 +59,24 @@ class LongAutoregression:
 
     output_weights: FloatArray
     input_weights: FloatArray
-    covariance: FloatArray
+    leading: FloatArray
+    factor: FloatArray
     first_lag: int
     inputs: list[FloatArray]
     innovations: list[FloatArray]
     resolved: bool
 
-    @property
-    def input_covariance(self) -> FloatArray:
-        """Covariance of `input_weights`."""
-        first = len(self.output_weights)
-        return self.covariance[first:, first:]
+    def spread(self, of_outputs: FloatArray, of_inputs: FloatArray) -> float:
+        """Standard deviation of a sum of weights with these factors."""
+        factors = np.concatenate([of_outputs, of_inputs[::-1]])
+        return float(np.linalg.norm(linalg.solve_triangular(self.factor, factors, lower=True)))
 
 
 @one_thread_if_small(SHORT_REACH)
 def long_autoregression(
     records: Sequence[Record], input: str, output: str, *, first_lag: int = 1, reach: int = SHORT_REACH
 ) -> LongAutoregression:
-    """Estimate it over all records, each with a level of its own; at most their first 40 000 samples count.
+    """Estimate it over all records, each with a level of its own; at most their first 20 000 samples count.
 
     Parameters
     ----------
@@ -86,18 +95,22 @@ def long_autoregression(
         raise NotIdentifiable(f"{n} samples: a test of the plant needs at least {_FEWEST}")
     us, ys = _scaled(us, input), _scaled(ys, output)
     Q = max(1, min(reach, n // _SAMPLES_A_LAG))
+    sums = _sums(us, ys, first_lag, Q)
+    if sums.rows < 2 * len(sums.cross):
+        raise NotIdentifiable(f"{sums.rows} complete rows: a test of the plant needs {2 * len(sums.cross)}")
     longest = OUTPUT_LAGS[-1]
-    parts = [_rows(u, y, longest, first_lag, Q) for u, y in zip(us, ys, strict=True)]
-    X, t = np.vstack([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
-    if len(t) < 2 * X.shape[1]:
-        raise NotIdentifiable(f"{len(t)} complete rows: a test of the plant needs {2 * X.shape[1]}")
-    gram, cross = X.T @ X, X.T @ t
-    fits = {P: _solved(gram, cross, t, np.r_[0:P, longest : X.shape[1]], X) for P in OUTPUT_LAGS}
-    P = min(fits, key=lambda p: len(t) * float(np.log(max(float(fits[p][2] @ fits[p][2]), _RESOLUTION))) + p * np.log(len(t)))
-    theta, covariance, e = fits[P]
-    innovations = _in_place(e, [len(y) for y in ys], [part[2] for part in parts])
-    resolved = float(e @ e) / len(t) > _RESOLUTION
-    return LongAutoregression(theta[:P], theta[P:], covariance, first_lag, us, innovations, resolved)
+    P = _output_lags(sums, longest)
+    chosen = np.r_[0:P, len(sums.cross) - 1 : longest - 1 : -1]
+    factor, explained = factored(sums.columns(chosen))
+    theta = linalg.solve_triangular(factor, explained, lower=True, trans="T")
+    alpha, b = theta[:P], theta[: P - 1 : -1]
+    innovations = [_innovations(u, y, alpha, b, first_lag, max(longest, Q)) for u, y in zip(us, ys, strict=True)]
+    energy = sum(float(np.nansum(e**2)) for e in innovations)
+    variance = max(energy / max(sums.rows - len(chosen), 1), _RESOLUTION)
+    leading = np.cumsum(explained[: P - 1 : -1] ** 2) / variance
+    return LongAutoregression(
+        alpha, b, leading, factor / np.sqrt(variance), first_lag, us, innovations, energy / sums.rows > _RESOLUTION
+    )
 
 
 def _scaled(parts: Sequence[FloatArray], name: str) -> list[FloatArray]:
@@ -108,48 +121,39 @@ def _scaled(parts: Sequence[FloatArray], name: str) -> list[FloatArray]:
     return [part / np.sqrt(power) for part in centred]
 
 
-def _rows(u: FloatArray, y: FloatArray, P: int, first_lag: int, Q: int) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int_]]:
-    """Regressors and output of one record about their means, rows with a missing sample left out, and where the rows are."""
-    m = max(P, Q)
-    if len(y) <= m + 1:
-        return np.zeros((0, P + Q + 1 - first_lag)), np.zeros(0), np.zeros(0, dtype=int)
-    past = np.lib.stride_tricks.sliding_window_view(y, m + 1)[:, ::-1]
-    driven = np.lib.stride_tricks.sliding_window_view(u, m + 1)[:, ::-1]
-    X, t = np.hstack([past[:, 1 : P + 1], driven[:, first_lag : Q + 1]]), y[m:]
-    X, t, known = complete_rows(X, t)
-    return X, t, m + known
+def _sums(us: Sequence[FloatArray], ys: Sequence[FloatArray], first_lag: int, Q: int) -> RegressionSums:
+    """Of outputs 1 … 30 lags back, then inputs `first_lag` … Q lags back, each record about its means."""
+    orders = [lags + 1 - first_lag for lags in (OUTPUT_LAGS[-1], Q)]
+    parts = []
+    for u, y in zip(us, ys, strict=True):
+        try:
+            parts.append(regression_sums([y, u], y, max(orders), first_lag, orders=orders).centred())
+        except NotIdentifiable:
+            continue  # a record without a complete row adds nothing
+    total = reduce(add, parts, RegressionSums.zero(sum(orders)))
+    return total.columns(np.arange(1 - first_lag, sum(orders)))
 
 
-def complete_rows(X: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
-    """Regressors and target about their means, rows with a missing sample left out, and which rows are left."""
-    known = np.flatnonzero(np.isfinite(X).all(axis=1) & np.isfinite(t))
-    X, t = X[known], t[known]
-    return (X - X.mean(axis=0), t - t.mean(), known) if len(t) else (X, t, known)
+def _output_lags(sums: RegressionSums, longest: int) -> int:
+    """P of the smallest BIC."""
+    inputs_first = np.r_[longest : len(sums.cross), 0:longest]
+    _, explained = factored(sums.columns(inputs_first))
+    left = sums.energy - np.cumsum(explained**2)[-longest - 1 :]
+    return min(OUTPUT_LAGS, key=lambda P: sums.rows * float(np.log(max(float(left[P]), _RESOLUTION))) + P * np.log(sums.rows))
 
 
-def ridged(gram: FloatArray) -> FloatArray:
-    """A Gram matrix that can be inverted where columns say the same."""
-    found = gram.copy()
-    found[np.diag_indices_from(found)] *= 1 + _RIDGE
-    found[np.diag_indices_from(found)] += _RIDGE
-    return found
+def factored(sums: RegressionSums) -> tuple[FloatArray, FloatArray]:
+    """L of the Gram matrix, raised so little that columns which say the same have a factor, too, and L⁻¹ Φᵀy."""
+    gram = sums.gram.copy()
+    size = float(gram.trace()) / max(len(gram), 1)
+    gram[np.diag_indices_from(gram)] += _RIDGE * (np.diag(gram) + max(size, 1.0))
+    factor = linalg.cholesky(gram, lower=True)
+    return factor, linalg.solve_triangular(factor, sums.cross, lower=True)
 
 
-def _solved(
-    gram: FloatArray, cross: FloatArray, t: FloatArray, columns: npt.NDArray[np.int_], X: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    inverse = np.asarray(np.linalg.inv(ridged(gram[np.ix_(columns, columns)])), dtype=float)
-    theta = inverse @ cross[columns]
-    e = t - X[:, columns] @ theta
-    variance = max(float(e @ e) / max(len(t) - len(columns), 1), _RESOLUTION)
-    return theta, variance * inverse, e
-
-
-def _in_place(e: FloatArray, lengths: Sequence[int], places: Sequence[npt.NDArray[np.int_]]) -> list[FloatArray]:
-    found, first = [], 0
-    for n, at in zip(lengths, places, strict=True):
-        whole = np.full(n, np.nan)
-        whole[at] = e[first : first + len(at)]
-        first += len(at)
-        found.append(whole)
-    return found
+def _innovations(u: FloatArray, y: FloatArray, alpha: FloatArray, b: FloatArray, first_lag: int, reach: int) -> FloatArray:
+    """e about its mean; NaN where the past is not whole."""
+    n = len(y)
+    e = np.convolve(y, np.r_[1.0, -alpha])[:n] - np.convolve(u, np.r_[np.zeros(first_lag), b])[:n]
+    e[:reach] = np.nan
+    return e - np.nanmean(e) if np.isfinite(e).any() else e

@@ -149,7 +149,11 @@ def _warnings(fit: Minimum, orders: Orders) -> tuple[str, ...]:
     if not fit.converged:
         says.append("the search stopped before it converged; the covariance is not to be trusted")
     if orders.nb and not is_schur(Polynomials.from_vector(fit.x, orders).a):  # F is kept stable by the search, A is not
-        says.append("the model has a pole on or outside the unit circle: it predicts, but a simulation with it diverges")
+        pole = max(np.roots(Polynomials.from_vector(fit.x, orders).a), key=abs)
+        says.append(
+            f"the model has a pole of size {abs(pole):.4g}, on or outside the unit circle: it predicts, but a simulation with it "
+            "diverges"
+        )
     return tuple(says)
 
 
@@ -167,8 +171,12 @@ def _finish(data: Signals, fit: Minimum, orders: Orders, described: Mapping[str,
 
 
 def _inverse(gram: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    return np.asarray(np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-13, hermitian=True) / np.outer(scale, scale))
+    """The inverse of a Gram matrix; directions that the data do not tell have a variance as large as double precision can say."""
+    size = np.diag(gram)
+    scale = np.sqrt(np.maximum(size, 1e-30 * max(float(size.max(initial=0.0)), 1e-270)))
+    eigenvalues, axes = np.linalg.eigh(gram / np.outer(scale, scale))
+    told = np.maximum(eigenvalues, 1e-13 * max(float(eigenvalues[-1]), 1e-300))
+    return np.asarray((axes / told) @ axes.T / np.outer(scale, scale))
 
 
 def _check_excitation(data: Signals, needed: int, input: str | None) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
+from residuum.identification.kernel_based.lagged_data import past_at_rest
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import from_straight_line
 from residuum.identification.record import Record
@@ -32,14 +33,21 @@ def simulation_fit(model: IdentifiedModel, record: Record) -> float:
 def simulated_beside(model: IdentifiedModel, record: Record, first: int = 0) -> tuple[FloatArray, FloatArray]:
     """y and y − ŷ from sample `first` on, shape (n − first,); NaN where the input's past is not whole.
 
+    A past at rest is whole (`past_at_rest`). A model that is not stable shows its one-step predictions: its simulation tells of
+    rounding alone.
+
     Raises BadRecord as `simulation_fit` does.
     """
     u, y = np.asarray(record[model.input_name], dtype=float), np.asarray(record[model.output_name], dtype=float)
     reach = model.delay + model.order - 1
-    known = np.concatenate([np.zeros(reach, dtype=bool), ~np.isnan(u)])
+    at_rest = past_at_rest([u], reach) > 0
+    known = np.concatenate([np.full(reach, at_rest), ~np.isnan(u)])
     complete = np.lib.stride_tricks.sliding_window_view(known, reach + 1).all(axis=1) & ~np.isnan(y)
-    level = float(np.nanmean(u)) if model.integrates and known.any() else 0.0
-    residual = np.where(complete, y - model.simulate(np.where(np.isnan(u), 0.0, u - level)), np.nan)[first:]
+    level = float(np.nanmean(u)) if model.integrates and known.any() else float(u[0]) if at_rest else 0.0
+    if model.diverges:
+        residual = np.where(complete, y - _predicted(model, u, y, record.source or "record"), np.nan)[first:]
+    else:
+        residual = np.where(complete, y - model.simulate(np.where(np.isnan(u), 0.0, u - level)), np.nan)[first:]
     shown = np.where(complete, y, np.nan)[first:]
     if model.integrates:
         residual = from_straight_line(residual)
@@ -51,3 +59,9 @@ def simulated_beside(model: IdentifiedModel, record: Record, first: int = 0) -> 
             "or the output is constant"
         )
     return shown, residual
+
+
+def _predicted(model: IdentifiedModel, u: FloatArray, y: FloatArray, where: str) -> FloatArray:
+    if not (np.isfinite(u).all() and np.isfinite(y).all()):
+        raise BadRecord(f"{where}: a model that is not stable is judged by its predictions, which need every sample")
+    return model.predict(u, y)

@@ -14,7 +14,13 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats.even_time import on_grid, usual_step
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
-from residuum.identification.record_formats.loggers.logger_mapping import SAY_DUPLICATES, LoggerMapping, table
+from residuum.identification.record_formats.loggers.logger_mapping import (
+    SAY_DUPLICATES,
+    LoggerMapping,
+    clock_steps,
+    table,
+    went_back,
+)
 from residuum.identification.record_formats.loggers.logger_text import (
     MISSING,
     cells_of,
@@ -47,7 +53,7 @@ _LOOKED_AT = 50
 _MOSTLY = 0.9
 """Part of a column's cells that are of a kind where single ones are bad: those are refused with their row."""
 _SIGNAL_NAME = re.compile(
-    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|parameter|kanal|messstelle)"
+    r"(?i)_?(var|variable|tag|signal|channel|sensor|item|point|field|measurement|metric|series|entity|parameter|kanal|messstelle)"
     r"[ _]?(name|id)?|name"
 )
 _EITHER = {"hh:mm or mm:ss": ("hh:mm", "mm:ss")}
@@ -87,7 +93,7 @@ def understand(
             raise BadRecord(f"option {option} {value!r}: {known_names(value, known, 'must be one of')}")
     text, encoding, why = decoded(content, source)
     guesses = {"encoding": (encoding, why)}
-    delimiter, why = find_delimiter(text, source)
+    delimiter, why = find_delimiter(text, source, {cell.strip().lower() for cell in missing})
     guesses["delimiter"] = (delimiter, why)
     rows, suffixes = _without_units(cells_of(text, delimiter))
     first, width = _first_row(rows, source)
@@ -330,7 +336,10 @@ def _refuse_long_form(body: list[list[str]], names: list[str], source: str) -> N
         kinds = list(dict.fromkeys(cell for cell in _column(body, column) if not is_value(cell)))
         if len(kinds) > 1:
             there = ", ".join(kinds[:4])
-            raise BadRecord(f"{source}: column {name!r} names the signal of each row ({there}); write one column a signal")
+            raise BadRecord(
+                f"{source}: column {name!r} names the signal of each row ({len(kinds)}: {there}): the long form, a row a value; "
+                f"write one column a signal, in pandas `pivot(columns={name!r}, …).ffill()` with the times as index"
+            )
 
 
 def _stamps(cells: list[str]) -> tuple[str, str] | None:
@@ -393,14 +402,22 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
     if (days := int(stamps.max()) // (86_400 * 10**9)) and mapping.time_form == "clock" and len(mapping.time) == 1:
         guesses["midnight"] = (f"{days} passed", "the clock goes on after midnight at its usual step")
     order = np.argsort(stamps, kind="stable")
-    if back.any():
+    was_set = clock_steps(stamps)
+    if was_set:
+        row = rows[was_set[0]]
+        guesses["reordered"] = (
+            "refuse",
+            f"the clock was set back at row {row}{went_back(stamps, was_set)}; cut the file there, or set `reordered: bridge`: "
+            "the rows came as they stand",
+        )
+    elif back.any():
         far = int(-steps.min()) > 60 * int(np.median(np.abs(steps)))
         safe = mapping.time_form not in SINCE_START and not far
         mapping = replace(mapping, reordered="sort" if safe else "refuse")
         why = "each row has its own date" if safe else "a restart, midnight or a change of the clock looks the same"
         guesses["reordered"] = (mapping.reordered, f"row {rows[int(np.argmax(back)) + 1]} goes back; {why}")
     pairs = [(i, k) for i, k in pairwise(order) if stamps[i] == stamps[k]]
-    if pairs:
+    if pairs and not was_set:
         equal = all(np.array_equal(values[:, i], values[:, k], equal_nan=True) for i, k in pairs)
         mapping = replace(mapping, duplicates="first" if equal else "refuse")
         why = "the rows are equal" if equal else f"the rows differ: {SAY_DUPLICATES}"
@@ -424,12 +441,22 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
         "sample_time": step,
         "rate": 1 / step,
         "even": even,
-        "gaps": [{"after_row": rows[k], "seconds": float(steps[k]) / 1e9} for k in gaps[:20]],
+        "gaps": [
+            {"after_row": rows[k], "seconds": float(steps[k]) / 1e9} | _looks_like(float(steps[k]) / 1e9, step) for k in gaps[:20]
+        ],
         "gap_count": len(gaps),
         "reordered": int(back.sum()),
         "duplicates": len(pairs),
+        "signals": dict(zip(mapping.names.values(), values, strict=True)),
         "notes": [note for _, notes in told for note in notes],
         "first_rows": first_rows(stamps / 1e9, values),
         "missing": {name: int(np.isnan(column).sum()) for name, column in zip(mapping.names.values(), values, strict=True)},
     }
     return LoggerFile(mapping, guesses, samples)
+
+
+def _looks_like(gap: float, step: float) -> dict[str, str]:
+    """What a gap may be beside a hole."""
+    if abs(gap - 3600.0 - step) < max(0.5 * step, 1.0):
+        return {"looks_like": "a hole, or the beginning of summer time"}
+    return {"looks_like": "a hole, or a clock that was set forward"}

@@ -1,5 +1,6 @@
 """The mapping of a logger's file: how its text becomes a record, as a YAML file that a person can read and mend."""
 
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
@@ -22,7 +23,10 @@ from residuum.nearest_names import known_names
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
-_REORDERED = ("refuse", "sort")
+_REORDERED = ("refuse", "sort", "bridge")
+_AROUND = 60
+"""Rows on both sides of a step back in which a shuffled one would have left its hole."""
+_ZONE = re.compile(r".*\d\s*[A-Z]{3,5}", re.DOTALL)
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -48,7 +52,7 @@ class LoggerMapping:
         Cells (in lower case) that stand for no value.
     duplicates, reordered : str
         What becomes of rows of one stamp (`refuse`, `first`, `mean`, or `spread` evenly until the next stamp) and of rows out of
-        order (`refuse`, `sort`).
+        order (`refuse`, `sort`, or `bridge`: they came as they stand, and the clock was set between two of them).
     suffixes : mapping of column to text
         The unit that stands behind every number of a column (`20,00 °C`); a cell with another one is refused.
     sample_time : float or None
@@ -167,6 +171,8 @@ def _stamp(cells: list[str], mapping: LoggerMapping, number_of_row: int, where: 
         return nanoseconds(stamp, mapping.time_form, mapping.decimal)
     except (ValueError, OverflowError):
         what = f"{stamp[:40]!r} is no time of the form {mapping.time_form!r}"
+        if _ZONE.fullmatch(stamp):
+            raise BadRecord(f"{where}: {what}: names of time zones are not read; write the offset, as +02:00") from None
         raise BadRecord(f"{where}: {what}; cut or mend the row") from None
 
 
@@ -240,15 +246,20 @@ def _ordered(
     stamps: npt.NDArray[np.int64], values: FloatArray, rows: list[int], mapping: LoggerMapping, notes: list[str], source: str
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
     backward = np.diff(stamps) < 0
+    was_set = clock_steps(stamps)
+    if was_set and mapping.reordered == "bridge":
+        stamps = _bridged(stamps, was_set)
+        notes.append(
+            f"the clock was set back {len(was_set)} time{'s' * (len(was_set) > 1)}, first at row {rows[was_set[0]]}; bridged by "
+            "the usual step: what was lost in that moment cannot be seen"
+        )
+        backward = np.diff(stamps) < 0
     if backward.any():
-        if mapping.reordered == "refuse":
-            row = rows[int(np.argmax(backward)) + 1]
-            how = (
-                ""
-                if mapping.time_form in SINCE_START
-                else ", or set the mapping's `reordered: sort` where its rows are only shuffled"
+        if mapping.reordered != "sort" or was_set:
+            row = rows[int(was_set[0] if was_set else np.argmax(backward) + 1)]
+            raise BadRecord(
+                f"{source}, row {row}: time goes back{went_back(stamps, was_set)}; cut the file there{_or(mapping, was_set)}"
             )
-            raise BadRecord(f"{source}, row {row}: time goes back{_hour(stamps)}; cut the file there{how}")
         order = np.argsort(stamps, kind="stable")
         stamps, values, rows = stamps[order], values[:, order], [rows[k] for k in order]
         notes.append(f"rows sorted by time: {int(backward.sum())} steps went back")
@@ -296,8 +307,60 @@ def _spread(stamps: npt.NDArray[np.int64], starts: npt.NDArray[np.intp], rows: l
     return found
 
 
-def _hour(stamps: npt.NDArray[np.int64]) -> str:
-    """The remark that a clock went back by an hour, as at the end of summer time."""
+def _or(mapping: LoggerMapping, was_set: list[int]) -> str:
+    """The other way on where time goes back."""
+    if mapping.time_form in SINCE_START:
+        return ""
+    if was_set:
+        return ", or set the mapping's `reordered: bridge` where the rows came as they stand and only the clock was set"
+    return ", or set the mapping's `reordered: sort` where its rows are only shuffled"
+
+
+def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
+    """Numbers of the rows before which the clock was set back, while rows went on coming in their order.
+
+    A row out of order leaves a hole where it belongs, so that time passes as usual from well before to well after it, and sorting
+    makes the steps even. A clock that was set back leaves none, and sorting puts rows of two times between each other.
+
+    >>> clock_steps(np.r_[0:100, 70:170]), clock_steps(np.r_[0:50, 51, 50, 52:100])
+    ([100], [])
+    """
     steps = np.diff(stamps)
-    back, usual = int(steps[np.argmax(steps < 0)]), int(np.median(steps))
-    return " by an hour, as at the end of summer time" if abs(back + 3600 * 10**9 - usual) <= max(usual, 10**9) else ""
+    back = np.flatnonzero(steps < 0) + 1
+    if not len(back) or len(stamps) < 4:
+        return []
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if _sorting_mends(stamps, steps, usual):
+        return []
+    found = []
+    for place in map(int, back):
+        first, last = max(0, place - _AROUND), min(len(stamps) - 1, place + _AROUND)
+        short = usual * (last - first) - float(stamps[last] - stamps[first])
+        lacks = usual - float(steps[place - 1])
+        if abs(short - lacks) < 0.5 * lacks:
+            found.append(place)
+    return found
+
+
+def _sorting_mends(stamps: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], usual: float) -> bool:
+    """Whether the rows in the order of their stamps are the usual step apart, each once, without a hole that was not there."""
+    merged: FloatArray = np.diff(np.sort(stamps)).astype(np.float64)
+    even = np.abs(merged - usual * np.maximum(np.rint(merged / max(usual, 1.0)), 1)) < 0.01 * usual
+    return bool((merged > 0).all() and even.all() and merged.max() <= steps.max())
+
+
+def _bridged(stamps: npt.NDArray[np.int64], was_set: list[int]) -> npt.NDArray[np.int64]:
+    """The stamps as if the clock had never been set: the usual step between the rows on both sides."""
+    steps = np.diff(stamps)
+    steps[np.array(was_set) - 1] = int(np.median(steps[steps > 0]))
+    found: npt.NDArray[np.int64] = stamps[0] + np.concatenate([[0], np.cumsum(steps)])
+    return found
+
+
+def went_back(stamps: npt.NDArray[np.int64], was_set: list[int]) -> str:
+    """By how much a clock went back, and where that looks like the end of summer time."""
+    steps = np.diff(stamps)
+    back, usual = int(steps[was_set[0] - 1] if was_set else steps[np.argmax(steps < 0)]), int(np.median(steps))
+    if abs(back + 3600 * 10**9 - usual) <= max(usual, 10**9):
+        return " by an hour, as at the end of summer time"
+    return f" by {(usual - back) / 1e9:g} s: the clock was set" if was_set else ""

@@ -3,11 +3,16 @@
 import csv
 import re
 from collections import Counter
+from collections.abc import Collection
 
 from residuum.identification.errors import BadRecord
 
 DELIMITERS = ("\t", ";", "|", ",", " ")
-MISSING = ("", "nan", "null", "none", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "*", "?", "no data", "bad", "invalid")
+MISSING = (
+    *("", "nan", "null", "none", "n/a", "na", "#n/a", "#nv", "-", "--", "---", "*", "?", "no data", "bad", "invalid"),
+    *("unavailable", "unknown", "offline", "not available", "no value"),  # of home automation
+    *("#div/0!", "#value!", "#ref!", "#num!", "#name?"),  # of spreadsheets
+)
 """Cells that loggers write for a value that is not there, in lower case."""
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
@@ -25,6 +30,7 @@ _SURE = {
 """Numbers that can be read with this decimal sign only; `1,234` and `1.234` are not among them."""
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµΩ°%][^\s\d:;,]{0,11})")
 _SCANNED = 2000
+_BLANK_BETTER = 0.1
 _BLANKS = "\u00a0\u202f\u2009 '’"
 """What stands between thousands beside point and comma: blanks that do not break, Swiss apostrophes."""
 _BY_BLANKS = re.compile(rf"[+-]?[1-9]\d{{0,2}}([{_BLANKS}]\d{{3}})+([.,]\d*)?")
@@ -104,18 +110,22 @@ def is_stamp(cell: str) -> bool:
     return bool(_STAMP.fullmatch(cell))
 
 
-def find_delimiter(text: str, source: str) -> tuple[str, str]:
-    """(delimiter, reason): the one that cuts the rows into equally many cells that are values."""
+def find_delimiter(text: str, source: str, missing: Collection[str] = ()) -> tuple[str, str]:
+    """(delimiter, reason): the one that cuts the rows into equally many cells that are values.
+
+    Cells of `missing`, in lower case, are left out. The blank between date and time of day has to be better by a tenth: a few
+    words that mean no value must not make it the delimiter.
+    """
     lines = [line for line in text.splitlines()[:_SCANNED] if line.strip()]
     sample = "\n".join(lines[len(lines) // 2 :])
     best = (0.0, "", "")
     for delimiter in DELIMITERS:
         rows = cells_of(sample, delimiter)
         width, count = Counter(map(len, rows)).most_common(1)[0]
-        filled = [cell for row in rows for cell in row if cell.lower() not in MISSING]
+        filled = [cell for row in rows for cell in row if cell.lower() not in MISSING and cell.lower() not in missing]
         share = sum(is_value(cell) or with_unit(cell) is not None for cell in filled) / max(1, len(filled))
         score = share * count / len(rows)
-        if width >= 2 and score > best[0] + 1e-9:
+        if width >= 2 and score > best[0] + (_BLANK_BETTER if delimiter == " " else 1e-9):
             best = (score, delimiter, f"cuts {count} of {len(rows)} rows into {width} cells, {100 * share:.0f} % of them values")
     if best[0] < 0.3:
         raise BadRecord(f"{source}: no delimiter (tab ; | , blank) cuts its rows into columns of numbers")

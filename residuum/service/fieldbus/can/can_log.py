@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -15,8 +18,16 @@ from residuum.identification.record_formats import CAN_LOGS
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 
-_READERS: dict[str, Any] = dict(zip(CAN_LOGS, (can.BLFReader, can.ASCReader, can.CanutilsLogReader, can.TRCReader), strict=True))
 _BINARY = ".blf"
+_CANDUMP = re.compile(
+    r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<bus>\S+)\s+(?:[RT]X\s+\S+\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{3,8})"
+    r"(?:##(?P<flags>[0-9A-Fa-f])(?P<fd>(?:[0-9A-Fa-f]{2})*)|#(?P<classic>R[0-9A-Fa-f]*|(?:[0-9A-Fa-f]{2})*(?:_[0-9A-Fa-f])?)"
+    r"|\s+\[(?P<length>\d+)\]\s*(?P<bytes>(?:[0-9A-Fa-f]{2}(?=\s|$)\s*)*)(?P<rest>\S.*)?)(?:\s+(?:[RT]X?|B|E)+)?\s*$"
+)
+"""A line of candump: `(stamp) bus id#bytes`, `id##flagbytes` of CAN FD, or `(stamp) bus id [length] bytes` as it prints them."""
+_ERROR_FRAME, _EXTENDED_MASK = 0x2000_0000, 0x1FFF_FFFF
+_SHARE_BACK = 0.1
+"""Steps back from which on stamps are no times but the time since the frame before."""
 
 
 class TimedFrame(NamedTuple):
@@ -38,6 +49,74 @@ class CanLog:
     remarks: Sequence[str]
 
 
+class _Candump:
+    """The messages of a candump log in any form it prints; what it cannot read ends it as a damage does."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+
+    def __enter__(self) -> _Candump:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __iter__(self) -> Iterator[can.Message]:
+        for number, line in enumerate(self._file, start=1):
+            if line.strip():
+                yield _candump_message(line, number)
+
+
+def _candump_message(line: str, number: int) -> can.Message:
+    found = _CANDUMP.match(line)
+    if found is None:
+        raise ValueError(f"line {number} is none of candump's (`(stamp) bus id#bytes`); record with `candump -l` or `-L`")
+    if found["stamp"] is None:
+        raise ValueError(f"line {number} has no time stamp; record with `candump -l` or `-L`, or print with -ta")
+    identifier, classic, rest = int(found["id"], 16), found["classic"] or "", found["rest"] or ""
+    data = bytes.fromhex(found["fd"] or found["bytes"] or classic.split("_")[0] * (not classic.startswith("R")))
+    length = int(found["length"]) if found["length"] else len(data)
+    return can.Message(
+        timestamp=_stamp(found["stamp"].strip(), number),
+        arbitration_id=identifier & _EXTENDED_MASK,
+        is_extended_id=len(found["id"]) > 3,
+        is_error_frame=len(found["id"]) > 3 and bool(identifier & _ERROR_FRAME),
+        is_remote_frame=classic.startswith("R") or rest.startswith("remote request"),
+        is_fd=found["fd"] is not None or length > 8,
+        dlc=length,
+        data=data,
+        channel=found["bus"],
+    )
+
+
+def _stamp(text: str, number: int) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+    except ValueError:
+        raise ValueError(f"line {number}: time stamp {text!r} is neither seconds nor a date") from None
+
+
+_READERS: dict[str, Any] = dict(zip(CAN_LOGS, (can.BLFReader, can.ASCReader, _Candump, can.TRCReader), strict=True))
+
+
+def _since_the_last(frames: Sequence[TimedFrame]) -> bool:
+    """Whether the stamps are differences, as `candump -td` prints them: from zero on, and back again and again."""
+    back = sum(after.time < before.time for before, after in pairwise(frames))
+    return frames[0].time == 0 and back > _SHARE_BACK * len(frames)
+
+
+def _summed(frames: Sequence[TimedFrame]) -> list[TimedFrame]:
+    summed, now = [], 0.0
+    for frame in frames:
+        now += frame.time
+        summed.append(frame._replace(time=now))
+    return summed
+
+
 def read_can_log(path: str | Path) -> CanLog:
     """The data frames of a CAN log; of one that is cut or damaged those before the damage, with a remark.
 
@@ -45,14 +124,16 @@ def read_can_log(path: str | Path) -> CanLog:
     """
     path = Path(path)
     frames: list[TimedFrame] = []
-    damage, short = "", 0
+    damage, short, errors, remote = "", 0, 0, 0
     logging.getLogger("can").setLevel(logging.CRITICAL)  # the remarks say it
     try:
         with _opened(path) as file, _READERS[path.suffix.lower()](file) as log:
             for message in log:
-                if message.is_error_frame or message.is_remote_frame:
-                    continue
-                if len(message.data) < can.util.dlc2len(message.dlc):
+                if message.is_error_frame:
+                    errors += 1
+                elif message.is_remote_frame:
+                    remote += 1
+                elif len(message.data) < message.dlc:  # of CAN FD, too, the number of bytes
                     short += 1
                 else:
                     frames.append(_timed(message))
@@ -67,7 +148,13 @@ def read_can_log(path: str | Path) -> CanLog:
             raise BadBusDescription(f"{path.name}: cannot be read as a CAN log: {damage}") from None
     if not frames:
         raise BadBusDescription(f"{path.name}: holds no data frame; the log must be one of {', '.join(CAN_LOGS)}")
-    return CanLog(path.name, frames, _remarks(path.name, frames, damage, short))
+    remarks = _remarks(path.name, frames, damage, short)
+    if errors or remote:
+        remarks.append(f"{path.name}: {errors} error frames and {remote} remote frames carry no data, left out")
+    if path.suffix.lower() == ".log" and _since_the_last(frames):
+        frames = _summed(frames)
+        remarks.append(f"{path.name}: its stamps are the times since the frame before (candump -td), summed up")
+    return CanLog(path.name, frames, remarks)
 
 
 def _opened(path: Path) -> IO[Any]:

@@ -48,6 +48,8 @@ def read_can_record(path: str | Path, dbc: str | Path, options: ReadOptions = Re
     signals, step = _on_own_clocks(log.name, found, options)
     begin = min(first for first, _, _ in signals.values())
     n = 1 + max(round((first - begin) / step + (len(values) - 1) * own / step) for first, own, values in signals.values())
+    if n < 1:
+        raise BadRecord(f"{log.name}: its time stamps go back again and again; record with `candump -l`, or cut the log there")
     if n * len(signals) > _MOST_SAMPLES:
         raise BadRecord(f"{log.name}: {n} instants of {len(signals)} channels are more than 1e8 samples; cut the log at its gaps")
     channels = {name: _placed(*signal, begin, step, n) for name, signal in signals.items()}
@@ -79,7 +81,7 @@ def _on_own_clocks(
         _, channels = message.layout.decode(message.frames)
         for name, values in channels.items():
             own = names[message.layout.name, name]
-            if message.layout.counter_bits or message.jitter <= _MOST_JITTER:
+            if message.placed or message.jitter <= _MOST_JITTER:
                 signals[own] = (message.begin, message.sample_time, _with_holes(message, values))
             elif options.resample:
                 at = np.repeat(message.time, message.layout.samples) - message.time[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,12 @@ from residuum.service.fieldbus.block import Numbers, Samples
 from residuum.service.fieldbus.can.can_log import CanLog, TimedFrame
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, BusMessages, FrameLayout
+from residuum.service.fieldbus.can.log_clock import on_one_clock
 from residuum.service.fieldbus.can.signal_bits import Bytes
 
 _SAME_TIME = 0.01
+_SHARED = 0.2
+"""Of all steps that are zero, from which on stamps do not tell frames apart."""
 _LATE = 2.0
 """Frames by which time stamps may be off what the counter says, beside a quarter of the time between two frames."""
 
@@ -36,6 +39,8 @@ class LoggedMessage:
     jitter : float
         How far time stamps lie off the even clock at most, in frames.
     remarks : sequence of str
+    placed : bool
+        Whether something else than the time stamps gives the places: a counter, or the order of frames that share stamps.
     """
 
     layout: FrameLayout
@@ -45,6 +50,7 @@ class LoggedMessage:
     frame_time: float
     jitter: float
     remarks: Sequence[str]
+    placed: bool = False
 
     @property
     def lost(self) -> int | None:
@@ -69,9 +75,10 @@ def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMess
     Raises BadBusDescription when a message is on several buses of the log: which one is meant is not guessed.
     """
     known = {layout.bus_id: layout for layout in messages.values()}
+    time, set_clock = on_one_clock(log.name, log.frames, known)
     by_identifier: dict[int, list[TimedFrame]] = {}
-    for frame in log.frames:
-        by_identifier.setdefault(frame.frame_id, []).append(frame)
+    for frame, seen in zip(log.frames, time, strict=True):
+        by_identifier.setdefault(frame.frame_id, []).append(frame._replace(time=float(seen)))
     found, others = [], {}
     for identifier, frames in by_identifier.items():
         fitting = [frame for frame in frames if identifier in known and known[identifier].fits(len(frame.data))]
@@ -79,6 +86,8 @@ def logged_messages(log: CanLog, messages: BusMessages) -> tuple[list[LoggedMess
             found.append(_logged(log.name, known[identifier], fitting, len(frames) - len(fitting)))
         else:
             others[f"0x{identifier & ~EXTENDED:X}{'x' if identifier & EXTENDED else ''}"] = len(frames)
+    if found and set_clock:
+        found[0] = replace(found[0], remarks=[*set_clock, *found[0].remarks])
     return found, others
 
 
@@ -90,11 +99,15 @@ def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfit
     data = np.frombuffer(b"".join(frame.data[: layout.length] for frame in frames), np.uint8).reshape(len(frames), layout.length)
     remarks = [f"{where}: {misfits} frames have another length than {layout.length} bytes, left out"] if misfits else []
     if layout.counter_bits:
+        spread = None
         number, frame_time, jumps = _by_counter(layout, time, layout.decode(data)[0])
         remarks += [f"{where}: the counter jumped {jumps} times, placed by time stamps there"] if jumps else []
     else:
-        number, frame_time = _by_time(time)
+        spread = _spread(layout, time)
+        number, frame_time = _by_time(time, data) if spread is None else spread
         remarks.append(f"{where}: {layout.remark}")
+        if spread is not None:
+            remarks.append(f"{where}: several frames share a stamp; placed in their order, one every {frame_time:.6g} s")
     order = np.unique(number, return_index=True)[1]  # in order, the first of those that came twice
     if len(order) < len(number):
         remarks.append(f"{where}: {len(number) - len(order)} frames came twice, used once")
@@ -107,7 +120,7 @@ def _logged(name: str, layout: FrameLayout, frames: Sequence[TimedFrame], misfit
     jitter = float(np.ptp(off) / 2)
     if layout.counter_bits and jitter > 1.0:
         remarks.append(f"{where}: time stamps lie up to {jitter:.3g} frames off its even clock; the counter gives the places")
-    return LoggedMessage(layout, time, data, number, frame_time, jitter, remarks)
+    return LoggedMessage(layout, time, data, number, frame_time, jitter, remarks, layout.counter_bits > 0 or spread is not None)
 
 
 def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int64]) -> tuple[Numbers, float, int]:
@@ -124,10 +137,30 @@ def _by_counter(layout: FrameLayout, time: Samples, counter: npt.NDArray[np.int6
     return number, _slope(time, number, frame_time), int(jumped.sum())
 
 
-def _by_time(time: Samples) -> tuple[Numbers, float]:
-    """Places by the time stamps alone, and the time between frames."""
+def _spread(layout: FrameLayout, time: Samples) -> tuple[Numbers, float] | None:
+    """Places of frames of which several share a stamp, one after the other by the DBC file's time; None where stamps tell.
+
+    A logger that stamps by transfers, or whose clock is coarse, gives equal stamps to frames that are not the same. A place is
+    left free only where the stamps are further on than that can explain.
+    """
+    told, steps = layout.sample_time * layout.samples, np.diff(time)
+    if not told or np.count_nonzero(steps == 0) < _SHARED * len(steps) or not (steps > 0).any():
+        return None
+    slack = float(np.ceil(np.median(steps[steps > 0]) / told - 0.01))
+    least = np.rint((time - time[0]) / told - slack).astype(np.int64)
+    places = np.arange(len(time))
+    return np.maximum.accumulate(least - places).clip(0) + places, told
+
+
+def _by_time(time: Samples, data: Bytes) -> tuple[Numbers, float]:
+    """Places by the time stamps alone, and the time between frames; only what is the same can have come twice."""
     frame_time = _typical(time)
     step = np.maximum(np.rint(np.diff(time) / frame_time), 0).astype(np.int64)
+    differs = np.any(data[1:] != data[:-1], axis=1)
+    for k in np.flatnonzero((step == 0) & differs):
+        step[k] = 1
+        if k + 1 < len(step) and step[k + 1] > 1:  # the one before was late, this one is not
+            step[k + 1] -= 1
     number = np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
     return number, _slope(time, number, frame_time)
 

@@ -25,6 +25,8 @@ _USUAL = 2.0
 _FURTHEST = 9.0
 _RARE = 3.0
 """Powers of ten by which an order that turns the bytes of words has to look better: it is met far less often."""
+_SLIGHTLY_BELOW_ZERO = 2048
+"""Numbers from the top of an unsigned register down that are taken for negative ones."""
 _NOT_THERE = {
     "int16": (0x8000, 0x7FFF),
     "uint16": (0xFFFF, 0x8000),
@@ -65,7 +67,7 @@ def read_device(host: str, port: int, registers: RegisterMap, timeout: float = 3
 
 
 async def _read(host: str, port: int, registers: RegisterMap, timeout: float) -> tuple[list[ChannelReading], list[str]]:
-    client = CheckedModbusClient(host, port, registers.unit_id, timeout)
+    client = CheckedModbusClient(host, port, registers.unit_id, timeout, registers.address_base)
     readings: list[ChannelReading] = []
     refusals: list[str] = []
     try:
@@ -205,6 +207,10 @@ def _remark(where: ChannelRegisters, words: tuple[int, ...], value: float) -> st
     if raw in _NOT_THERE.get(where.type, ()):
         signed = raw - (1 << 16 * where.width) if where.type.startswith("int") and raw >> (16 * where.width - 1) else raw
         return f"0x{raw:X} mostly means that there is no value: say missing: {signed}"
+    bits = 16 * where.width
+    if where.type in ("uint16", "uint32") and raw >= (1 << bits) - _SLIGHTLY_BELOW_ZERO:
+        negative = (raw - (1 << bits)) * where.scale + where.offset
+        return f"0x{raw:X} looks more like {negative:.6g} than {value:.6g}: say type: {where.type[1:]}"
     return ""
 
 

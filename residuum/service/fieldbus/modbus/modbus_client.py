@@ -43,11 +43,14 @@ class DeviceRefused(Exception):
 
 
 class CheckedModbusClient:
-    """One connection to one device; unit 0 takes replies of any. `timeout` is for connecting and for each reply [s]."""
+    """One connection to one device; unit 0 takes replies of any.
 
-    def __init__(self, host: str, port: int, unit_id: int, timeout: float) -> None:
+    `timeout` is for connecting and for each reply [s]; advice counts registers from `address_base`.
+    """
+
+    def __init__(self, host: str, port: int, unit_id: int, timeout: float, address_base: int = 0) -> None:
         self._client = AsyncModbusTcpClient(host, port=port, timeout=timeout, retries=0, reconnect_delay=0)
-        self._unit = unit_id
+        self._unit, self._base = unit_id, address_base
 
     async def connect(self) -> None:
         """Connect once. Transactions begin anywhere: a reply to an earlier connection must not seem to be one to this."""
@@ -83,7 +86,7 @@ class CheckedModbusClient:
         if reply.transaction_id != request.transaction_id or self._client.ctx.recv_buffer:
             raise BadReply("late_replies", "a reply that nobody awaited")
         if reply.isError():
-            raise DeviceRefused(explained(reply.exception_code, function, request.address, request.count))
+            raise DeviceRefused(explained(reply.exception_code, function, request.address, request.count, self._base))
         if reply.function_code != request.function_code:
             raise BadReply("corrupt_replies", f"reply of function {reply.function_code}, not {request.function_code}")
         return reply

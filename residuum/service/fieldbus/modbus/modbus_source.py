@@ -111,7 +111,7 @@ class ModbusSource(Source):
         self._loop.set_exception_handler(self._note)
         opened_before = False
         while not self._stopped.is_set():
-            client = CheckedModbusClient(self._host, self._port, self._map.unit_id, self._timeout)
+            client = CheckedModbusClient(self._host, self._port, self._map.unit_id, self._timeout, self._map.address_base)
             try:
                 await client.connect()
                 if opened_before:

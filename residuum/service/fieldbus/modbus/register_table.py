@@ -160,16 +160,21 @@ def _numbering(registers: list[int]) -> tuple[dict[str, str], int]:
 
 def _sentinel(text: str, where: str) -> float:
     try:
-        return int(text, 0)
+        return _integer(text)
     except ValueError:
         return _figure(text, "missing", where)
 
 
 def _whole(row: dict[str, str], column: str, where: str) -> int:
     try:
-        return int(row[column], 0)
+        return _integer(row[column])
     except ValueError:
         raise BadBusDescription(f"{where}: {column} {row[column]!r} is not a whole number") from None
+
+
+def _integer(text: str) -> int:
+    """Decimal, also with zeros before it, as manuals pad their numbers; 0x… is hexadecimal."""
+    return int(text, 10 if text.strip().lstrip("+-").isdigit() else 0)
 
 
 def _figure(text: str, column: str, where: str) -> float:

@@ -7,6 +7,7 @@ streams:
     channels:
       u: {node: "ns=2;s=process-plant.process.u", unit: V}
       y: {node: "ns=2;s=process-plant.process.y", unit: m, scale: 0.001}
+      setpoint: {node: "ns=2;s=process-plant.process.r", unit: m, held: true}      # reported when it changes
 security: {policy: Basic256Sha256, mode: SignAndEncrypt, certificate: own.der, key: own.pem, trusted: server.der}
 user: {name: residuum, password_file: password.txt}
 ```
@@ -34,6 +35,10 @@ class ChannelNode(StrictModel):
     unit: str = ""
     scale: float = 1.0
     offset: float = 0.0
+    held: bool | None = Field(
+        default=None,
+        description="Whether the last value holds until the next report; not said: where the channel reports by change only.",
+    )
 
 
 class StreamNodes(StrictModel):

@@ -43,6 +43,8 @@ _NUMERIC = {
     getattr(ua.VariantType, name)
     for name in ("Boolean", "SByte", "Byte", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float", "Double")
 }
+_WHOLE_UNTIL = 2**53
+"""A double tells whole numbers apart up to here."""
 _WAITING = 100_000
 _MOST_BROWSED = 5000
 
@@ -67,7 +69,12 @@ class OpcuaSource(Source):
     def __init__(self, url: str, nodes: NodeMap, sink: Sink, timeout: float = 2.0) -> None:
         super().__init__(f"opcua:{with_hidden_password(url)}", sink)
         self._url, self._map, self._timeout = url, nodes, timeout
-        self._samples = {name: StampedSamples(stream.format(name), self.health) for name, stream in nodes.streams.items()}
+        self._samples = {
+            name: StampedSamples(
+                stream.format(name), self.health, held={channel: each.held for channel, each in stream.channels.items()}
+            )
+            for name, stream in nodes.streams.items()
+        }
         self._backoff = Backoff(first=0.1, longest=1.5)
         self._heard = 0.0
         self._broken = ""
@@ -135,6 +142,7 @@ class OpcuaSource(Source):
 
     async def _watch_nodes(self, client: Client, subscription: Any) -> None:
         self._places = {}
+        await self._refuse_other_kinds(client)
         requests = []
         for handle, (stream, name, each, every) in enumerate(self._channels(), start=1):
             self._places[handle] = (stream, name, each)
@@ -143,6 +151,24 @@ class OpcuaSource(Source):
         for result, (_, name, each) in zip(results, self._places.values(), strict=True):
             if isinstance(result, ua.StatusCode):
                 raise _Refused(await self._lacking(client, name, each, result))
+
+    async def _refuse_other_kinds(self, client: Client) -> None:
+        """What no number can be made of is refused before it is missing for ever; whole numbers beyond 2^53 are told."""
+        channels = [(name, each) for _, name, each, _ in self._channels()]
+        values = [client.get_node(each.node).read_data_value(False) for _, each in channels]
+        found = await asyncio.wait_for(asyncio.gather(*values), self._timeout)
+        others, large = [], []
+        for (name, each), told in zip(channels, found, strict=True):
+            if told.Value is None or told.Value.Value is None:
+                continue  # there is no value yet, or no such node
+            kind, value = told.Value.VariantType, told.Value.Value
+            if kind not in _NUMERIC or isinstance(value, list):
+                others.append(f"channel {name!r}, node {each.node!r}: {kind.name}{'[]' * isinstance(value, list)}, no number")
+            elif isinstance(value, int) and abs(value) >= _WHOLE_UNTIL:
+                large.append(f"channel {name!r}: whole numbers beyond 2^53 are rounded; neighbours look alike")
+        self.health.remarks = large
+        if others:
+            raise _Refused(f"{'; '.join(others)}; take {'them' if len(others) > 1 else 'it'} out of the map")
 
     def _channels(self) -> Iterable[tuple[str, str, ChannelNode, float]]:
         for stream, nodes in self._map.streams.items():
@@ -170,7 +196,7 @@ class OpcuaSource(Source):
             return
         number = _number(told.Value.Value if told.Value is not None else None) if told.StatusCode.is_good() else math.nan
         if math.isnan(number):
-            self.health.count("bad_status", 1, f"channel {name!r}: {told.StatusCode.name}")
+            self.health.count("bad_status", 1, f"channel {name!r}: status {told.StatusCode.name}, missing until it is good")
         self._samples[stream].add(name, _seconds(told.SourceTimestamp), number * each.scale + each.offset, now)
 
     def status_change_notification(self, status: Any) -> None:

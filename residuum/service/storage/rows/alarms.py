@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
 
@@ -11,7 +12,7 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.service.alarms import alarm_states
-from residuum.service.alarms.alarm_rules import AlarmRule, in_deadband, severity
+from residuum.service.alarms.alarm_rules import AlarmRule, beyond, in_deadband, severity
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
 from residuum.service.storage import audit, outbox
 from residuum.service.storage.rows import paging
@@ -28,8 +29,19 @@ _SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
 }
 
 
-def follow(connection: Connection, asset: str, window: int, finding: Finding, now: datetime, rule: AlarmRule) -> list[Followed]:
-    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their text with a worse finding."""
+def follow(
+    connection: Connection,
+    asset: str,
+    window: int,
+    finding: Finding,
+    now: datetime,
+    rule: AlarmRule,
+    seen_at: datetime | None = None,
+) -> list[Followed]:
+    """Let an asset's alarms follow a finding; returns the alarms that changed their state, or their text with a worse finding.
+
+    `seen_at` is the window's own time, by which delays count; None: now.
+    """
     if finding.only_recorded:
         return []
     rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
@@ -40,11 +52,16 @@ def follow(connection: Connection, asset: str, window: int, finding: Finding, no
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
-        held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds)
-        seen = faulty or held
-        alarm = _follow_one(connection, row, seen, rule, window=window, finding=finding if faulty else None, now=now)
+        raised_by = None if row.raised_by is None else json.loads(row.raised_by)
+        held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds, raised_by)
+        status, event = alarm_states.follow(_status(row), faulty or held, rule, seen_at or now)
+        alarm = _follow_one(connection, row, status, event, window=window, finding=finding if faulty else None, now=now)
         if alarm is not None:
             changed.append(alarm)
+    says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
+    if says_nothing and (row := rows.get(MACHINE)) is not None:
+        values = {"judged_at": alarm_states.unjudged(_status(row)).judged_at}
+        connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
     return changed
 
 
@@ -136,12 +153,20 @@ def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
 
 
 def _follow_one(
-    connection: Connection, row: Row[Any], seen: bool, rule: AlarmRule, *, window: int, finding: Finding | None, now: datetime
+    connection: Connection,
+    row: Row[Any],
+    after: AlarmStatus,
+    event: AlarmEvent | None,
+    *,
+    window: int,
+    finding: Finding | None,
+    now: datetime,
 ) -> Followed | None:
-    before = _status(row)
-    after, event = alarm_states.follow(before, seen, rule, now)
-    changes: dict[str, Any] = {"state": after.state.value, "condition": after.condition, "pending_since": after.pending_since}
+    changes: dict[str, Any] = asdict(after) | {"state": after.state.value}
     told = {}
+    if after.condition and finding is not None and row.kind == MACHINE:
+        before = json.loads(row.raised_by) if row.raised_by and event is not AlarmEvent.RAISE else []
+        changes["raised_by"] = json.dumps(sorted({*before, *beyond(finding.indicators, finding.thresholds)}))
     if after.condition and finding is not None:
         worst = severity(finding.indicators, finding.thresholds)
         if event is AlarmEvent.RAISE or row.worst is None or worst >= row.worst:
@@ -160,7 +185,9 @@ def _follow_one(
 
 
 def _status(row: Row[Any]) -> AlarmStatus:
-    return AlarmStatus(AlarmState(row.state), row.condition, row.pending_since)
+    return AlarmStatus(
+        AlarmState(row.state), row.condition, row.pending_since, row.pending_seconds or 0.0, row.judged_at, row.judged_every
+    )
 
 
 def _change(

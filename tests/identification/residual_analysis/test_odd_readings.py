@@ -1,0 +1,86 @@
+"""Error codes and still spans of sensors, drawn into records of a tank whose truth is known."""
+
+import numpy as np
+import pytest
+
+from residuum.identification.physics import read_model
+from residuum.identification.record import Record
+from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.residual_analysis.odd_readings import far_beside
+
+TANK = """
+name: tank
+inputs: {power: W}
+states: {T: {unit: degC}}
+parameters:
+  C: {value: 21000.0, unit: J/K, lower: 1}
+  k: {value: 14.0, unit: W/K, lower: 0}
+  T_room: {value: 20.0, unit: degC, fixed: true}
+balances:
+  heat: {kind: heat, storage: C * der(T), terms: {heater: power, loss: -k * (T - T_room)}}
+outputs: {measured: {value: T, unit: degC}}
+"""
+
+
+def tank(seed, n=600):
+    rng = np.random.default_rng(seed)
+    power = np.repeat(rng.choice([0.0, 800.0], n // 40 + 1), 40)[:n]
+    T = np.empty(n)
+    T[0] = 20.0
+    for k in range(n - 1):
+        rest = 20 + power[k] / 14
+        T[k + 1] = rest + (T[k] - rest) * np.exp(-10 * 14 / 21e3)
+    return power, np.round((T + 0.05 * rng.standard_normal(n)) * 16) / 16, rng
+
+
+def compared(power, y):
+    record = Record({"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv")
+    return compare(read_model(TANK), [record])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_error_codes_are_named_and_left_out(seed):
+    power, y, rng = tank(seed)
+    codes = rng.choice([-127.0, 85.0, -999.9, 850.0], 2, replace=False)
+    rows = np.sort(rng.choice(np.arange(5, 595, 3), 12, replace=False))
+    y[rows] = np.tile(codes, 6)
+    found = compared(power, y)
+    assert found.outputs["measured"].rmse < 0.08 and not found.present
+    (said,) = [text for text in found.warnings if "error code" in text]
+    assert "12 single samples" in said and all(f"--missing {code:.10g}" in said for code in codes)
+
+
+def test_spikes_that_differ_are_told_and_judged_by_no_test():
+    power, y, _ = tank(7)
+    y[[50, 200, 333]] += [90.0, -77.0, 120.0]
+    found = compared(power, y)
+    assert found.odd_samples
+    assert any("3 single samples (numbers 50, 200, 333) lie" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_span_that_stands_still_is_named(seed):
+    power, y, rng = tank(seed)
+    power[250:] = np.repeat([800.0, 0.0], 35)[np.arange(350) % 70]
+    first = int(rng.integers(260, 500))
+    _, y, _ = tank(seed)
+    T = y.copy()
+    for k in range(249, 599):
+        rest = 20 + power[k] / 14
+        T[k + 1] = rest + (T[k] - rest) * np.exp(-10 * 14 / 21e3)
+    y = np.round(T * 16 + rng.standard_normal(600) * 0.8) / 16
+    y[first : first + 60] = y[first]
+    found = compared(power, y)
+    spans = [span for odd in found.odd for span in odd.still]
+    assert len(spans) == 1 and abs(spans[0][0] - first) <= 2 and abs(spans[0][1] - (first + 59)) <= 2
+    assert any("stands still in samples" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_plants_do_is_not_odd(seed):
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.standard_normal(40), 25)
+    slow = np.cumsum(rng.standard_normal(1000))
+    binary = np.repeat(rng.integers(0, 2, 200), 5).astype(float)
+    for y in (steps + 0.01 * rng.standard_normal(1000), slow, binary, rng.standard_normal(1000), rng.laplace(size=1000)):
+        assert not far_beside(y)[0].size
