@@ -100,6 +100,9 @@ class Settings(BaseSettings):
     rate_limit: float | None = Field(
         None, gt=0, description="Requests a second that a client may make; default: 200, and no limit on a loopback address."
     )
+    connections_per_address: int = Field(
+        100, ge=1, description="Connections of one address that have shown no key; another takes the place of the oldest of them."
+    )
     upload_memory: int = Field(512 * 2**20, ge=2**28, description="Memory in which an uploaded file must be readable [bytes].")
     upload_seconds: int = Field(10, ge=1, description="Processor time in which an uploaded file must be readable [s].")
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
