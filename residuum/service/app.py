@@ -24,7 +24,6 @@ from residuum.service.alarms.events import Events
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
-from residuum.service.broker_address import broker_address
 from residuum.service.known_queries import KnownQueries
 from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
@@ -179,7 +178,7 @@ async def _running(
         await pipeline.start()
         await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
         if settings.mqtt:
-            elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message)
+            elsewhere = StoredWindows(settings.broker, store, told, show, metrics.stored_message)
             elsewhere.start()
             ends(elsewhere.stop)
         started.callback(events.close)
@@ -204,7 +203,7 @@ def _sparkplug_findings(settings: Settings) -> Any:
         module = import_module("residuum.service.finding_metrics")
     except ModuleNotFoundError:
         raise BadSettings("setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
-    found = module.FindingMetrics(broker_address(settings.mqtt), settings.sparkplug)
+    found = module.FindingMetrics(settings.broker, settings.sparkplug)
     found.start()
     return found
 
