@@ -144,7 +144,7 @@ async def _running(
         store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
         ends(store.close)
         ends(partial(_audit_refusals, store, refusals))
-        outs += await asyncio.to_thread(_finding_outs, settings)
+        outs += await asyncio.to_thread(_finding_outs, settings, keys)
         for out in outs:
             ends(out.stop)
         await asyncio.to_thread(tell_latest, store, outs)
@@ -186,10 +186,12 @@ async def _running(
     log.info("stopped")
 
 
-def _finding_outs(settings: Settings) -> list[Any]:
+def _finding_outs(settings: Settings, keys: ApiKeys) -> list[Any]:
     """The OPC UA server and the Sparkplug edge node that offer the latest findings, started, as far as they are set."""
-    nodes = import_module("residuum.service.finding_nodes").FindingNodes(settings.opcua_server) if settings.opcua_server else None
-    if nodes is not None:
+    nodes = None
+    if settings.opcua_server:
+        module = import_module("residuum.service.finding_nodes")
+        nodes = module.FindingNodes(settings.opcua_server, module.entrance_of(settings, keys))
         nodes.start()
     finding_node = _sparkplug_findings(settings)
     return [out for out in (nodes, finding_node) if out is not None]

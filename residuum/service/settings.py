@@ -89,6 +89,10 @@ class Settings(BaseSettings):
         "",
         description="Address at which findings and alarms are offered as OPC UA nodes, opc.tcp://127.0.0.1:4840/; empty: none.",
     )
+    opcua_anonymous: bool = Field(
+        False,
+        description="Whether anybody may read at `opcua_server`, unsecured; else holders of an API key, signed and encrypted.",
+    )
     sparkplug: str = Field(
         "",
         description="Edge node, GROUP/NODE, as which findings are published as Sparkplug B on the broker of `mqtt`; empty: none.",
@@ -203,6 +207,14 @@ class Settings(BaseSettings):
         if value and (value.count("/") != 1 or not all(value.split("/")) or set(value) & set("+#")):
             raise ValueError("must be GROUP/NODE, without + and #")
         return value
+
+    @model_validator(mode="after")
+    def _opcua_users(self) -> Settings:
+        if self.opcua_server and self.api_keys is None and not self.opcua_anonymous:
+            raise ValueError(
+                "opcua_server: clients show an API key, so set api_keys; or opcua_anonymous: true, where anybody may read"
+            )
+        return self
 
     @field_validator("opcua_server", "demo_opcua")
     @classmethod
