@@ -1,16 +1,17 @@
-# run · test · check · bench · docs · soak · sbom · reproduce — each makes .venv first; nothing else has to be installed.
+# run · test · check · bench · docs · soak · sbom · lock · audit · reproduce — each makes .venv first; nothing else has to be installed.
 PYTHON ?= python3
 BIN := .venv/bin
 MAKEFLAGS += --no-print-directory
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test check bench docs soak sbom reproduce clean
+.PHONY: run test check bench docs soak sbom lock audit reproduce clean
 .DEFAULT_GOAL := run
 
 .venv/run: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || { rm -rf .venv; echo "make: $(PYTHON) cannot make a virtual environment; on Debian: apt-get install python3-venv"; exit 1; }
 	@echo "installing residuum into .venv (once; about a minute)"
-	@$(BIN)/python -m pip install -qq --no-compile -e .
+	@if [ -n "$(LOCKED)" ]; then $(BIN)/python -m pip install -qq --no-compile --require-hashes -r deploy/run.lock; fi
+	@$(BIN)/python -m pip install -qq --no-compile $(if $(LOCKED),--no-deps) -e .
 	@touch $@
 
 .venv/dev: pyproject.toml .venv/run
@@ -18,6 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 	@$(BIN)/python -m pip install -qq -e '.[dev,docs,notebook,formats,parquet,postgres,mqtt,oidc,fleet,fmi,opcua,sparkplug]'
 	@touch $@
 
+# LOCKED=1: with the packages of deploy/run.lock and no others, each compared with its hash.
 run: .venv/run
 	@$(BIN)/residuum serve --demo
 
@@ -56,6 +58,20 @@ sbom: .venv/dev
 	@build/sbom/bin/python -m pip uninstall -qq -y pip setuptools
 	@$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --validate -o residuum.cdx.json build/sbom/bin/python
 	@rm -rf build/sbom && echo "written: residuum.cdx.json"
+
+# The packages of an installation and of the image with their hashes, in the versions with which the tests have run.
+LOCK = build/lock/bin/uv pip compile -q --generate-hashes --universal --python-version 3.11 --no-annotate --custom-compile-command "make lock"
+lock: .venv/dev
+	@rm -rf build/lock && $(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install -qq uv
+	@$(BIN)/python -m pip freeze --exclude-editable | grep == > build/lock/tested.txt
+	@$(LOCK) -c build/lock/tested.txt pyproject.toml -o deploy/run.lock
+	@$(LOCK) -c build/lock/tested.txt $(foreach extra,postgres mqtt oidc opcua sparkplug parquet,--extra $(extra)) pyproject.toml -o deploy/image.lock
+	@rm -rf build/lock && echo "written: deploy/run.lock, deploy/image.lock"
+
+# Known vulnerabilities of what is locked; asks a database on the network, and fails where it does not answer.
+audit:
+	@test -x build/audit/bin/pip-audit || { $(PYTHON) -m venv build/audit && build/audit/bin/python -m pip install -qq pip-audit; }
+	@build/audit/bin/pip-audit --require-hashes --disable-pip --strict --progress-spinner off -r deploy/image.lock
 
 reproduce: .venv/dev
 	@$(BIN)/python -m reproduction

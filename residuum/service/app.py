@@ -24,7 +24,6 @@ from residuum.service.alarms.events import Events
 from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
-from residuum.service.broker_address import broker_address
 from residuum.service.known_queries import KnownQueries
 from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
@@ -145,7 +144,7 @@ async def _running(
         store = await asyncio.to_thread(DiskStore, settings.data, settings.database_url, announce, rule_of)
         ends(store.close)
         ends(partial(_audit_refusals, store, refusals))
-        outs += await asyncio.to_thread(_finding_outs, settings)
+        outs += await asyncio.to_thread(_finding_outs, settings, keys)
         for out in outs:
             ends(out.stop)
         await asyncio.to_thread(tell_latest, store, outs)
@@ -179,7 +178,7 @@ async def _running(
         await pipeline.start()
         await asyncio.to_thread(app.openapi)  # routes are put together at first use, which would hold up whoever asks then
         if settings.mqtt:
-            elsewhere = StoredWindows(broker_address(settings.mqtt), store, told, show, metrics.stored_message)
+            elsewhere = StoredWindows(settings.broker, store, told, show, metrics.stored_message)
             elsewhere.start()
             ends(elsewhere.stop)
         started.callback(events.close)
@@ -187,10 +186,12 @@ async def _running(
     log.info("stopped")
 
 
-def _finding_outs(settings: Settings) -> list[Any]:
+def _finding_outs(settings: Settings, keys: ApiKeys) -> list[Any]:
     """The OPC UA server and the Sparkplug edge node that offer the latest findings, started, as far as they are set."""
-    nodes = import_module("residuum.service.finding_nodes").FindingNodes(settings.opcua_server) if settings.opcua_server else None
-    if nodes is not None:
+    nodes = None
+    if settings.opcua_server:
+        module = import_module("residuum.service.finding_nodes")
+        nodes = module.FindingNodes(settings.opcua_server, module.entrance_of(settings, keys))
         nodes.start()
     finding_node = _sparkplug_findings(settings)
     return [out for out in (nodes, finding_node) if out is not None]
@@ -204,7 +205,7 @@ def _sparkplug_findings(settings: Settings) -> Any:
         module = import_module("residuum.service.finding_metrics")
     except ModuleNotFoundError:
         raise BadSettings("setting sparkplug: needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
-    found = module.FindingMetrics(broker_address(settings.mqtt), settings.sparkplug)
+    found = module.FindingMetrics(settings.broker, settings.sparkplug)
     found.start()
     return found
 

@@ -15,7 +15,9 @@ from typing import Any
 
 import structlog
 
-from residuum.service.fieldbus.opcua.node_server import NodeServer
+from residuum.service.fieldbus.opcua.node_server import Entrance, NodeServer
+from residuum.service.security.access import LONGEST_NAME, ApiKeys, Role
+from residuum.service.settings import Settings
 
 log = structlog.get_logger()
 _TICK = 0.05
@@ -29,10 +31,12 @@ class FindingNodes:
     ----------
     url : str
         `opc.tcp://0.0.0.0:4840/residuum/`.
+    entrance : Entrance, optional
+        Who may read; without one: anybody.
     """
 
-    def __init__(self, url: str) -> None:
-        self._url = url
+    def __init__(self, url: str, entrance: Entrance | None = None) -> None:
+        self._url, self._entrance = url, entrance
         self._news: dict[tuple[str, str], Mapping[str, Any]] = {}
         self._lock = threading.Lock()
         self._stopped, self._begun = threading.Event(), threading.Event()
@@ -65,7 +69,7 @@ class FindingNodes:
             self._news[kind, str(payload["asset"])] = payload
 
     async def _serve(self) -> None:
-        server = NodeServer(self._url)
+        server = NodeServer(self._url, self._entrance)
         try:
             await server.start()
         except Exception as error:  # told to who started it
@@ -100,6 +104,19 @@ async def _offer(server: NodeServer, kind: str, payload: Mapping[str, Any]) -> N
     for name, value in (payload.get("indicators") or {}).items():
         if isinstance(value, int | float):
             await server.write(asset, f"indicator.{name}", float(value), stamp)
+
+
+def entrance_of(settings: Settings, keys: ApiKeys) -> Entrance | None:
+    """Who may read the findings: holders of a key that may read all of them, by its name and itself; None: anybody."""
+
+    def lets_in(name: str, key: str) -> bool:
+        caller = keys.caller(key)
+        may = caller is not None and caller.name == name and caller.role >= Role.VIEWER and caller.sites is None
+        if not may:
+            log.warning("refused at the OPC UA server", by=name[:LONGEST_NAME])
+        return may
+
+    return None if settings.opcua_anonymous else Entrance(settings.data / "opcua", lets_in)
 
 
 def _seconds(at: Any) -> float:

@@ -16,7 +16,7 @@ from residuum.identification.errors import BadInput
 from residuum.identification.yaml_text import read_yaml
 from residuum.nearest_names import did_you_mean
 from residuum.service.alarms.alarm_rules import AlarmRule
-from residuum.service.broker_address import broker_address
+from residuum.service.broker_address import BrokerAddress, BrokerTls, broker_address
 from residuum.service.fieldbus.settings import MachineSettings
 
 SETTINGS_FILE = "RESIDUUM_SETTINGS"
@@ -73,10 +73,25 @@ class Settings(BaseSettings):
         description="Addresses or networks of proxies whose X-Forwarded-For and -Proto are believed.",
     )
     webhooks: list[AnyHttpUrl] = Field([], description="Addresses to which every change of an alarm is posted as JSON.")
-    mqtt: str = Field("", description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix]; empty: none.")
+    mqtt: str = Field(
+        "",
+        description="Broker for alarms and findings, mqtt://[user:password@]host[:port][/prefix], mqtts:// for TLS; empty: none.",
+    )
+    mqtt_password_file: Path | None = Field(None, description="File whose first line is the password of the user of `mqtt`.")
+    mqtt_ca: Path | None = Field(
+        None, description="PEM file of the authority that signed the certificate of an mqtts:// broker; empty: the system's."
+    )
+    mqtt_certificate: Path | None = Field(
+        None, description="PEM file of our certificate for an mqtts:// broker; with `mqtt_key`."
+    )
+    mqtt_key: Path | None = Field(None, description="PEM file of that certificate's private key.")
     opcua_server: str = Field(
         "",
         description="Address at which findings and alarms are offered as OPC UA nodes, opc.tcp://127.0.0.1:4840/; empty: none.",
+    )
+    opcua_anonymous: bool = Field(
+        False,
+        description="Whether anybody may read at `opcua_server`, unsecured; else holders of an API key, signed and encrypted.",
     )
     sparkplug: str = Field(
         "",
@@ -100,6 +115,9 @@ class Settings(BaseSettings):
     rate_limit: float | None = Field(
         None, gt=0, description="Requests a second that a client may make; default: 200, and no limit on a loopback address."
     )
+    connections_per_address: int = Field(
+        100, ge=1, description="Connections of one address that have shown no key; another takes the place of the oldest of them."
+    )
     upload_memory: int = Field(512 * 2**20, ge=2**28, description="Memory in which an uploaded file must be readable [bytes].")
     upload_seconds: int = Field(10, ge=1, description="Processor time in which an uploaded file must be readable [s].")
     header_limit: int = Field(16 * 2**10, ge=1024, description="Largest request head [bytes].")
@@ -110,6 +128,18 @@ class Settings(BaseSettings):
     def database_url(self) -> str:
         """The database's URL, with the default filled in."""
         return self.database or f"sqlite:///{(self.data / 'residuum.db').resolve()}"
+
+    @property
+    def broker(self) -> BrokerAddress:
+        """The broker, and how it is entered. Raises BadSettings when the file of the password cannot be read."""
+        password = None
+        if self.mqtt_password_file is not None:
+            try:
+                password = self.mqtt_password_file.read_text(encoding="utf-8").partition("\n")[0].strip()
+            except (OSError, UnicodeDecodeError) as error:
+                raise BadSettings(f"setting mqtt_password_file: {self.mqtt_password_file}: cannot be read: {error}") from None
+        tls = BrokerTls(ca=self.mqtt_ca, certificate=self.mqtt_certificate, key=self.mqtt_key)
+        return broker_address(self.mqtt, tls, password)
 
     def alarm_rule(self, asset: str) -> AlarmRule:
         """The rule of a machine's alarms: its own, or that of the service."""
@@ -178,6 +208,14 @@ class Settings(BaseSettings):
             raise ValueError("must be GROUP/NODE, without + and #")
         return value
 
+    @model_validator(mode="after")
+    def _opcua_users(self) -> Settings:
+        if self.opcua_server and self.api_keys is None and not self.opcua_anonymous:
+            raise ValueError(
+                "opcua_server: clients show an API key, so set api_keys; or opcua_anonymous: true, where anybody may read"
+            )
+        return self
+
     @field_validator("opcua_server", "demo_opcua")
     @classmethod
     def _opcua_address(cls, value: str) -> str:
@@ -191,6 +229,16 @@ class Settings(BaseSettings):
         if value:
             broker_address(value)
         return value
+
+    @model_validator(mode="after")
+    def _entered_as_it_says(self) -> Settings:
+        if (self.mqtt_certificate is None) != (self.mqtt_key is None):
+            raise ValueError("mqtt_certificate and mqtt_key: one of them is not enough")
+        if (self.mqtt_ca or self.mqtt_certificate) and not self.mqtt.startswith("mqtts://"):
+            raise ValueError("mqtt_ca, mqtt_certificate: are for a broker that is entered by TLS; write mqtt: mqtts://…")
+        if self.mqtt_password_file and broker_address(self.mqtt or "mqtt://nobody").user is None:
+            raise ValueError("mqtt_password_file: is the password of a user; write mqtt: mqtts://USER@…")
+        return self
 
     @classmethod
     def settings_customise_sources(

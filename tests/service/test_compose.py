@@ -1,5 +1,6 @@
 """docker-compose.yml: valid by the schema, hardened, and every command of ours starts as a process on real sockets."""
 
+import getpass
 import json
 import random
 import re
@@ -14,11 +15,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from residuum.service.alarms.notifications import Broker
+from residuum.service.broker_address import broker_address
 from residuum.service.commands import COMMANDS
 from residuum.service.fieldbus.can.frame_layout import read_dbc
 from residuum.service.fieldbus.modbus.register_map import read_register_map
 from residuum.service.security.access import ApiKeys, Role
-from residuum.service.settings import Settings
+from residuum.service.settings import Settings, load_settings
+from tests.service.conftest import find_program, not_here, wait_for_port
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -158,6 +162,7 @@ def test_every_command_of_ours_starts_and_the_service_hears_every_machine(tmp_pa
         "RESIDUUM_MQTT": "",
         "PATH": "/usr/bin:/bin",
     }
+    del environment["RESIDUUM_MQTT_PASSWORD_FILE"]  # without a broker it is nobody's
     processes = [
         subprocess.Popen(on_this_machine(service["command"], ports, group), env=environment, stdout=subprocess.DEVNULL)
         for service in LASTING.values()
@@ -191,7 +196,7 @@ def first_start(folder):
 def test_keys_are_made_at_the_first_start_and_shown_once(tmp_path):
     key = first_start(tmp_path / "keys")
     files = {file.name: file.read_text() for file in (tmp_path / "keys").iterdir()}
-    assert set(files) == {"api_keys", "metrics_key"} and key not in "".join(files.values())
+    assert set(files) == {"api_keys", "metrics_key", "broker_password", "broker_users"} and key not in "".join(files.values())
     assert "none was made" in (again := keys_container(tmp_path / "keys")) and key not in again
     assert {file.name: file.read_text() for file in (tmp_path / "keys").iterdir()} == files
     known = ApiKeys(tmp_path / "keys" / "api_keys")
@@ -202,9 +207,41 @@ def test_the_stack_finds_the_keys_where_they_are_made():
     assert OURS["keys"]["command"][-1] == KEYS and f"keys:{KEYS}" in OURS["keys"]["volumes"]
     assert OURS["residuum"]["environment"]["RESIDUUM_API_KEYS"] == f"{KEYS}/api_keys"
     assert OURS["residuum"]["depends_on"]["keys"] == {"condition": "service_completed_successfully"}
-    for reader in ("residuum", "prometheus"):
+    assert OURS["residuum"]["environment"]["RESIDUUM_MQTT_PASSWORD_FILE"] == f"{KEYS}/broker_password"
+    for reader in ("residuum", "prometheus", "mosquitto"):
         assert f"keys:{KEYS}:ro" in COMPOSE["services"][reader]["volumes"]
     assert f"-o residuum /var/lib/residuum {KEYS}" in (ROOT / "Dockerfile").read_text()  # whose volume it is when it is new
+
+
+def test_the_broker_lets_in_the_service_and_no_stranger(tmp_path, free_port, monkeypatch):
+    pytest.importorskip("paho.mqtt.client", reason="the extra 'mqtt' is not installed: MQTT was not tried")
+    if (mosquitto := find_program("mosquitto")) is None:
+        not_here("MOSQUITTO", "the broker of the compose file")
+    first_start(tmp_path / "keys")
+    port, compose = free_port(), COMPOSE["services"]["mosquitto"]
+    conf = (ROOT / "deploy" / "mosquitto.conf").read_text().replace("1883", f"{port} 127.0.0.1")
+    (tmp_path / "mosquitto.conf").write_text(conf.replace("/tmp/", f"{tmp_path}/") + f"user {getpass.getuser()}\n")
+    places = {
+        KEYS: f"{tmp_path}/keys",
+        "/tmp/": f"{tmp_path}/",
+        "/mosquitto/config": str(tmp_path),
+        "exec mosquitto": f"exec {mosquitto}",
+    }
+    script = compose["command"][-1]
+    assert all(theirs in script for theirs in places)
+    script = re.sub("|".join(map(re.escape, places)), lambda found: places[found[0]], script)
+    environment = OURS["residuum"]["environment"]
+    url = environment["RESIDUUM_MQTT"].replace("mosquitto:1883", f"127.0.0.1:{port}")
+    with subprocess.Popen([*compose["command"][:-1], script], stderr=subprocess.DEVNULL) as broker:
+        try:
+            wait_for_port(port, broker)
+            password = Path(environment["RESIDUUM_MQTT_PASSWORD_FILE"].replace(KEYS, str(tmp_path / "keys")))
+            Broker(load_settings(mqtt=url, mqtt_password_file=password).broker).try_connection()
+            for stranger in (f"mqtt://127.0.0.1:{port}", url.replace("@", ":guess@")):
+                with pytest.raises(OSError, match="refuses the connection"):
+                    Broker(broker_address(stranger)).try_connection()
+        finally:
+            broker.terminate()
 
 
 def scrape(service, keys):

@@ -7,7 +7,6 @@ and also those of other processes on the same database. What waits is bounded: t
 
 from __future__ import annotations
 
-import importlib
 import queue
 import threading
 import time
@@ -21,8 +20,7 @@ from urllib.parse import urlsplit
 import orjson
 import structlog
 
-from residuum.identification.errors import BadInput
-from residuum.service.broker_address import BrokerAddress, broker_address
+from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.backoff import Backoff
 from residuum.service.settings import Settings
 from residuum.service.storage.outbox import Outbox
@@ -144,8 +142,8 @@ class Notifications:
         urls = map(str, settings.webhooks)
         self.receivers = [Receiver(_without_secrets(url), url, _webhook(url), findings=False) for url in urls]
         if settings.mqtt:
-            address = broker_address(settings.mqtt)
-            name = f"mqtt://{address.host}:{address.port}"
+            address = settings.broker
+            name = f"{'mqtt' if address.tls is None else 'mqtts'}://{address.host}:{address.port}"
             self.receivers.append(Receiver(name, settings.mqtt, Broker(address), findings=True))
 
     def start(self, outbox: Outbox) -> None:
@@ -193,10 +191,7 @@ class Broker:
     """Publishes with QoS 1 over one connection, which is made when it is needed and again after it broke."""
 
     def __init__(self, address: BrokerAddress) -> None:
-        try:
-            self._mqtt: Any = importlib.import_module("paho.mqtt.client")
-        except ImportError:
-            raise BadInput("setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'") from None
+        address.client()  # what is wrong with it is told at the start
         self._address = address
         self._client: Any = None
 
@@ -227,9 +222,7 @@ class Broker:
     def _connect(self) -> None:
         if self._client is not None:
             self._client.loop_stop()
-        self._client = self._mqtt.Client(self._mqtt.CallbackAPIVersion.VERSION2)
-        if self._address.user:
-            self._client.username_pw_set(self._address.user, self._address.password)
+        self._client = self._address.client()
         answered: queue.Queue[Any] = queue.Queue()
         self._client.on_connect = lambda _client, _data, _flags, reason, _properties: answered.put(reason)
         self._client.connect(self._address.host, self._address.port)

@@ -18,7 +18,7 @@ import typer
 from residuum.code_folder import code_folder, why_not_kept
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.notifications import Broker
-from residuum.service.broker_address import BrokerAddress, broker_address
+from residuum.service.broker_address import BrokerAddress
 from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.machine_checks import machine_check
 from residuum.service.commands.report import AsJson, report
@@ -277,7 +277,8 @@ def _bus(source: SourceSettings) -> str | tuple[str, str]:
         left = f"; of {len(others)} not streamed the first: {others[0]}" if others else ""
         return says + left, "; ".join(remarks)
     if source.kind == "sparkplug":
-        metrics, broker = read_metric_map(source.map_file), broker_address(source.channel)
+        metrics = read_metric_map(source.map_file)
+        broker = metrics.entered(source.channel)
         _let_in(broker)
         return f"{broker.host}:{broker.port} lets us in; {source.map} has {len(metrics.streams)} streams of {metrics.node}"
     if source.kind == "opcua":
@@ -309,7 +310,7 @@ def _modbus(source: SourceSettings) -> str | tuple[str, str]:
 
 
 def _broker(settings: Settings) -> tuple[str, str]:
-    address = broker_address(settings.mqtt)
+    address = settings.broker
     _let_in(address)
     node = f"; Sparkplug B as {settings.sparkplug}" if settings.sparkplug else ""
     says = f"{address.host}:{address.port} lets us in; topics begin with {address.prefix}/{node}"

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from residuum.identification.errors import BadInput
-from residuum.service.broker_address import broker_address
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
 from residuum.service.machines.machine_line import MachineLine
@@ -35,7 +34,7 @@ def gateway(
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise BadInput(f"--name {name!r}: must be letters, digits, '.', '_' and '-'")
     set_up_logs(settings)
-    sender = Gateway(name, Spool(settings.data / "spool", settings.keep_bytes), broker_address(settings.mqtt))
+    sender = Gateway(name, Spool(settings.data / "spool", settings.keep_bytes), settings.broker)
     lines = [MachineLine(machine, partial(partial, sender.handle), lambda _: None) for machine in settings.machines]
     sender.start()
     for line in lines:

@@ -8,22 +8,35 @@ from typing import Annotated
 import typer
 
 from residuum.service.commands.report import AsJson, report
-from residuum.service.security.first_keys import API_KEYS, METRICS_KEY, make_first_keys
+from residuum.service.security.first_keys import (
+    API_KEYS,
+    BROKER_PASSWORD,
+    BROKER_USERS,
+    METRICS_KEY,
+    make_broker_user,
+    make_first_keys,
+)
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
 def keys(
-    folder: Annotated[Path, typer.Argument(help="Folder for `api_keys` and `metrics_key`. Existing files are kept.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder for `api_keys`, `metrics_key`, `broker_password` and `broker_users`. What is there is kept."),
+    ],
     as_json: AsJson = False,
 ) -> None:
-    """Make one key for an engineer and one for Prometheus, unless they exist. The engineer's key is shown only now."""
+    """Make keys for an engineer and Prometheus, and a broker's user, unless they exist. The engineer's is shown only now."""
     files = {"api_keys": str(folder / API_KEYS), "metrics_key": str(folder / METRICS_KEY)}
+    files |= {"broker_password": str(folder / BROKER_PASSWORD), "broker_users": str(folder / BROKER_USERS)}
 
     def show(key: str) -> None:
         said = f"API key of 'engineer', shown this once (the page asks for it):\n\n    {key}\n"
         report({"made": True, "key": key} | files, said, as_json=as_json)
 
-    if not make_first_keys(folder, show):
+    made = make_first_keys(folder, show)
+    make_broker_user(folder)
+    if not made:
         report({"made": False, "key": None} | files, f"Keys are in {files['api_keys']}; none was made.", as_json=as_json)

@@ -7,7 +7,6 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.service.alarms.notifications import Notifications
-from residuum.service.broker_address import broker_address
 from residuum.service.commands.settings_file import DatabaseUrl
 from residuum.service.commands.until_interrupted import until_interrupted
 from residuum.service.logs import set_up_logs
@@ -43,7 +42,7 @@ def scorer(
     notifications.start(store.outbox)
     pool = WorkerPool(1)
     try:
-        consumer = Scorer(broker_address(settings.mqtt), int(number), int(many), pool, store, settings.data)
+        consumer = Scorer(settings.broker, int(number), int(many), pool, store, settings.data)
         consumer.start()
         until_interrupted(f"Scorer {part} takes windows.")
         consumer.stop()

@@ -20,7 +20,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.app import create_app
 from residuum.service.cli import INTERRUPTED
 from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, SettingsFile
-from residuum.service.security.http_connections import BoundedConnection
+from residuum.service.security.http_connections import bounded_connections
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory
 from residuum.service.storage.database import LOOKED_THROUGH, Database, sqlite_file
@@ -69,11 +69,10 @@ def _run(settings: Settings, sockets: list[socket.socket]) -> list[int]:
         access_log=False,
         proxy_headers=False,  # the gate believes those of trusted proxies alone
         lifespan="off",  # begun and ended below: what fails at the start is then told as every other failure
-        http=BoundedConnection,
+        http=bounded_connections(settings),  # type: ignore[arg-type]  # TLS, too
+        ws="none",  # a connection that turned into one would be bounded no more
         timeout_graceful_shutdown=_STOP_WITHIN,
         h11_max_incomplete_event_size=settings.header_limit,
-        ssl_certfile=settings.tls_certificate,
-        ssl_keyfile=settings.tls_key,
     )
     server = _Server(config, service)
     asyncio.run(_serve(server, service, sockets, settings))

@@ -13,7 +13,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.broker_address import broker_address
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
-from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text
+from residuum.service.fieldbus.sparkplug.metric_map import NAME, metric_map_text, read_metric_map
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -30,13 +30,14 @@ def browse(
     broker: Annotated[str, typer.Argument(metavar="BROKER", help="For example mqtt://192.168.0.11.")],
     node: Annotated[str, typer.Argument(metavar="GROUP/NODE", help="The edge node.")],
     out: Annotated[Path, typer.Option(help="The metric map to write.")],
+    entered: Annotated[Path | None, typer.Option("--map", help="A metric map that says how the broker is entered.")] = None,
     every: Annotated[float, typer.Option(min=0.001, max=3600, help="Sample time of the streams [s].")] = 0.1,
     as_json: AsJson = False,
 ) -> None:
     """Ask a node to be born again, and write a map of the metrics that are numbers; a stream a device."""
     check_output_file(out)
     try:
-        address = broker_address(broker)
+        address = broker_address(broker) if entered is None else read_metric_map(entered).entered(broker)
     except ValueError as error:
         raise BadInput(f"{broker}: {error}") from None
     if re.fullmatch(f"{NAME}/{NAME}", node) is None:

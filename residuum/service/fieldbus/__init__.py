@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import import_module
 
-from residuum.service.broker_address import broker_address
 from residuum.service.fieldbus.can.can_source import CanSource
 from residuum.service.fieldbus.can.frame_layout import BadBusDescription, read_dbc
 from residuum.service.fieldbus.modbus.modbus_source import ModbusSource
@@ -38,7 +37,7 @@ def _sparkplug(settings: SourceSettings, sink: Sink) -> Source:
         module = import_module("residuum.service.fieldbus.sparkplug.sparkplug_source")
     except ModuleNotFoundError:
         raise BadBusDescription("a Sparkplug source needs the extra `sparkplug`: pip install 'residuum[sparkplug]'") from None
-    made: Source = module.SparkplugSource(broker_address(settings.channel), metrics, sink)
+    made: Source = module.SparkplugSource(metrics.entered(settings.channel), metrics, sink)
     return made
 
 

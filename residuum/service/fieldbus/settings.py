@@ -25,8 +25,8 @@ class SourceSettings(StrictModel):
 
     `can` needs `channel` (`socketcan:can0`, `udp_multicast:239.74.163.2:43113`, `virtual:bench`) and a DBC file; `modbus`
     needs `host`, `port` and a register map; `opcua` needs `channel` (`opc.tcp://host:4840`) and a node map; `sparkplug`
-    needs `channel` (`mqtt://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of one that comes with
-    Residuum.
+    needs `channel` (`mqtt[s]://[user:password@]broker[:port]`) and a metric map. `map` is a file, or the name of one that comes
+    with Residuum.
     """
 
     kind: Literal["can", "modbus", "opcua", "sparkplug"]

@@ -1,8 +1,12 @@
-"""The keys of a deployment that has none yet: an engineer's, which is shown once, and that by which Prometheus reads."""
+"""The keys of a deployment that has none yet: an engineer's, which is shown once, that by which Prometheus reads, and the
+password by which the service enters its broker."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
+import secrets
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +15,10 @@ from residuum.service.settings import BadSettings
 
 API_KEYS, METRICS_KEY = "api_keys", "metrics_key"
 """Names of the files: what the setting `api_keys` reads, and the plain key for Prometheus."""
+BROKER_PASSWORD, BROKER_USERS = "broker_password", "broker_users"
+"""What the setting `mqtt_password_file` reads, and Mosquitto's `password_file`."""
+BROKER_USER = "residuum"
+_ROUNDS = 101  # as mosquitto_passwd; the password is 256 random bits, and needs none
 _MODE = 0o640
 
 
@@ -45,6 +53,25 @@ def make_first_keys(folder: Path, show: Callable[[str], None]) -> bool:
     except OSError as error:
         raise BadSettings(f"keys in {folder}: cannot be written: {error.strerror or error}") from None
     return first
+
+
+def make_broker_user(folder: Path) -> None:
+    """Make the password of the broker's user, and Mosquitto's file of users with its hash, unless both are there.
+
+    Raises BadSettings where the folder cannot be written.
+    """
+    users, password = folder / BROKER_USERS, folder / BROKER_PASSWORD
+    if users.is_file() and password.is_file():
+        return
+    chosen, salt = secrets.token_urlsafe(32), secrets.token_bytes(12)
+    hashed = hashlib.pbkdf2_hmac("sha512", chosen.encode(), salt, _ROUNDS)
+    line = f"{BROKER_USER}:$7${_ROUNDS}${base64.b64encode(salt).decode()}${base64.b64encode(hashed).decode()}\n"
+    try:
+        written = _beside(password, chosen), _beside(users, line)
+        written[0].replace(password)
+        written[1].replace(users)
+    except OSError as error:
+        raise BadSettings(f"keys in {folder}: cannot be written: {error.strerror or error}") from None
 
 
 def _without(file: Path, name: str) -> list[str]:

@@ -35,7 +35,7 @@ class TrustedProxies:
 
     def seen(self, peer: str, scheme: str, forwarded_for: bytes, forwarded_proto: bytes) -> Seen:
         """Who asks: the last address of `X-Forwarded-For` that is no trusted proxy's; what stands left of it anybody may say."""
-        if not self._networks or not self._is_one(peer):
+        if not self.trusts(peer):
             return Seen(peer, scheme)
         address = peer
         for said in reversed(forwarded_for.decode("latin-1").split(",")):
@@ -46,6 +46,10 @@ class TrustedProxies:
                 break
         proto = forwarded_proto.decode("latin-1").rsplit(",", 1)[-1].strip().lower()
         return Seen(address, proto if proto in ("http", "https") else scheme)
+
+    def trusts(self, peer: str) -> bool:
+        """Whether this is the address of a trusted proxy."""
+        return bool(self._networks) and self._is_one(peer)
 
     def _looked_up(self, address: str) -> bool:
         try:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -20,6 +20,7 @@ from residuum.service.request_ids import begin_request
 from residuum.service.security.access import ANYBODY, ApiKeys, Caller, Role
 from residuum.service.security.bearer_tokens import BearerTokens
 from residuum.service.security.forwarded import TrustedProxies, origin_of
+from residuum.service.security.http_connections import KNOWN
 from residuum.service.security.rate_limit import RateLimit, retry_after
 from residuum.service.security.refusals import Refusals
 from residuum.service.settings import Settings, is_loopback
@@ -29,6 +30,8 @@ log = structlog.get_logger()
 Measure = Callable[[str, str, int, float], None]
 """Told of every answer: (method, route, status, seconds)."""
 
+_PART = 2**16
+"""Bytes of an answer that are handed on at once."""
 _DRAINED = 4
 """Times the longest body that is taken: so much is read and thrown away before it is refused."""
 _PATIENCE = 5.0
@@ -116,7 +119,10 @@ class Gate:
                 status = message["status"]
                 own = {name.lower() for name, _ in message["headers"]}
                 message["headers"] = [*message["headers"], *(header for header in more if header[0] not in own)]
-            await send(message)
+            for part in _in_parts(message):
+                await send(part)
+                if part.get("more_body"):
+                    await asyncio.sleep(0)  # others have their turn, and a connection that was lost is noticed
 
         refusal, by = self._refusal(scope, headers), None
         if refusal is None:
@@ -124,6 +130,8 @@ class Gate:
             caller = self.keys.caller(key)
             if caller is None and self.tokens is not None:
                 caller = await self._owner_of_token(self.tokens, key)
+            if caller is not None:
+                scope.get(KNOWN, _nothing)()
             by = self.keys.ended(key) if caller is None else caller.name
             refusal = self._refusal_of_caller(scope, key, caller)
             if key and caller is None and refusal is not None:
@@ -251,6 +259,19 @@ class Gate:
             return message
 
         return limited
+
+
+def _nothing() -> None:
+    """What is done where nobody counts connections."""
+
+
+def _in_parts(message: Message) -> Iterator[Message]:
+    """A long body in parts, of which the next is made when the client has taken the one before: else it waits in memory whole."""
+    body = memoryview(message.get("body", b""))  # what is left of bytes would be copied each time
+    while len(body) > _PART:
+        yield {"type": message["type"], "body": bytes(body[:_PART]), "more_body": True}
+        body = body[_PART:]
+    yield {**message, "body": bytes(body)} if "body" in message else message
 
 
 def _after_the_body(refusal: Response, most: int) -> ASGIApp:

@@ -459,6 +459,8 @@ class DiskStore:
         while True:
             with self._database.patiently(), self._database.write() as connection:
                 paths = retention.let_go(connection, rule, _now(), self._clock)
+                if paths:
+                    audit.append(connection, "signals let go", "windows", by=None, now=_now(), detail={"windows": len(paths)})
             for path in paths:
                 self._blocks.remove(path)
             count += len(paths)
@@ -470,7 +472,10 @@ class DiskStore:
 
     def _forget(self, rule: Retention) -> int:
         with self._database.patiently(), self._database.write() as connection:
-            return retention.forget(connection, rule, _now(), self._clock)
+            count = retention.forget(connection, rule, _now(), self._clock)
+            if count:
+                audit.append(connection, "rows let go", "windows", by=None, now=_now(), detail={"windows": count})
+            return count
 
     def troubles(self) -> Mapping[str, str]:
         """What storing suffers from although windows are taken, by its subject."""

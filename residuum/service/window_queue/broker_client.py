@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import structlog
 
-from residuum.identification.errors import BadInput
 from residuum.service.broker_address import BrokerAddress
 
 log = structlog.get_logger()
@@ -50,13 +49,7 @@ def broker_client(
     subscribed : callable
         Told when the broker has taken the subscription of a new connection: what is published from then on comes.
     """
-    try:
-        mqtt: Any = importlib.import_module("paho.mqtt.client")  # optional: the extra `mqtt`
-    except ImportError:
-        raise BadInput("setting mqtt: needs the extra `mqtt`: pip install 'residuum[mqtt]'") from None
-    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id=client_id, clean_session=not kept, manual_ack=True)
-    if address.user:
-        client.username_pw_set(address.user, address.password)
+    client = address.client(client_id=client_id, clean_session=not kept, manual_ack=True)
     client.reconnect_delay_set(1, _LONGEST_PAUSE)
 
     def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
@@ -66,7 +59,10 @@ def broker_client(
         connected()
         client.subscribe([(topic, 1) for topic in topics])
 
-    client.on_connect = on_connect
+    def on_connect_fail(_client: Any, _data: Any) -> None:
+        log.warning("the broker does not let us in", broker=f"{address.host}:{address.port}", reason=str(sys.exception()))
+
+    client.on_connect, client.on_connect_fail = on_connect, on_connect_fail
     client.on_subscribe = lambda *_: subscribed()
     client.on_message = lambda client, _data, message: take(client, message)
     client.connect_async(address.host, address.port, keepalive=_KEEP_ALIVE)

@@ -22,7 +22,9 @@ def test_a_key_is_made_once(keys, tmp_path):
     made = keys()
     assert made["made"] and ApiKeys(tmp_path / "api_keys").caller(made["key"]).role is Role.ENGINEER
     assert {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("api_keys", "metrics_key")} == {0o640}
+    users = (tmp_path / "broker_users").read_text()
     again = keys()
+    assert users == (tmp_path / "broker_users").read_text() and (tmp_path / "broker_password").read_text() not in users
     assert (again["made"], again["key"]) == (False, None)
 
 

@@ -281,7 +281,7 @@ def test_a_service_publishes_what_scorers_stored_and_what_the_store_had_at_its_s
     asyncua = pytest.importorskip("asyncua.sync", reason="the extra 'opcua' is not installed: its nodes were not tried")
     opcua = f"opc.tcp://127.0.0.1:{free_port()}/"
     listening = host("Plant/Residuum")
-    service = run_service(mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua)
+    service = run_service(mqtt=broker, sparkplug="Plant/Residuum", opcua_server=opcua, opcua_anonymous=True)
     theirs = DiskStore(service.services.settings.data, service.services.settings.database_url)
     record = Record({"y": [0.0, 1.0]}, {"y": "V"}, 1.0)
 

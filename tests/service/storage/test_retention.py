@@ -120,6 +120,18 @@ def test_rows_beyond_the_number_become_hours_that_hold_all_of_them(store, monkey
     assert store.retain(rule) == 0
 
 
+def test_the_audit_trail_tells_of_what_was_let_go(store, monkeypatch):
+    for k in range(40):
+        add_at(store, monkeypatch, 40 - k)
+    monkeypatch.setattr("residuum.service.storage.retention._AT_ONCE", 8)
+    store.retain(Retention(FOREVER, 2**40, FOREVER, 10))
+    store.retain(Retention(FOREVER, 2**40, FOREVER, 10))
+    told = [(entry.action, entry.by, entry.detail["windows"]) for entry in store.audit().items]
+    for action in ("signals let go", "rows let go"):
+        assert sum(windows for what, by, windows in told if (what, by) == (action, None)) == 30
+    assert len(told) == 8  # four goes each, and nothing of a call after which nothing went
+
+
 def test_one_hour_is_folded_in_several_goes_without_loss(store, monkeypatch):
     monkeypatch.setattr("residuum.service.storage.retention._AT_ONCE", 3)
     values = np.random.default_rng(3).uniform(0, 4, 20)

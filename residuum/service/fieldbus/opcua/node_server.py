@@ -3,15 +3,61 @@
 from __future__ import annotations
 
 import logging
+import socket
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from asyncua import Server, ua
+from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.permission_rules import User, UserRole
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 NAMESPACE = "urn:residuum:machines"
+_APPLICATION = "urn:residuum:findings"
+_SECURED = ("Basic256Sha256_SignAndEncrypt", "Aes128Sha256RsaOaep_SignAndEncrypt", "Aes256Sha256RsaPss_SignAndEncrypt")
+
+
+@dataclass(frozen=True)
+class Entrance:
+    """Who may read: users, over channels that are signed and encrypted.
+
+    Parameters
+    ----------
+    folder : Path
+        Has `server.der`, the server's certificate, and its key; made where they are missing or have ended.
+    lets_in : callable
+        Whether a name and password are those of a user.
+    """
+
+    folder: Path
+    lets_in: Callable[[str, str], bool]
+
+    def get_user(self, _server: Any, username: str | None = None, password: str | None = None, certificate: Any = None) -> Any:
+        """A user who reads, or None (asyncua asks for this)."""
+        known = username is not None and password is not None and self.lets_in(username, password)
+        return User(role=UserRole.User, name=username) if known else None
+
+    async def files(self) -> tuple[Path, Path]:
+        """Certificate and key."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        certificate, key = self.folder / "server.der", self.folder / "server.pem"
+        names, use = {"organizationName": "Residuum"}, [ExtendedKeyUsageOID.SERVER_AUTH]
+        await setup_self_signed_certificate(key, certificate, _APPLICATION, socket.gethostname(), use, names)
+        key.chmod(0o600)
+        return certificate, key
+
+
+class _Anybody:
+    """Reads, and nothing else: asyncua itself would let whoever says `admin` write."""
+
+    def get_user(self, *_asked: Any, **_named: Any) -> Any:
+        """A user who reads."""
+        return User(role=UserRole.User)
 
 
 class NodeServer:
@@ -21,11 +67,13 @@ class NodeServer:
     ----------
     url : str
         `opc.tcp://127.0.0.1:4840/residuum/`.
+    entrance : Entrance, optional
+        Without one anybody may read, over channels without security.
     """
 
-    def __init__(self, url: str) -> None:
-        self._url = url
-        self._server = Server()
+    def __init__(self, url: str, entrance: Entrance | None = None) -> None:
+        self._url, self._entrance = url, entrance
+        self._server = Server(user_manager=entrance or _Anybody())
         self._nodes: dict[tuple[str, str], Any] = {}
         self._folders: dict[str, Any] = {}
         self._space = 2
@@ -35,12 +83,23 @@ class NodeServer:
         await self._server.init()
         self._server.set_endpoint(self._url)
         self._server.set_server_name("Residuum")
-        self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        if self._entrance is None:
+            self._server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        else:
+            await self._secure(self._entrance)
         self._space = await self._server.register_namespace(NAMESPACE)
         for folder, names in (declared or {}).items():
             for name in names:
                 await self.write(folder, name, 0.0, time.time(), ua.StatusCodes.BadWaitingForInitialData)
         await self._server.start()
+
+    async def _secure(self, entrance: Entrance) -> None:
+        certificate, key = await entrance.files()
+        await self._server.set_application_uri(_APPLICATION)
+        await self._server.load_certificate(certificate)
+        await self._server.load_private_key(key)
+        self._server.set_security_policy([getattr(ua.SecurityPolicyType, name) for name in _SECURED])
+        self._server.set_identity_tokens([ua.UserNameIdentityToken])
 
     async def stop(self) -> None:
         """End all sessions."""

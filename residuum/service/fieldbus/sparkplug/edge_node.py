@@ -8,9 +8,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-import paho.mqtt.client as mqtt
-from paho.mqtt.enums import CallbackAPIVersion
-
 from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import (
     BOOLEAN,
@@ -51,9 +48,7 @@ class EdgeNode:
         self._aliases: dict[tuple[str, str], int] = {}
         self._born, self._seq = False, 0
         self._birth_number = int(time.time()) % _TURN
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        if address.user:
-            self._client.username_pw_set(address.user, address.password)
+        self._client = address.client()
         self._client.reconnect_delay_set(1, 5)
         self._client.on_connect, self._client.on_disconnect = self._on_connect, self._on_disconnect
         self._client.on_message = self._on_command

@@ -10,6 +10,7 @@ streams:
     channels:
       speed: {metric: Motor/Speed, unit: rpm}
       force: {metric: Motor/Force, unit: N, scale: 1000}
+tls: {ca: ca.pem, certificate: own.pem, key: own.key}     # for a broker at mqtts://, as far as it needs them
 ```
 """
 
@@ -22,9 +23,12 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
+from residuum.service.broker_address import BrokerAddress, BrokerTls, broker_address
 from residuum.service.fieldbus.block import StreamFormat
+from residuum.service.fieldbus.can.frame_layout import BadBusDescription
 from residuum.service.fieldbus.map_text import read_map
 from residuum.service.fieldbus.strict_model import StrictModel
+from residuum.service.hidden_password import with_hidden_password
 
 NAME = r"[^/+#]+"
 
@@ -56,6 +60,17 @@ class MetricMap(StrictModel):
 
     node: str = Field(pattern=rf"^{NAME}/{NAME}$")
     streams: dict[str, StreamMetrics] = Field(min_length=1)
+    tls: BrokerTls | None = None
+
+    def entered(self, url: str) -> BrokerAddress:
+        """The broker at an address, entered as the map says; BadInput where that cannot be."""
+        try:
+            address = broker_address(url, self.tls)
+        except ValueError as error:
+            raise BadBusDescription(f"{with_hidden_password(url)}: {error}") from None
+        if address.tls is not None:
+            address.tls.context()  # what is wrong with its files is told here, not in a thread
+        return address
 
     @property
     def group(self) -> str:

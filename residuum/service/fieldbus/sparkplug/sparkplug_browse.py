@@ -8,9 +8,6 @@ from collections.abc import Mapping
 from itertools import chain, count
 from typing import Any
 
-import paho.mqtt.client as mqtt
-from paho.mqtt.enums import CallbackAPIVersion
-
 from residuum.service.broker_address import BrokerAddress
 from residuum.service.fieldbus.sparkplug.sparkplug_payload import BOOLEAN, BadPayload, Metric, Payload, pack, unpack
 from residuum.service.fieldbus.sparkplug.sparkplug_source import NAMESPACE, REBIRTH, kind_and_device
@@ -26,9 +23,7 @@ def numeric_metrics(address: BrokerAddress, node: str, timeout: float) -> dict[s
     """
     group, name = node.split("/")
     heard: queue.Queue[Any] = queue.Queue()
-    client = mqtt.Client(CallbackAPIVersion.VERSION2)
-    if address.user:
-        client.username_pw_set(address.user, address.password)
+    client = address.client()
     refused: list[str] = []
 
     def on_connect(client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:

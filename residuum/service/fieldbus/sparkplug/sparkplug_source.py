@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import queue
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -16,7 +17,6 @@ from contextlib import suppress
 from typing import Any
 
 import paho.mqtt.client as mqtt
-from paho.mqtt.enums import CallbackAPIVersion
 
 from residuum.nearest_names import nearest_names
 from residuum.service.broker_address import BrokerAddress
@@ -90,11 +90,9 @@ class SparkplugSource(Source):
             client.loop_stop()
 
     def _client(self) -> mqtt.Client:
-        client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        if self._address.user:
-            client.username_pw_set(self._address.user, self._address.password)
+        client: mqtt.Client = self._address.client()
         client.reconnect_delay_set(1, 5)
-        client.on_connect = self._on_connect
+        client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_subscribe, client.on_disconnect = self._on_subscribe, self._on_disconnect
         client.on_message = lambda _client, _data, message: self._wait(message.topic, bytes(message.payload))
         client.connect_async(self._address.host, self._address.port, keepalive=_KEEP_ALIVE)
@@ -106,6 +104,9 @@ class SparkplugSource(Source):
             self.health.count("bus_errors", 1, f"the broker refuses the connection: {reason}")
             return
         client.subscribe(f"{NAMESPACE}/{self._map.group}/+/{self._map.edge_node}/#", 1)
+
+    def _on_connect_fail(self, *_: Any) -> None:
+        self.health.count("bus_errors", 1, f"the broker does not let us in: {sys.exception()}")
 
     def _on_subscribe(self, *_: Any) -> None:
         self._connected.set()
