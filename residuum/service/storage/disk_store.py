@@ -59,10 +59,11 @@ SETTLED = 120.0
 _CHECK_WITHIN = 2.0
 """Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
-_FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
-"""Of window times that are taken for a clock: from the year 2000 to 9999 [s]; others count from some start."""
-_AHEAD = timedelta(minutes=1)
 """Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
+_FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
+"""[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some start."""
+_AHEAD = timedelta(minutes=1)
+"""By how much a window's own clock may be ahead of ours to be believed."""
 
 Announce = Callable[[str, Mapping[str, Any]], None]
 """Told what changed, after it is on disk: (event kind, payload)."""

@@ -52,7 +52,7 @@ def follow(
         if row is None and not faulty:
             continue
         row = row or _new(connection, asset, kind)
-        raised_by = None if row.raised_by is None else json.loads(row.raised_by)
+        raised_by = json.loads(row.raised_by or "[]") or None  # none stood above a threshold of its own: any counts
         held = kind == MACHINE and row.condition and in_deadband(rule, finding.indicators, finding.thresholds, raised_by)
         status, event = alarm_states.follow(_status(row), faulty or held, rule, seen_at or now)
         alarm = _follow_one(connection, row, status, event, window=window, finding=finding if faulty else None, now=now)
