@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-import socket
+import platform
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class Entrance:
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         certificate, key = self.folder / "server.der", self.folder / "server.pem"
         names, use = {"organizationName": "Residuum"}, [ExtendedKeyUsageOID.SERVER_AUTH]
-        await setup_self_signed_certificate(key, certificate, _APPLICATION, socket.gethostname(), use, names)
+        await setup_self_signed_certificate(key, certificate, _APPLICATION, platform.node(), use, names)
         key.chmod(0o600)
         return certificate, key
 
