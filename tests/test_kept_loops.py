@@ -51,6 +51,7 @@ def package(tmp_path):
 
     def run(where=tmp_path):
         environment = os.environ | {"PYTHONPATH": str(where), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python's own takes a file of the same second and size for the same
         command = [sys.executable, "-c", RUN]
         done = subprocess.run(command, env=environment, cwd=where, capture_output=True, text=True, check=False)
         assert not done.returncode, done.stderr
