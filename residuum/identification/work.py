@@ -22,6 +22,15 @@ Tell = Callable[[float, str], None]
 """Told how far the work is: share done 0 … 1, and what is done now."""
 
 
+def part_of(tell: Tell, begin: float, end: float) -> Tell:
+    """Tells how far a part is of the work that `tell` tells of: the part from `begin` to `end`, shares of the whole.
+
+    >>> part_of(lambda share, doing: print(round(share, 3), doing), 0.5, 0.9)(0.25, "fitting")
+    0.6 fitting
+    """
+    return lambda share, doing: tell(begin + (end - begin) * share, doing)
+
+
 def untold(_share: float, _doing: str) -> None:
     """For those who do not ask how far the work is."""
 

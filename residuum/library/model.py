@@ -172,6 +172,7 @@ class Model(DescribedModel):
         """
         from residuum.identification.discrepancy.compile_ahead import ensure_compiled  # noqa: PLC0415
         from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
+        from residuum.identification.work import part_of  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
         given = self._measured(records, map)
@@ -183,7 +184,7 @@ class Model(DescribedModel):
                 map,
                 effects=effects,
                 seconds=seconds,
-                tell=lambda share, doing: tell(0.9 * share, doing),
+                tell=part_of(tell, 0.0, 0.9),
                 **options,
             )
             tell(0.9, "comparing")

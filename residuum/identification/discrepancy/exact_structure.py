@@ -26,7 +26,7 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.data import long_enough
 from residuum.identification.unseen_blocks.held_value import freed
-from residuum.identification.work import OutOfWork, Tell, at_most, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out, part_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +103,10 @@ def _exact(
     tell: Tell,
 ) -> Exact:
     doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, lambda share, doing: tell(0.75 * share, doing), first)
+    found, experiments, finer = searched(model, records, mapping, wanted, part_of(tell, 0.0, 0.75), first)
     while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])
-        found, experiments, finer = searched(again, records, mapping, wanted, lambda _, doing: tell(0.75, doing))
+        found, experiments, finer = searched(again, records, mapping, wanted, part_of(tell, 0.75, 0.75))
     keep_what_shows(found, experiments)
     return Exact(found, experiments, finer, doubted)

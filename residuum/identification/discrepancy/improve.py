@@ -32,7 +32,7 @@ from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.proposals import without_idle
 from residuum.identification.unseen_blocks.search import Search
-from residuum.identification.work import Tell, at_most, untold
+from residuum.identification.work import Tell, at_most, part_of, untold
 from residuum.nearest_names import known_names
 
 
@@ -101,8 +101,7 @@ def _either_way(model: PhysicalModel, records: Sequence[Record], how: Request, s
     spent = time.perf_counter() - began
     if again.aside == parts.aside or (seconds is not None and spent > EXPLAINING_TIME * seconds):
         return found.improvement
-    later: Tell = lambda share, doing: tell(0.8 + 0.2 * share, doing)  # noqa: E731
-    other = _improved(model, records, again, said, how, later)
+    other = _improved(model, records, again, said, how, part_of(tell, 0.8, 1.0))
     return found.improvement if other.strange else other.improvement
 
 

@@ -26,7 +26,7 @@ from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, at_start
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out, part_of
 
 
 def search_on_blocks(
@@ -42,7 +42,7 @@ def search_on_blocks(
     """
     try:
         with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, lambda share, doing: tell(0.5 + 0.4 * share, doing))
+            return searched(model, records, mapping, wanted, part_of(tell, 0.5, 0.9))
     except (BadRecord, NotIdentifiable):
         return None
     except OutOfWork:

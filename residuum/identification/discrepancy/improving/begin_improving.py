@@ -22,7 +22,7 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.search import Wanted
-from residuum.identification.work import Tell
+from residuum.identification.work import Tell, part_of
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ def named(model: PhysicalModel, records: Sequence[Record], parts: Split, how: Re
     """What `explain` says of all records; where a user notes which part is for training, of that."""
     wanted = Wanted(None if how.effects is None else tuple(how.effects), how.learned)
     asked = parts.training if any(record.split is not None for record in records) else records
-    told: Tell = lambda share, doing: tell(0.1 + 0.5 * share, doing)  # noqa: E731
-    return explained(freed(model, how.free), asked, how.mapping, wanted, how.seconds, told)
+    return explained(freed(model, how.free), asked, how.mapping, wanted, how.seconds, part_of(tell, 0.1, 0.6))
 
 
 def begun_exactly(model: PhysicalModel, parts: Split, how: Request, exact: Exact) -> Beginning:

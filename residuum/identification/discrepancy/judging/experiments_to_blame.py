@@ -20,7 +20,7 @@ from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.residual_analysis.policy.noise import NOISE_ALONE, NOTHING_LEFT, SLOW
 from residuum.identification.residual_analysis.policy.records import FINER_FALL, FINER_WINDOWS, TIMING_GAIN, TIMING_TURNS
-from residuum.identification.work import Tell
+from residuum.identification.work import Tell, part_of
 
 FloatArray = npt.NDArray[np.float64]
 Turned = tuple[list[Experiment], Structure]
@@ -131,8 +131,7 @@ def searched(
     def found_on(
         base: Structure, experiments: list[Experiment], begin: float, end: float, limit: float = np.inf
     ) -> tuple[Search, list[Experiment]]:
-        def told(share: float, doing: str) -> None:
-            tell(begin + (end - begin) * share, doing)
+        told = part_of(tell, begin, end)
 
         def astray(found: Search) -> bool:
             return times_its_innovations(found.best) > limit
