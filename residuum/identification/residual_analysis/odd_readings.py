@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
@@ -124,6 +123,8 @@ def far_beside(y: FloatArray) -> tuple[npt.NDArray[np.intp], tuple[float, ...], 
     >>> rows.tolist(), codes
     ([30, 90, 150], (85.0,))
     """
+    from scipy.ndimage import median_filter  # noqa: PLC0415
+
     known = np.flatnonzero(np.isfinite(y))
     values = y[known]
     off = np.abs(values - median_filter(values, _ABOUT, mode="nearest"))

@@ -199,14 +199,13 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
     if not np.all(np.isfinite(power)):
         return None
     model = structure.model
-    parameters = sum(not p.fixed for p in model.parameters.values())
+    parameters = structure.rarity + sum(not p.fixed for p in model.parameters.values())
     parameters += sum(not p.fixed for use in model.effects for p in use.parameters.values())
-    priced = parameters + structure.rarity
     squares, count = np.zeros((2, data.blocks, len(measured)))
     squares[:, measured] = summed(np.where(known, np.nan_to_num(unseen[:, measured]), 0.0) ** 2, rung, data.blocks)
     count[:, measured] = summed(known.astype(float), rung, data.blocks)
-    cost, seen_cost = scale.cost(power, priced), scale.cost(seen, priced)
-    return Judged(structure, priced, power, left, cost, seen_cost, squares, count, errors)
+    cost, seen_cost = scale.cost(power, parameters), scale.cost(seen, parameters)
+    return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
 
 
 def summed(values: Array, rung: Rung, blocks: int) -> Array:

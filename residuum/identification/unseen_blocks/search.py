@@ -23,14 +23,7 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
-from residuum.identification.unseen_blocks.policy import (
-    BEAM,
-    DEEPEST,
-    FOLLOWED,
-    FULLY_FITTED,
-    KEPT,
-    RUNG_ERROR,
-)
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle

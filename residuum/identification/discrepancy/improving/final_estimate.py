@@ -44,7 +44,7 @@ def least_simulation_error(structure: Structure, experiments: Sequence[Experimen
         )
     except NotIdentifiable:
         return None
-    return replace(structure, model=plain.model, initial=plain.initial, std=np.sqrt(np.diag(plain.covariance)))
+    return replace(structure, model=plain.model, initial=plain.initial, std=plain.std)
 
 
 def on_everything(

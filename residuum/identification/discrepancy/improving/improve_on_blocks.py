@@ -64,13 +64,8 @@ def joined_of(found: Search, records: Sequence[Record], mapping: Mapping[str, st
     ]
     refused, output = [key.effect for key, _, _ in steps[kept:]], list(found.best.model.outputs)[o]
     if kept == 0 and (alone := _estimated(each[0].model, found.court.data.finer or found.court.data)) is not None:
-        return Joined(
-            alone.model,
-            history,
-            refused,
-            dict(zip(alone.parameters, np.sqrt(np.diag(alone.covariance)).tolist(), strict=True)),
-            output,
-        )
+        std = dict(zip(alone.parameters, alone.std.tolist(), strict=True))
+        return Joined(alone.model, history, refused, std, output)
     return Joined(each[kept].model, history, refused, doubts_of(replace(found, best=each[kept])), output)
 
 
