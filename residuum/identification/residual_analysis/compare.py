@@ -60,15 +60,16 @@ class Comparison:
     @property
     def odd_samples(self) -> bool:
         """Whether samples that no sensor measured make most of an output's error, which no test of noise judges then."""
-        squares = {odd.output: [0.0, 0.0] for odd in self.odd}
-        for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
-            for k, name in enumerate(self.model.outputs):
-                if name in squares:
-                    error = np.nan_to_num(residuals[:, k]) ** 2
-                    rows = [row for odd in self.odd if (odd.output, odd.source) == (name, source) for row in odd.rows]
-                    squares[name][0] += float(error[sorted({row for row in rows if row < len(error)})].sum())
-                    squares[name][1] += float(error.sum())
-        return any(odd > 0.5 * whole for odd, whole in squares.values())
+        for k, name in enumerate(self.model.outputs):
+            odd = whole = 0.0
+            for source, residuals in zip(self.records, self.simulation.residuals, strict=True):
+                error = np.nan_to_num(residuals[:, k]) ** 2
+                here = (each for each in self.odd if (each.output, each.source) == (name, source))
+                odd += float(error[sorted({row for each in here for row in each.rows if row < len(error)})].sum())
+                whole += float(error.sum())
+            if odd > 0.5 * whole:
+                return True
+        return False
 
     @property
     def present(self) -> bool:
