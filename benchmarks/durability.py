@@ -129,15 +129,16 @@ def _wait(process: BaseProcess, clients: list[Client], moments: random.Random, p
         time.sleep(moments.uniform(0.0, 0.5))
     else:
         share = per_kill / (1 - AT_START)
-        enough = _answers(clients) + moments.uniform(0.4 * share, 1.6 * share)
+        enough = answers(clients) + moments.uniform(0.4 * share, 1.6 * share)
         end = time.monotonic() + PATIENCE
-        while _answers(clients) < enough:
+        while answers(clients) < enough:
             if time.monotonic() > end or not process.is_alive():
                 raise RuntimeError(f"the service does not answer: {[dict(client.outcomes) for client in clients]}")
             time.sleep(0.001)
 
 
-def _answers(clients: list[Client]) -> int:
+def answers(clients: list[Client]) -> int:
+    """How many windows were acknowledged so far."""
     return sum(len(client.answered) for client in clients)
 
 

@@ -84,6 +84,7 @@ windows = Table(
     Column("idempotency_key", String(200)),
     Column("digest", String(64)),
     Column("signal_let_go_at", UtcDateTime),
+    Column("checksum", String(8)),
     UniqueConstraint("asset_id", "idempotency_key"),
     Index(None, "asset_id", "id"),
     Index(None, "signal_let_go_at", "id"),
@@ -104,6 +105,7 @@ findings = Table(
     Column("units", Document, nullable=False),
     Column("evidence", Document, nullable=False),
     Column("reason", Text),
+    Column("checksum", String(16)),
     Index(None, "asset_id", "id"),
 )
 

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, insert, select, update
 
 from residuum.diagnosis.finding import RECORDED, Finding, Verdict
-from residuum.service.storage.rows import paging
+from residuum.service.storage.rows import paging, row_checksums
 from residuum.service.storage.tables import assets, findings, windows
 from residuum.service.store import Asset, IndicatorHistory, NotFound, Page, StoredFinding
 
@@ -36,6 +36,7 @@ def add_finding(connection: Connection, asset: str, window: int, finding: Findin
     plain = finding.to_json()
     row = {name: plain[name] for name in ("diagnoser", "verdict", "indicators", "thresholds", "units", "evidence", "reason")}
     values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
+    values["checksum"] = row_checksums.of_finding(values)
     number: int = connection.execute(insert(findings).values(values).returning(findings.c.id)).scalar_one()
     changes = {"last_finding_id": number, "windows": assets.c.windows + 1}
     connection.execute(update(assets).where(assets.c.id == asset).values(changes))
@@ -110,17 +111,12 @@ def indicators(
 ) -> IndicatorHistory:
     """Indicators and thresholds of the newest findings, oldest first; with a span, of findings spread over all of it."""
     require(connection, asset)
-    columns = (
-        findings.c.at,
-        findings.c.window_id,
-        findings.c.verdict,
-        findings.c.indicators,
-        findings.c.thresholds,
-        findings.c.units,
-    )
+    documents = (findings.c.indicators, findings.c.thresholds, findings.c.units)
+    columns = (*(findings.c[name] for name in row_checksums.SHORT_OF_FINDING), findings.c.checksum)
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
-    rows = paging.by_bytes(connection, query, findings.c.id, columns[3:], limit, _HISTORY)[0][::-1]
+    found = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
+    rows = [row for row in found if not row_checksums.finding_differs(row._mapping)]  # a list of findings tells of them
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -176,7 +172,13 @@ def _asset(row: Row[Any]) -> Asset:
 
 
 def stored_finding(row: Row[Any]) -> StoredFinding:
-    """The finding in a row of its table."""
+    """The finding in a row of its table; that it cannot be told, where the row differs from its checksum."""
+    if row_checksums.finding_differs(row._mapping):
+        says = (
+            f"finding {row.id}: its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
+        )
+        damaged = Finding(str(row.diagnoser), Verdict.NOT_ASSESSABLE, reason=says)
+        return StoredFinding(row.id, row.asset_id, row.window_id, row.at, damaged)
     finding = Finding(
         row.diagnoser,
         Verdict(row.verdict),

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, func, select
 
 from residuum.diagnosis.finding import Verdict
 from residuum.service.alarms.alarm_states import AlarmState
+from residuum.service.storage.rows.row_checksums import finding_differs, window_differs
 from residuum.service.storage.tables import alarm_journal, alarms, assets, findings, model_versions, models, windows
 
 _AT_ONCE = 1000
@@ -48,8 +49,7 @@ Seen = Iterator[tuple[int, str | None]]
 
 def _windows(connection: Connection) -> Seen:
     judged = select(func.count()).where(findings.c.window_id == windows.c.id).correlate(windows).scalar_subquery()
-    columns = (windows.c.id, windows.c.asset_id, windows.c.n, windows.c.sample_time, windows.c.units, windows.c.size_bytes)
-    for row in _all(connection, select(*columns, judged.label("judged")).order_by(windows.c.id)):
+    for row in _all(connection, select(windows, judged.label("judged")).order_by(windows.c.id)):
         yield 1, None
         if not row.judged:
             yield 0, f"window {row.id} of {row.asset_id!r} has no finding"
@@ -57,6 +57,8 @@ def _windows(connection: Connection) -> Seen:
             yield 0, f"window {row.id} of {row.asset_id!r} has {row.n} samples every {row.sample_time} s"
         elif not isinstance(row.units, dict) or row.size_bytes < row.n * len(row.units):
             yield 0, f"window {row.id} of {row.asset_id!r}: {row.size_bytes} bytes cannot hold {row.n} samples of its signals"
+        if window_differs(row._mapping):
+            yield 0, f"window {row.id} of {row.asset_id!r}: its row differs from its checksum"
 
 
 def _findings(connection: Connection) -> Seen:
@@ -70,6 +72,8 @@ def _findings(connection: Connection) -> Seen:
             yield 0, f"finding {row.id} of {row.asset_id!r}: its verdict is {row.verdict!r}"
         if broken := next((name for name in _DOCUMENTS if not isinstance(getattr(row, name), dict)), None):
             yield 0, f"finding {row.id} of {row.asset_id!r}: its {broken} are no object of names to values"
+        if finding_differs(row._mapping):
+            yield 0, f"finding {row.id} of {row.asset_id!r}: its row differs from its checksum"
 
 
 def _assets(connection: Connection) -> Seen:

@@ -9,9 +9,9 @@ from sqlalchemy import Connection, Row, insert, select
 
 from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
-from residuum.service.storage.rows import assets, paging
+from residuum.service.storage.rows import assets, paging, row_checksums
 from residuum.service.storage.tables import windows
-from residuum.service.store import Conflict, NotFound, Page, StoredWindow
+from residuum.service.store import Conflict, NotFound, Page, StorageUnavailable, StoredWindow
 
 
 def add(
@@ -39,8 +39,16 @@ def add(
         "idempotency_key": idempotency_key,
         "digest": digest,
     }
+    row["checksum"] = row_checksums.of_window(row)
     number: int = connection.execute(insert(windows).values(row).returning(windows.c.id)).scalar_one()
     return number
+
+
+def _refuse_broken(row: Row[Any]) -> None:
+    if row_checksums.window_differs(row._mapping):
+        raise StorageUnavailable(
+            f"database: the row of window {row.id} differs from its checksum, so its file is damaged; ask `residuum doctor`"
+        )
 
 
 def with_key(connection: Connection, asset: str, idempotency_key: str, digest: str | None) -> int | None:
@@ -67,6 +75,7 @@ def row_of(connection: Connection, asset: str, window: int) -> Row[Any]:
     row = connection.execute(query).first()
     if row is None:
         raise NotFound(f"asset {asset!r}: has no window {window}")
+    _refuse_broken(row)
     return row
 
 
@@ -80,7 +89,8 @@ def page(connection: Connection, asset: str, cursor: str | None, limit: int) -> 
 
 
 def stored_window(row: Row[Any]) -> StoredWindow:
-    """The window in a row of its table."""
+    """The window in a row of its table; StorageUnavailable where it differs from its checksum."""
+    _refuse_broken(row)
     return StoredWindow(
         row.id,
         row.asset_id,
