@@ -41,11 +41,11 @@ class Exact:
     doubted: list[list[str]]
 
 
-def may_be_exact(first: tuple[list[Experiment], Structure], records: Sequence[Record]) -> bool:
-    """Whether a search for an exact structure is worth its work: the model as it is does not leave an error so far from noise
-    that only effects are found which leave much of it; or the records are too short to ask anything else.
+def is_far_from_noise(first: tuple[list[Experiment], Structure], records: Sequence[Record]) -> bool:
+    """Whether the model as it is leaves an error so far from noise that one effect hardly leaves noise alone, in records long
+    enough for blocks to judge.
     """
-    return times_its_innovations(first[1]) <= FAR_FROM_NOISE or not long_enough([record.n for record in records])
+    return times_its_innovations(first[1]) > FAR_FROM_NOISE and long_enough([record.n for record in records])
 
 
 def exact_in_bounds(

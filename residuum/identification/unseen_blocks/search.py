@@ -67,22 +67,22 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
     """
     tell(0.0, "estimating the model as it is")
     found = begun(climb_at_likelier_timing(data) if turn else climb(data))
-    beam, kept = [found.best], None
+    beam, kept, depth = [found.best], None, 0
     try:
-        for depth in range(DEEPEST):
+        while True:
             tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
             ranked: list[Judged] = []
-            if not is_nothing(found.best, found.base, found.court.scale):
+            if depth < DEEPEST and not is_nothing(found.best, found.base, found.court.scale):
                 glances = _glances(found, beam, wanted, kept)
                 kept = _kept(glances) if kept is None else kept
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
-                beam = _settled(found, ranked)
+                beam, depth = _settled(found, ranked), depth + 1
             elif found.best.keys and (longer := _lengthened(found)):
                 beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
-                beam = going_on(ranked, found.court.scale)
+                beam, depth = going_on(ranked, found.court.scale), depth + 1
             else:
                 break
     except OutOfWork:
@@ -241,11 +241,19 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
 
 
 def _lengthened(found: Search) -> list[Judged]:
-    """The beam on the next longer windows, where the best one follows them now; base and beam are judged there from now on. Empty
-    where it does not.
+    """The beam on the longest windows up to which the best one follows all now; base and beam are judged there from now on. Empty
+    where it does not follow the next longer ones.
 
     What looked best on short windows goes with those that stood beside it: a second store of heat is a loss until it is full.
     """
+    beam: list[Judged] = []
+    while longer := _on_next_windows(found):
+        beam = longer
+    return beam
+
+
+def _on_next_windows(found: Search) -> list[Judged]:
+    """The beam on the next longer windows."""
     data, court = found.court.data, found.court
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
     if court.scale.nats or not longer:
