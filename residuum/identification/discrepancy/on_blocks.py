@@ -19,6 +19,7 @@ from residuum.identification.unseen_blocks.advice import next_experiments, undet
 from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.comparing import is_nothing
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
 from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
@@ -26,7 +27,7 @@ from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, at_start
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out, part_of
+from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
 
 def search_on_blocks(
@@ -42,7 +43,7 @@ def search_on_blocks(
     """
     try:
         with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, part_of(tell, 0.5, 0.9))
+            return searched(model, records, mapping, wanted, tell)
     except (BadRecord, NotIdentifiable):
         return None
     except OutOfWork:
@@ -56,6 +57,14 @@ def does_better(found: Search, model: PhysicalModel) -> bool:
         return False
     other = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5)
     return other is None or found.best.cost < other.cost
+
+
+def leaves_much(found: Search) -> bool:
+    """Whether something was found, and what it leaves is neither noise nor next to nothing beside the first error: no structure
+    of the catalogue is exact then.
+    """
+    scale = found.court.scale
+    return bool(found.best.keys) and not scale.nats and not is_nothing(found.best, found.base, scale)
 
 
 def answer_on_blocks(

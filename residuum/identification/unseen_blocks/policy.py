@@ -39,6 +39,8 @@ CURVE_KNOTS, MOST_CURVES = 9, 3
 
 BEAM, DEEPEST = 3, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
+EXCHANGED = 3
+"""Effects from which on each is tried to be exchanged for another: of two, each was looked at alone. Chosen."""
 FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000

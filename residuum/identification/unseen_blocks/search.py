@@ -23,7 +23,7 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGED, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
@@ -79,6 +79,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
                 beam, depth = _settled(found, ranked), depth + 1
+                if len(found.best.keys) >= EXCHANGED:
+                    beam = _exchanged(found, beam, wanted, kept)
             elif found.best.keys and (longer := _lengthened(found)):
                 beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
@@ -121,7 +123,7 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
         given = None if parent.keys else followed(found.court.data.model, found.court.data)
         for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
             keys = tuple(sorted((*parent.keys, key)))
-            if key not in parent.keys and keys not in seen and (kept is None or key in kept):
+            if key not in parent.keys and keys not in seen and keys not in found.every and (kept is None or key in kept):
                 seen.add(keys)
                 tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
@@ -238,6 +240,38 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     found.every = {one.keys: one for one in [*fits, base]}
     found.group = [one for one in fits if one is not chosen and is_alike(one, chosen, None, court.scale)]
     return [chosen, *found.group][:BEAM]
+
+
+def _exchanged(found: Search, beam: list[Judged], wanted: Wanted, kept: set[Key] | None) -> list[Judged]:
+    """The beam, led by what leaves less than the best structure with another effect in the place of one of its own.
+
+    What joined first was the best beside nothing: it stands for two effects that gain together only, until both are there.
+    """
+    parents = [one for key in found.best.keys if (one := with_only(found, set(found.best.keys) - {key})) is not None]
+    ranked = _fitted(found, _glances(found, parents, wanted, kept))
+    better = [one for one in ranked if one.cost < found.best.cost and one.rarity <= found.best.rarity]
+    if not better:
+        return beam
+    before, scale = found.best, found.court.scale
+    found.best = simplest([before, *better], scale)
+    there = sorted([before, *ranked, *found.group], key=lambda one: one.cost)
+    found.group = [one for one in there if one is not found.best and is_alike(one, found.best, None, scale)]
+    return [found.best, *(one for one in beam if one is not found.best)][:BEAM]
+
+
+def with_only(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
+    """A structure, by default the best one, with these of its effects alone; None where that diverges."""
+    names, whole = tuple(sorted(keys)), whole or found.best
+    if names not in found.every:
+        model = whole.model
+        for use in whole.model.effects:
+            if use.key in whole.keys and use.key not in names:
+                model = model.without_effect(use.label)
+        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
+        if one is None:
+            return None
+        found.every[names] = one
+    return found.every[names]
 
 
 def _lengthened(found: Search) -> list[Judged]:
