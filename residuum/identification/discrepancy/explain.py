@@ -22,7 +22,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
-from residuum.identification.unseen_blocks.search import Search, Wanted
+from residuum.identification.unseen_blocks.search import Wanted
 from residuum.identification.work import Tell, at_most, part_of, untold
 
 
@@ -70,7 +70,8 @@ def explain(
     -----
     An exact structure is sought first, by the likelihood of what it leaves. Where none leaves noise alone, the effects are named
     by what they take away on blocks of the records that no fit has seen. These blocks are asked first where the model as it is
-    leaves an error far from noise; an exact structure is sought then only where they name nothing, or leave noise or next to nothing.
+    leaves an error far from noise; an exact structure is sought then only where they name nothing, or leave noise or next to
+    nothing.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
@@ -105,24 +106,20 @@ def explained(
     def left() -> float | None:
         return None if seconds is None else seconds - (time.perf_counter() - began)
 
-    def on_blocks() -> Search | None:
-        part = stages.pop(0)
-        part(0.0, "what takes away most on blocks kept aside")
-        return search_on_blocks(model, records, mapping, wanted, left(), part)
-
-    stages = [part_of(tell, 0.0, 0.5), part_of(tell, 0.5, 0.9)]
+    early, late = part_of(tell, 0.0, 0.5), part_of(tell, 0.5, 0.9)
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         first = experiments_and_base(model, records, mapping)
-        found = on_blocks() if (far := is_far_from_noise(first, records)) else None
+        far = is_far_from_noise(first, records)
+        found = search_on_blocks(model, records, mapping, wanted, left(), early) if far else None
         exact, structured, inexact = None, False, True
         if found is None or not leaves_much(found):
-            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), stages.pop(0))
+            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
             structured = exact is not None and is_structured(exact.found, records, mapping)
             inexact = exact is None or structured or leaves_more_than_noise(exact)
             if inexact and not far:
-                found = on_blocks()
+                found = search_on_blocks(model, records, mapping, wanted, left(), late)
         if found is not None and inexact and (exact is None or does_better(found, exact.found.best.model)):
             return answer_on_blocks(found, wanted, records, mapping, began)
         tell(0.9, "drawing what no effect explains")

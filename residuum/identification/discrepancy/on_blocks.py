@@ -41,6 +41,7 @@ def search_on_blocks(
     """The search; None where the records are too short for blocks, the model diverges on them, or the work is over before
     anything is known.
     """
+    tell(0.0, "what takes away most on blocks kept aside")
     try:
         with at_most(MOST_EFFORT, seconds):
             return searched(model, records, mapping, wanted, tell)
