@@ -78,8 +78,8 @@ def nothing_found(
 
 
 def is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> bool:
-    """Whether `compare` finds structure in what is left; not asked where something drifts, which is structure of its own."""
-    return not found.drifting and compare(found.best.model, records, mapping).present
+    """Whether `compare` finds structure in what is left, where nothing was found that is missing, and nothing that drifts."""
+    return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
 
 
 def leaves_more_than_noise(exact: Exact) -> bool:

@@ -16,13 +16,13 @@ from residuum.identification.discrepancy.exact_structure import (
 )
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, leaves_much, search_on_blocks
+from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, is_inexact, search_on_blocks
 from residuum.identification.discrepancy.policy.answers import FEWEST_TO_JUDGE
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.work import Tell, at_most, part_of, untold
 
 
@@ -70,8 +70,8 @@ def explain(
     -----
     An exact structure is sought first, by the likelihood of what it leaves. Where none leaves noise alone, the effects are named
     by what they take away on blocks of the records that no fit has seen. These blocks are asked first where the model as it is
-    leaves an error far from noise; an exact structure is sought then only where they name nothing, or leave noise or next to
-    nothing.
+    leaves an error far from noise; an exact structure is sought then only where what they name does not take away most, or leaves
+    noise, a drift or next to nothing.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
@@ -114,13 +114,13 @@ def explained(
         far = is_far_from_noise(first, records)
         found = search_on_blocks(model, records, mapping, wanted, left(), early) if far else None
         exact, structured, inexact = None, False, True
-        if found is None or not leaves_much(found):
+        if found is None or not is_inexact(found):
             exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
             structured = exact is not None and is_structured(exact.found, records, mapping)
-            inexact = exact is None or structured or leaves_more_than_noise(exact)
+            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and not exact.found.accepted)
             if inexact and not far:
                 found = search_on_blocks(model, records, mapping, wanted, left(), late)
-        if found is not None and inexact and (exact is None or does_better(found, exact.found.best.model)):
+        if found is not None and inexact and (far or exact is None or does_better(found, exact.found.best.model)):
             return answer_on_blocks(found, wanted, records, mapping, began)
         tell(0.9, "drawing what no effect explains")
         known = exact or nothing_found(model, records, mapping, wanted.effects)

@@ -62,6 +62,8 @@ MERITLESS = 0.02
 SMALL, WORTH = 0.0004, 0.1
 """Shares of the first error's power that are nothing (2 % of its RMS: beside a first model far off, more is little), and of
 what is left that an effect has to take away. Chosen."""
+MOST_LEFT = 0.1
+"""[of the first error's power] That effects may leave that take away most. Chosen."""
 REAL = 2.5
 """[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
 

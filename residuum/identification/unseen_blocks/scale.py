@@ -58,8 +58,8 @@ class Scale:
         return float((power / unit).sum() / power.shape[1])
 
     def error(self, rms: Array) -> float:
-        """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root mean square in the scale's weights
-        and unit; infinite where nothing was.
+        """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root mean square in the weights
+        and the unit of the scale; infinite where nothing was.
         """
         power = (rms * self.weights)[self.weights > 0.0] ** 2 / (1.0 if self.unit is None else self.unit)
         known = power[~np.isnan(power)]

@@ -9,7 +9,7 @@ error is asked again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,33 +28,8 @@ from residuum.identification.unseen_blocks.proposals import grown, proposed, spe
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What may be proposed: the effects of these ids (None: all), learned curves, values that the model holds."""
-
-    effects: tuple[str, ...] | None = None
-    learned: bool = False
-    held: bool = True
-
-
-@dataclass(eq=False)
-class Search:
-    """What was tried.
-
-    `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure that was judged there by
-    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had.
-    """
-
-    court: Court
-    base: Judged
-    best: Judged
-    along: Track | None
-    every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
-    group: list[Judged] = field(default_factory=list)
-    tried: int = 1
 
 
 def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
@@ -257,21 +232,6 @@ def _exchanged(found: Search, beam: list[Judged], wanted: Wanted, kept: set[Key]
     there = sorted([before, *ranked, *found.group], key=lambda one: one.cost)
     found.group = [one for one in there if one is not found.best and is_alike(one, found.best, None, scale)]
     return [found.best, *(one for one in beam if one is not found.best)][:BEAM]
-
-
-def with_only(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
-    """A structure, by default the best one, with these of its effects alone; None where that diverges."""
-    names, whole = tuple(sorted(keys)), whole or found.best
-    if names not in found.every:
-        model = whole.model
-        for use in whole.model.effects:
-            if use.key in whole.keys and use.key not in names:
-                model = model.without_effect(use.label)
-        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
-        if one is None:
-            return None
-        found.every[names] = one
-    return found.every[names]
 
 
 def _lengthened(found: Search) -> list[Judged]:

@@ -9,7 +9,7 @@ from residuum.identification.unseen_blocks.comparing import is_alike
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import ONE_PHYSICS
 from residuum.identification.unseen_blocks.proposals import special_of
-from residuum.identification.unseen_blocks.search import Search, with_only
+from residuum.identification.unseen_blocks.tried import Search, with_only
 
 
 def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:

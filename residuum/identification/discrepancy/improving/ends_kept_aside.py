@@ -17,8 +17,8 @@ from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
-from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.tried import Search
 
 
 def steps_that_hold(
