@@ -21,7 +21,8 @@ from residuum.identification.physics import Experiment, Key, PhysicalModel
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.unseen_blocks.data import data_of
-from residuum.identification.unseen_blocks.search import Search, Wanted, search
+from residuum.identification.unseen_blocks.search import search
+from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
 

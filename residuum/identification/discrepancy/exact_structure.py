@@ -41,11 +41,11 @@ class Exact:
     doubted: list[list[str]]
 
 
-def may_be_exact(first: tuple[list[Experiment], Structure], records: Sequence[Record]) -> bool:
-    """Whether a search for an exact structure is worth its work: the model as it is does not leave an error so far from noise
-    that only effects are found which leave much of it; or the records are too short to ask anything else.
+def is_far_from_noise(first: tuple[list[Experiment], Structure], records: Sequence[Record]) -> bool:
+    """Whether the model as it is leaves an error so far from noise that one effect hardly leaves noise alone, in records long
+    enough for blocks to judge.
     """
-    return times_its_innovations(first[1]) <= FAR_FROM_NOISE or not long_enough([record.n for record in records])
+    return times_its_innovations(first[1]) > FAR_FROM_NOISE and long_enough([record.n for record in records])
 
 
 def exact_in_bounds(
@@ -65,7 +65,7 @@ def exact_in_bounds(
             return _exact(first, model, records, mapping, wanted, tell)
     except OutOfWork:
         left_out("the search for an exact structure, to its end")
-        tell(0.5, "no exact structure was found with the work for it")
+        tell(1.0, "no exact structure was found with the work for it")
         return None
 
 
@@ -103,10 +103,10 @@ def _exact(
     tell: Tell,
 ) -> Exact:
     doubted: list[list[str]] = []
-    found, experiments, finer = searched(model, records, mapping, wanted, part_of(tell, 0.0, 0.75), first)
+    found, experiments, finer = searched(model, records, mapping, wanted, part_of(tell, 0.0, 0.9), first)
     while len(doubted) < MOST_HELD and (names := wrongly_held(found, experiments)):
         doubted.append(names)
         again = freed(model, [names[0] for names in doubted])
-        found, experiments, finer = searched(again, records, mapping, wanted, part_of(tell, 0.75, 0.75))
+        found, experiments, finer = searched(again, records, mapping, wanted, part_of(tell, 0.9, 1.0))
     keep_what_shows(found, experiments)
     return Exact(found, experiments, finer, doubted)

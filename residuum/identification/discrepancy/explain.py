@@ -9,21 +9,21 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.exact_answer import answer_of
 from residuum.identification.discrepancy.exact_structure import (
     exact_in_bounds,
+    is_far_from_noise,
     is_structured,
     leaves_more_than_noise,
-    may_be_exact,
     nothing_found,
 )
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, search_on_blocks
+from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, is_inexact, search_on_blocks
 from residuum.identification.discrepancy.policy.answers import FEWEST_TO_JUDGE
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
-from residuum.identification.unseen_blocks.search import Wanted
-from residuum.identification.work import Tell, at_most, untold
+from residuum.identification.unseen_blocks.tried import Wanted
+from residuum.identification.work import Tell, at_most, part_of, untold
 
 
 @one_thread()
@@ -68,9 +68,10 @@ def explain(
 
     Notes
     -----
-    An exact structure is sought first, by the likelihood of what it leaves, unless the model as it is leaves an error far from
-    noise. Where none leaves noise alone, the effects are named by what they take away on blocks of the records that no fit has
-    seen.
+    An exact structure is sought first, by the likelihood of what it leaves. Where none leaves noise alone, the effects are named
+    by what they take away on blocks of the records that no fit has seen. These blocks are asked first where the model as it is
+    leaves an error far from noise; an exact structure is sought then only where what they name does not take away most, or leaves
+    noise, a drift or next to nothing.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
@@ -98,24 +99,29 @@ def explained(
     seconds: float | None,
     tell: Tell,
 ) -> Explanation:
-    """The answer: by an exact structure, else by what takes away most on unseen blocks of the records."""
+    """The answer: by an exact structure, else by what takes away most on unseen blocks of the records; where the model as it is
+    leaves an error far from noise, the blocks are asked first.
+    """
+
+    def left() -> float | None:
+        return None if seconds is None else seconds - (time.perf_counter() - began)
+
+    early, late = part_of(tell, 0.0, 0.5), part_of(tell, 0.5, 0.9)
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         first = experiments_and_base(model, records, mapping)
-        exact = None
-        if worth := may_be_exact(first, records):
-            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, seconds, tell)
-        structured = exact is not None and is_structured(exact.found, records, mapping)
-        if exact is None or structured or leaves_more_than_noise(exact):
-            tell(0.5, "what takes away most on blocks kept aside")
-            left = None if seconds is None else seconds - (time.perf_counter() - began)
-            found = search_on_blocks(model, records, mapping, wanted, left, tell)
-            if found is not None and (exact is None or does_better(found, exact.found.best.model)):
-                return answer_on_blocks(found, wanted, records, mapping, began)
-            if found is None and not worth:
-                exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left, tell)
-                structured = exact is not None and is_structured(exact.found, records, mapping)
-        tell(0.75, "drawing what no effect explains")
+        far = is_far_from_noise(first, records)
+        found = search_on_blocks(model, records, mapping, wanted, left(), early) if far else None
+        exact, structured, inexact = None, False, True
+        if found is None or not is_inexact(found):
+            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
+            structured = exact is not None and is_structured(exact.found, records, mapping)
+            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and not exact.found.accepted)
+            if inexact and not far:
+                found = search_on_blocks(model, records, mapping, wanted, left(), late)
+        if found is not None and inexact and (far or exact is None or does_better(found, exact.found.best.model)):
+            return answer_on_blocks(found, wanted, records, mapping, began)
+        tell(0.9, "drawing what no effect explains")
         known = exact or nothing_found(model, records, mapping, wanted.effects)
         return answer_of(known, model, searched=exact is not None, structured=structured, began=began)

@@ -16,7 +16,7 @@ from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HeldValue
 from residuum.identification.unseen_blocks.next_experiment import NextExperiment
 from residuum.identification.unseen_blocks.remaining import Remaining
-from residuum.identification.unseen_blocks.search import Search
+from residuum.identification.unseen_blocks.tried import Search
 from residuum.identification.work import Work
 
 

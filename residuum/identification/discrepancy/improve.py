@@ -31,7 +31,7 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.held_value import freed
 from residuum.identification.unseen_blocks.proposals import without_idle
-from residuum.identification.unseen_blocks.search import Search
+from residuum.identification.unseen_blocks.tried import Search
 from residuum.identification.work import Tell, at_most, part_of, untold
 from residuum.nearest_names import known_names
 

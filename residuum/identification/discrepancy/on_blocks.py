@@ -19,14 +19,15 @@ from residuum.identification.unseen_blocks.advice import next_experiments, undet
 from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
+from residuum.identification.unseen_blocks.comparing import is_nothing
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT, MOST_LEFT, TIE, UNKNOWN_LEADS, WORTH
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.structure import Structure, at_start
+from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out, part_of
+from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
 
 
 def search_on_blocks(
@@ -40,9 +41,10 @@ def search_on_blocks(
     """The search; None where the records are too short for blocks, the model diverges on them, or the work is over before
     anything is known.
     """
+    tell(0.0, "what takes away most on blocks kept aside")
     try:
         with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, part_of(tell, 0.5, 0.9))
+            return searched(model, records, mapping, wanted, tell)
     except (BadRecord, NotIdentifiable):
         return None
     except OutOfWork:
@@ -51,11 +53,22 @@ def search_on_blocks(
 
 
 def does_better(found: Search, model: PhysicalModel) -> bool:
-    """Whether something was found that leaves less on unseen blocks than another model does."""
+    """Whether something was found that leaves really less on unseen blocks than another model does."""
     if not found.best.keys:
         return False
-    other = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5)
-    return other is None or found.best.cost < other.cost
+    other, scale = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5), found.court.scale
+    return other is None or other.cost - found.best.cost > (TIE if scale.nats else WORTH * (other.cost - scale.floor))
+
+
+def is_inexact(found: Search) -> bool:
+    """Whether what was found takes away most of the first error, and leaves neither noise nor next to nothing beside it, nor what
+    follows time best: no structure of the catalogue is exact then, also beside a load that drifts.
+    """
+    best, base, scale = found.best, found.base, found.court.scale
+    if not best.keys or scale.nats or is_nothing(best, base, scale) or best.cost > MOST_LEFT * base.cost:
+        return False
+    rest = free_terms(best, found.court)
+    return not (rest and rest[0].axis == "time")
 
 
 def answer_on_blocks(

@@ -19,7 +19,7 @@ from residuum.identification.unseen_blocks.next_experiment import NextExperiment
 from residuum.identification.unseen_blocks.policy import SENSOR_NOISE, TIE, WORTH_SEPARATING
 from residuum.identification.unseen_blocks.proposals import proposed, starts
 from residuum.identification.unseen_blocks.scale import Scale, of_noise
-from residuum.identification.unseen_blocks.search import Search, Wanted
+from residuum.identification.unseen_blocks.tried import Search, Wanted
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.unseen_blocks.coarser import coarser, turned
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.search import Search, Wanted, search
+from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.work import OutOfWork, Tell, left_out, untold
 
 

@@ -11,7 +11,7 @@ from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.following import followed
 from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
 from residuum.identification.unseen_blocks.proposals import forgotten_columns
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 
 
 def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted) -> PhysicalModel:

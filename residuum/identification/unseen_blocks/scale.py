@@ -57,6 +57,14 @@ class Scale:
         unit = 1.0 if self.unit is None else self.unit
         return float((power / unit).sum() / power.shape[1])
 
+    def error(self, rms: Array) -> float:
+        """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root mean square in the weights
+        and the unit of the scale; infinite where nothing was.
+        """
+        power = (rms * self.weights)[self.weights > 0.0] ** 2 / (1.0 if self.unit is None else self.unit)
+        known = power[~np.isnan(power)]
+        return float(np.sqrt(known.mean())) if known.size else np.inf
+
     def by_block(self, power: Array) -> Array:
         """Cost of each block without prices, shape (blocks,)."""
         if self.nats:

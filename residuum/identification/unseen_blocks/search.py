@@ -9,7 +9,7 @@ error is asked again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -23,38 +23,13 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
+from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGED, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
 from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What may be proposed: the effects of these ids (None: all), learned curves, values that the model holds."""
-
-    effects: tuple[str, ...] | None = None
-    learned: bool = False
-    held: bool = True
-
-
-@dataclass(eq=False)
-class Search:
-    """What was tried.
-
-    `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure that was judged there by
-    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had.
-    """
-
-    court: Court
-    base: Judged
-    best: Judged
-    along: Track | None
-    every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
-    group: list[Judged] = field(default_factory=list)
-    tried: int = 1
 
 
 def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
@@ -67,22 +42,24 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
     """
     tell(0.0, "estimating the model as it is")
     found = begun(climb_at_likelier_timing(data) if turn else climb(data))
-    beam, kept = [found.best], None
+    beam, kept, depth = [found.best], None, 0
     try:
-        for depth in range(DEEPEST):
+        while True:
             tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
             ranked: list[Judged] = []
-            if not is_nothing(found.best, found.base, found.court.scale):
+            if depth < DEEPEST and not is_nothing(found.best, found.base, found.court.scale):
                 glances = _glances(found, beam, wanted, kept)
                 kept = _kept(glances) if kept is None else kept
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
-                beam = _settled(found, ranked)
+                beam, depth = _settled(found, ranked), depth + 1
+                if len(found.best.keys) >= EXCHANGED:
+                    beam = _exchanged(found, beam, wanted, kept)
             elif found.best.keys and (longer := _lengthened(found)):
                 beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
-                beam = going_on(ranked, found.court.scale)
+                beam, depth = going_on(ranked, found.court.scale), depth + 1
             else:
                 break
     except OutOfWork:
@@ -121,7 +98,7 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
         given = None if parent.keys else followed(found.court.data.model, found.court.data)
         for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
             keys = tuple(sorted((*parent.keys, key)))
-            if key not in parent.keys and keys not in seen and (kept is None or key in kept):
+            if key not in parent.keys and keys not in seen and keys not in found.every and (kept is None or key in kept):
                 seen.add(keys)
                 tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
@@ -240,12 +217,37 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     return [chosen, *found.group][:BEAM]
 
 
+def _exchanged(found: Search, beam: list[Judged], wanted: Wanted, kept: set[Key] | None) -> list[Judged]:
+    """The beam, led by what leaves less than the best structure with another effect in the place of one of its own.
+
+    What joined first was the best beside nothing: it stands for two effects that gain together only, until both are there.
+    """
+    parents = [one for key in found.best.keys if (one := with_only(found, set(found.best.keys) - {key})) is not None]
+    ranked = _fitted(found, _glances(found, parents, wanted, kept))
+    better = [one for one in ranked if one.cost < found.best.cost and one.rarity <= found.best.rarity]
+    if not better:
+        return beam
+    before, scale = found.best, found.court.scale
+    found.best = simplest([before, *better], scale)
+    there = sorted([before, *ranked, *found.group], key=lambda one: one.cost)
+    found.group = [one for one in there if one is not found.best and is_alike(one, found.best, None, scale)]
+    return [found.best, *(one for one in beam if one is not found.best)][:BEAM]
+
+
 def _lengthened(found: Search) -> list[Judged]:
-    """The beam on the next longer windows, where the best one follows them now; base and beam are judged there from now on. Empty
-    where it does not.
+    """The beam on the longest windows up to which the best one follows all now; base and beam are judged there from now on. Empty
+    where it does not follow the next longer ones.
 
     What looked best on short windows goes with those that stood beside it: a second store of heat is a loss until it is full.
     """
+    beam: list[Judged] = []
+    while longer := _on_next_windows(found):
+        beam = longer
+    return beam
+
+
+def _on_next_windows(found: Search) -> list[Judged]:
+    """The beam on the next longer windows."""
     data, court = found.court.data, found.court
     longer = [rung for rung in data.rungs if rung.windows < court.last.windows]
     if court.scale.nats or not longer:

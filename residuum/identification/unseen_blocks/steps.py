@@ -9,15 +9,14 @@ from residuum.identification.unseen_blocks.comparing import is_alike
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import ONE_PHYSICS
 from residuum.identification.unseen_blocks.proposals import special_of
-from residuum.identification.unseen_blocks.search import Search
-from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.tried import Search, with_only
 
 
 def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]]:
     """The effects `keys` of the best structure in the order in which each takes away most, with what was before and after it."""
     rest, before, order = list(keys), found.base, []
     while rest:
-        each = [(key, _with(found, (*before.keys, key))) for key in rest]
+        each = [(key, with_only(found, (*before.keys, key))) for key in rest]
         known = [(key, one) for key, one in each if one is not None]
         if not known:
             break
@@ -26,21 +25,6 @@ def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]
         rest.remove(key)
         before = after
     return order
-
-
-def _with(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:
-    """A structure, by default the best one, with these of its effects alone."""
-    names, whole = tuple(sorted(keys)), whole or found.best
-    if names not in found.every:
-        model = whole.model
-        for use in whole.model.effects:
-            if use.key in whole.keys and use.key not in names:
-                model = model.without_effect(use.label)
-        one = found.court.judge(Structure(names, model, whole.structure.states, whole.structure.steps), steps=15, tolerance=1e-5)
-        if one is None:
-            return None
-        found.every[names] = one
-    return found.every[names]
 
 
 def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
@@ -52,7 +36,7 @@ def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
     for one in there:
         other = next(iter(set(one.keys) - kept))
         if is_alike(one, best, without, found.court.scale) or _are_one_physics(one, best, without, (other, key)):
-            same.append(_with(found, (*rest, other), one))
+            same.append(with_only(found, (*rest, other), one))
     return [one for one in same if one is not None]
 
 

@@ -19,8 +19,8 @@ from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
-from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.steps import chain, in_place_of
+from residuum.identification.unseen_blocks.tried import Search
 
 NONE, UNKNOWN = "none", "unknown"
 

@@ -95,7 +95,8 @@ def test_two_effects_for_which_a_third_could_stand_are_both_found():
     assert list(accepted) in (["quadratic-drag", "coulomb-friction"], ["coulomb-friction", "quadratic-drag"])
     drag = next(c for c in found.candidates if c.effect == "quadratic-drag").parameters["c"]
     assert abs(drag.value - 1.1) < 4 * drag.std
-    assert len(told) == len(set(told)) > 5  # nothing is tried twice beside the same effects
+    tried = [doing for doing in told if doing.startswith("trying")]
+    assert len(tried) == len(set(tried)) > 2  # nothing is tried twice beside the same effects
 
 
 def test_where_the_likeliest_effect_does_not_hold_up_the_search_begins_with_what_lowers_the_error_most():

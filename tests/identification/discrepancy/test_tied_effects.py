@@ -12,7 +12,7 @@ from residuum.identification.physics import candidates, estimate, match, read_mo
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.at_its_timing import searched
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 
 TANK = """
 name: tank

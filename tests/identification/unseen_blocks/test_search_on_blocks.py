@@ -7,7 +7,7 @@ from residuum.identification.physics import find_effect, read_model
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.at_its_timing import searched
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.unseen_blocks.verdict import share_of
 
 MOTOR = """

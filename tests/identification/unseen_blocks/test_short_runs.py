@@ -10,7 +10,7 @@ from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.next_experiment import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import POWER_WANTED
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 
 CART = """name: cart
 inputs: {}

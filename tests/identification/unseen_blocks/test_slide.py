@@ -8,7 +8,7 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.coarser import coarser
 from residuum.identification.unseen_blocks.data import matched
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 
 AXIS = """
 name: axis

@@ -8,8 +8,8 @@ import pytest
 from residuum.identification.physics import Key, read_model
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.tried import Search
 from residuum.identification.unseen_blocks.verdict import counted, steps_of, verdict_on
 
 CART = """

@@ -21,7 +21,7 @@ from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import turned_timing
 from residuum.identification.unseen_blocks.held_value import freed
-from residuum.identification.unseen_blocks.search import Wanted
+from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.work import Tell, part_of
 
 

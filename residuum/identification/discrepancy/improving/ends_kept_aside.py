@@ -11,23 +11,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from residuum.identification.discrepancy.improving.held_out import Split, rmse_aside, split
 from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
-from residuum.identification.unseen_blocks.search import Search
 from residuum.identification.unseen_blocks.structure import fitted
-
-FloatArray = npt.NDArray[np.float64]
+from residuum.identification.unseen_blocks.tried import Search
 
 
 def steps_that_hold(
     models: Sequence[PhysicalModel], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> int:
-    """How many of the `models` after the first, each with one effect more, can be kept so that no output is simulated worse than
+    """How many of the `models` after the first, each with one effect more, can be kept so that no more error is left than
     by the first where data are kept aside: at the end, and on the most different record; nor over whole records, where they were
     judged in windows. It is all of them where the records are too short to ask.
     """
@@ -42,10 +39,8 @@ def steps_that_hold(
 
 def _that_hold(models: Sequence[PhysicalModel], found: Search, parts: Split, mapping: Mapping[str, str] | None) -> int:
     most = KEPT_RISE * _error(models[0], found, parts, mapping)
-    for kept in reversed(range(1, len(models))):
-        if not np.any(_error(models[kept], found, parts, mapping) > most):
-            return kept
-    return 0
+    further = reversed(range(1, len(models)))
+    return next((kept for kept in further if _error(models[kept], found, parts, mapping) <= most), 0)
 
 
 def _kept_aside(records: Sequence[Record]) -> list[Split]:
@@ -72,15 +67,17 @@ def _beyond(record: Record, others: Sequence[Record]) -> float:
     return far
 
 
-def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> FloatArray:
-    """RMS simulation error of each output over what is kept aside, estimated on the rest; infinite where it diverges."""
-    hold = found.court.data.experiments[0].hold
+def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[str, str] | None) -> float:
+    """Simulation error over what is kept aside, estimated on the rest, the outputs in units of the first model's errors; infinite
+    where it diverges.
+    """
+    hold, scale = found.court.data.experiments[0].hold, found.court.scale
     matched, experiments = match(model, parts.training, mapping)
     data = data_of(matched, [replace(e, hold=hold) for e in experiments])
     rung = next((r for r in data.rungs if r.windows == found.court.last.windows), data.rungs[-1])
-    estimated = fitted(data.model, rung, None, found.court.scale, steps=20, tolerance=1e-5)
+    estimated = fitted(data.model, rung, None, scale, steps=20, tolerance=1e-5)
     if estimated is None:
-        return np.full(len(model.outputs), np.inf)
+        return np.inf
     _, aside = match(estimated.model, [record for record, _ in parts.testing], mapping)
     testing = [(replace(e, hold=hold), first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
-    return rmse_aside(estimated.model, testing)
+    return scale.error(rmse_aside(estimated.model, testing))

@@ -21,8 +21,8 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.search import Search, Wanted
 from residuum.identification.unseen_blocks.steps import chain
+from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.work import Tell
 
 ASIDE = "every block in turn"
