@@ -17,7 +17,7 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
     simulator = Simulator(model)
     push = Experiment(np.full((50, 1), 95.0), np.full((50, 2), np.nan), np.zeros(1), sample_time=0.1)
     before = simulator.run(push).Y
-    code = machine_code.compiled(generate(compose(model)))
+    code = [machine_code.compiled(text) for text in generate(compose(model))]
     for _ in range(60):
         addresses = [f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)]
         assert all(addresses)

@@ -21,7 +21,7 @@ from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.compile.composition import TIME, Equations
 from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
-from residuum.identification.physics.compile.stepping_code import FREE, stepping
+from residuum.identification.physics.compile.stepping_code import FREE, columns_of, stepping
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
@@ -80,15 +80,19 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
     }
 
 
-def generate(equations: Equations) -> str:
-    """The assembly of one function for each of `FUNCTIONS` and of `STEPPING`."""
-    loads, assignments, nx = _loads(equations), _assignments(equations), len(equations.x)
+def generate(equations: Equations) -> tuple[str, ...]:
+    """The assembly of the modules that make a structure.
+
+    Its own has `FUNCTIONS` and `STEPPING`; those that follow are shared with structures that are alike in them.
+    """
+    loads, assignments = _loads(equations), _assignments(equations)
+    nx, nu, n_p, ny = map(len, (equations.x, equations.u, equations.p, equations.outputs))
     bodies = [_Function(name, loads).text(a) for name, a in zip(FUNCTIONS, assignments, strict=True)]
-    A, B = _places(assignments[1], "r1", nx), _places(assignments[1], "r2", len(equations.p) + nx)
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
     declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
-    return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations, A, B)]) + "\n"
+    own = "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(nx, nu, n_p, ny)])
+    return own, *columns_of(nx, ny, _places(assignments[1], "r1", nx), _places(assignments[1], "r2", n_p + nx))
 
 
 def _places(slopes: Assignments, matrix: str, width: int) -> list[tuple[int, int]]:
