@@ -82,14 +82,7 @@ def _functions(eq: Equations) -> list[_Function]:
     rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
     start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
     outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
-    given: list[tuple[Rows, Rows, tuple[str, str]]] = [
-        (rates, {}, ("r1", "r2")),
-        (rates, rates, ("r1", "r2")),
-        (start, start, ("r1", "r2")),
-        (outputs, {}, ("r0", "r1")),
-        ({}, outputs, ("r0", "r1")),
-        (signals, {}, ("r0", "r1")),
-    ]
+    given: list[tuple[Rows, Rows]] = [(rates, {}), (rates, rates), (start, start), (outputs, {}), ({}, outputs), (signals, {})]
     return [_Function(name, eq, *each) for name, each in zip(FUNCTIONS, given, strict=True)]
 
 
@@ -106,18 +99,18 @@ def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
 class _Function:
     """A function while it is written: a line an operation, the value of each expression and each slope remembered.
 
-    The values of `rows` go to r0; the slopes of `sloping` to the two `matrices`, by states and by parameters.
+    The values of `rows` go to the first array, the slopes of `sloping` by states and by parameters to those that follow.
     """
 
-    def __init__(self, name: str, eq: Equations, rows: Rows, sloping: Rows, matrices: tuple[str, str]) -> None:
+    def __init__(self, name: str, eq: Equations, rows: Rows, sloping: Rows) -> None:
         self.name, self.loads = name, _loads(eq)
         self.moved = {eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True)) for n, d in eq.delays.items()}
         self.lines: list[str] = []
         self.known: dict[Any, str] = {}
         self.dependent: dict[Any, frozenset[sp.Symbol]] = {}
-        self.partial: dict[tuple[Any, int], str] = {}
         self.known_slopes: dict[tuple[Any, sp.Symbol], str | None] = {}
         self.stores: dict[Slot, str] = {("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()}
+        matrices = ("r1", "r2") if rows else ("r0", "r1")
         for i, e in sloping.items():
             for matrix, by, width in zip(matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True):
                 found = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
@@ -169,15 +162,10 @@ class _Function:
 
     def _partial(self, e: Any, i: int) -> str:
         """What holds the slope of an operation by its argument i."""
-        if (e, i) not in self.partial:
-            self.partial[e, i] = self._own_slope(e, i)
-        return self.partial[e, i]
-
-    def _own_slope(self, e: Any, i: int) -> str:
         if e.is_Add:
             return _ONE
         if e.is_Mul:
-            return self._mul(*e.args[:i], *e.args[i + 1 :])
+            return self.value(sp.Mul(*e.args[:i], *e.args[i + 1 :], evaluate=False))
         if not e.is_Pow:
             return self.value(sp.sympify(e.fdiff(i + 1)))
         if i == 1:
