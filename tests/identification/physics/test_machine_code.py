@@ -1,14 +1,16 @@
-"""Machine code lives as long as its functions, and no longer than that, whatever is loaded and dropped meanwhile."""
+"""Machine code is made once, structures share it, and it lives as long as its functions, whatever is dropped meanwhile."""
 
 import gc
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
 from residuum.identification.physics import Experiment, Simulator, load_model
 from residuum.identification.physics.compile import machine_code
 from residuum.identification.physics.compile.code_generation import generate
 from residuum.identification.physics.compile.composition import compose
-from residuum.identification.physics.compile.kernel import _kernel
+from residuum.identification.physics.compile.kernel import _kernel, cache_folder, kernel_of
 
 
 def test_dropped_code_takes_nothing_along(monkeypatch):
@@ -17,7 +19,7 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
     simulator = Simulator(model)
     push = Experiment(np.full((50, 1), 95.0), np.full((50, 2), np.nan), np.zeros(1), sample_time=0.1)
     before = simulator.run(push).Y
-    code = machine_code.compiled(generate(compose(model)))
+    code = [machine_code.compiled(text) for text in generate(compose(model))]
     for _ in range(60):
         addresses = [f.__wrapper_address__() for f in machine_code.loaded(code, machine_code.FUNCTIONS)]
         assert all(addresses)
@@ -25,3 +27,39 @@ def test_dropped_code_takes_nothing_along(monkeypatch):
     gc.collect()
     assert np.array_equal(simulator.run(push).Y, before)
     assert np.array_equal(Simulator(model).run(push).Y, before)
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    """Nothing compiled on disk, nor kept in memory."""
+    monkeypatch.setenv("RESIDUUM_CACHE", str(tmp_path / "cache"))
+    _kernel.cache_clear()
+    yield cache_folder()
+    _kernel.cache_clear()
+
+
+def test_structures_share_what_their_equations_do_not_change(empty_cache):
+    model = load_model("linear-axis")
+    kernel_of(model)
+    alone = set(empty_cache.glob("code_*"))
+    kernel_of(model.with_effect("constant-load", "axis"))
+    assert len(alone) == 3
+    assert len(set(empty_cache.glob("code_*")) - alone) == 1  # its own equations; columns and observation are there
+
+
+def test_a_structure_that_many_threads_ask_for_is_compiled_once(empty_cache, monkeypatch):
+    compiled, texts = machine_code.compiled, []
+    monkeypatch.setattr(machine_code, "compiled", lambda text: texts.append(text) or compiled(text))
+    model = load_model("linear-axis")
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(kernel_of, [model] * 4))
+    assert len(texts) == len(set(texts)) == 3
+
+
+def test_code_that_was_removed_from_the_cache_is_made_again(empty_cache):
+    model = load_model("linear-axis")
+    kernel_of(model)
+    for path in empty_cache.glob("code_*"):
+        path.unlink()
+    _kernel.cache_clear()
+    assert kernel_of(model).states == ("q", "v")

@@ -11,17 +11,18 @@ parameters, directions, motion of each surface, and three arrays for results.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Any, ClassVar
 
 import sympy as sp
+from sympy.logic.boolalg import Boolean
 
 from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.compile.composition import TIME, Equations
 from residuum.identification.physics.compile.external import SYMBOLS, ExternalSlope, ExternalValue
 from residuum.identification.physics.compile.machine_code import FUNCTIONS
-from residuum.identification.physics.compile.stepping_code import FREE, stepping
+from residuum.identification.physics.compile.stepping_code import FREE, columns_of, stepping
 from residuum.identification.physics.simulate.stepped_round import SteppedRound
 
 ARGUMENTS = ("x", "u", "ur", "p", "s", "m", "r0", "r1", "r2")
@@ -29,37 +30,13 @@ _COMPARISONS = {"<": "olt", "<=": "ole", ">": "ogt", ">=": "oge", "==": "oeq", "
 
 Slot = tuple[str, int]
 """Where a value goes: a result array and the place in it."""
-Assignments = Mapping[Slot, sp.Expr]
+Rows = Mapping[int, sp.Expr]
+"""An expression for each row of the results."""
+_FLAT = (sp.sign, sp.floor, sp.Heaviside)
+"""Functions whose slope is nothing, a jump included."""
 
 
-class InverseRoot(sp.Function):
-    """1/√x in the slope of a root, kept finite where the root is zero (an empty tank)."""
-
-    nargs = 1
-
-
-class Direction(sp.Function):
-    """sign(x) of what cannot be seen to be real (a current by cases), so that its slope is nothing rather than complex."""
-
-    nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """Nothing."""
-        return sp.S.Zero
-
-
-class Magnitude(sp.Function):
-    """|x| of what cannot be seen to be real."""
-
-    nargs = 1
-
-    def fdiff(self, argindex: int = 1) -> sp.Expr:
-        """The direction."""
-        return Direction(self.args[0])
-
-
-_REAL = {sp.Abs: Magnitude, sp.sign: Direction}
-_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", Magnitude: "fabs", sp.floor: "floor"}
+_INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", sp.floor: "floor"}
 
 
 def names_of(equations: Equations) -> dict[str, list[Any]]:
@@ -80,70 +57,33 @@ def names_of(equations: Equations) -> dict[str, list[Any]]:
     }
 
 
-def generate(equations: Equations) -> str:
-    """The assembly of one function for each of `FUNCTIONS` and of `STEPPING`."""
-    loads, assignments, nx = _loads(equations), _assignments(equations), len(equations.x)
-    bodies = [_Function(name, loads).text(a) for name, a in zip(FUNCTIONS, assignments, strict=True)]
-    A, B = _places(assignments[1], "r1", nx), _places(assignments[1], "r2", len(equations.p) + nx)
+def generate(equations: Equations) -> tuple[str, ...]:
+    """The assembly of the modules that make a structure.
+
+    Its own has `FUNCTIONS` and `STEPPING`; those that follow are shared with structures that are alike in them.
+    """
+    nx, nu, n_p, ny = map(len, (equations.x, equations.u, equations.p, equations.outputs))
+    functions = _functions(equations)
     used = {*_INTRINSICS.values(), "pow", "sqrt"}
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
     declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
-    return "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(equations, A, B)]) + "\n"
-
-
-def _places(slopes: Assignments, matrix: str, width: int) -> list[tuple[int, int]]:
-    """Row and column of what a matrix of slopes holds beside zeros."""
-    return [divmod(k, width) for array, k in slopes if array == matrix]
+    bodies = [function.text() for function in functions]
+    own = "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(nx, nu, n_p, ny)])
+    slopes = functions[FUNCTIONS.index("slopes")]
+    return own, *columns_of(nx, ny, slopes.places("r1", nx), slopes.places("r2", n_p + nx))
 
 
 def _index(symbols: Iterable[sp.Symbol], wanted: sp.Symbol) -> int:
     return list(symbols).index(wanted)
 
 
-def _assignments(eq: Equations) -> list[Assignments]:
-    x, p = list(eq.x.values()), list(eq.p.values())
-    y, z = map(_real, eq.outputs.values()), map(_real, eq.signals.values())
+def _functions(eq: Equations) -> list[_Function]:
     moving = {row: sp.Symbol(f"m_{number}", real=True) for number, row in enumerate(eq.surfaces)}
-    each = [_real(rate) for rate in eq.rates]
-    rates: dict[Slot, sp.Expr] = {("r0", i): moving.get(i, sp.S.One) * rate for i, rate in enumerate(each)}
-    slopes = dict(rates)
-    for i, rate in enumerate(each):
-        slopes |= {at: moving.get(i, sp.S.One) * e for at, e in _row(("r1", "r2"), i, rate, x, p, eq).items()}
-    own = {list(eq.x).index(name): _real(expression) for name, expression in eq.initial.items()}
-    start: dict[Slot, sp.Expr] = {("r0", i): e for i, e in own.items()}
-    for i, expression in own.items():
-        start |= _row(("r1", "r2"), i, expression, x, p, eq)
-    outputs: dict[Slot, sp.Expr] = {("r0", o): h for o, h in enumerate(y)}
-    output_slopes: dict[Slot, sp.Expr] = {}
-    for (_, o), h in outputs.items():
-        output_slopes |= _row(("r0", "r1"), o, h, x, p, eq)
-    return [rates, slopes, start, outputs, output_slopes, {("r0", o): h for o, h in enumerate(z)}]
-
-
-def _real(expression: sp.Expr) -> sp.Expr:
-    """The expression with sizes and signs that differentiate as those of real values do."""
-    return sp.sympify(expression).replace(
-        lambda e: type(e) in _REAL and not e.args[0].is_extended_real, lambda e: _REAL[type(e)](e.args[0])
-    )
-
-
-def _row(
-    matrices: tuple[str, str], i: int, expression: sp.Expr, x: list[sp.Symbol], p: list[sp.Symbol], eq: Equations
-) -> dict[Slot, sp.Expr]:
-    """Nonzero partial derivatives of one expression by states and by parameters (delays through the input), by slot."""
-    by_state, by_parameter = matrices
-    present, width = expression.free_symbols, len(p) + len(x)
-    row: dict[Slot, sp.Expr] = {(by_state, i * len(x) + j): sp.diff(expression, v) for j, v in enumerate(x) if v in present}
-    row |= {(by_parameter, i * width + j): sp.diff(expression, v) for j, v in enumerate(p) if v in present}
-    for k, (name, u) in enumerate(eq.u.items()):
-        if name in eq.delays and u in present:
-            slot = (by_parameter, i * width + _index(p, eq.delays[name]))
-            row[slot] = row.get(slot, sp.S.Zero) - sp.diff(expression, u) * sp.Symbol(f"ur_{k}", real=True)
-    return {slot: _finite(derivative) for slot, derivative in row.items() if derivative != 0}
-
-
-def _finite(slope: sp.Expr) -> sp.Expr:
-    return slope.replace(lambda e: e.is_Pow and e.exp == -sp.Rational(1, 2), lambda e: InverseRoot(e.base))
+    rates = {i: moving.get(i, sp.S.One) * rate for i, rate in enumerate(eq.rates)}
+    start = {list(eq.x).index(name): expression for name, expression in eq.initial.items()}
+    outputs, signals = dict(enumerate(eq.outputs.values())), dict(enumerate(eq.signals.values()))
+    given: list[tuple[Rows, Rows]] = [(rates, {}), (rates, rates), (start, start), (outputs, {}), ({}, outputs), (signals, {})]
+    return [_Function(name, eq, *each) for name, each in zip(FUNCTIONS, given, strict=True)]
 
 
 def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
@@ -157,20 +97,85 @@ def _loads(eq: Equations) -> dict[sp.Symbol, Slot]:
 
 
 class _Function:
-    """The body of one function while it is written: a line an operation, the value of each expression remembered."""
+    """A function while it is written: a line an operation, the value of each expression and each slope remembered.
 
-    def __init__(self, name: str, loads: Mapping[sp.Symbol, Slot]) -> None:
-        self.name, self.loads = name, loads
+    The values of `rows` go to the first array, the slopes of `sloping` by states and by parameters to those that follow.
+    """
+
+    def __init__(self, name: str, eq: Equations, rows: Rows, sloping: Rows) -> None:
+        self.name, self.loads = name, _loads(eq)
+        self.moved = {eq.u[n]: (d, sp.Symbol(f"ur_{list(eq.u).index(n)}", real=True)) for n, d in eq.delays.items()}
         self.lines: list[str] = []
         self.known: dict[Any, str] = {}
+        self.dependent: dict[Any, frozenset[sp.Symbol]] = {}
+        self.known_slopes: dict[tuple[Any, sp.Symbol], str | None] = {}
+        self.stores: dict[Slot, str] = {("r0", i): self.value(sp.sympify(e)) for i, e in rows.items()}
+        matrices = ("r1", "r2") if rows else ("r0", "r1")
+        for i, e in sloping.items():
+            for matrix, by, width in zip(matrices, (eq.x, eq.p), (len(eq.x), len(eq.p) + len(eq.x)), strict=True):
+                found = {(matrix, i * width + j): self.slope(sp.sympify(e), v) for j, v in enumerate(by.values())}
+                self.stores |= {slot: slope for slot, slope in found.items() if slope is not None}
 
-    def text(self, assignments: Assignments) -> str:
+    def text(self) -> str:
         """All values first, then the stores: a result array may be one of the arguments."""
-        stores = [(self.value(sp.sympify(e)), slot) for slot, e in assignments.items()]
-        for value, (array, index) in stores:
+        for (array, index), value in self.stores.items():
             self.lines.append(f"store double {value}, ptr {self._place(array, index)}")
         arguments = ", ".join(f"ptr %{name}" for name in ARGUMENTS)
         return "\n".join([f"define void @{self.name}({arguments}) {{", *(f"  {line}" for line in self.lines), "  ret void", "}"])
+
+    def places(self, matrix: str, width: int) -> list[tuple[int, int]]:
+        """Row and column of what a matrix of slopes holds beside zeros."""
+        return [divmod(k, width) for array, k in self.stores if array == matrix]
+
+    def slope(self, e: Any, by: sp.Symbol) -> str | None:
+        """What holds the slope of an expression by a symbol, by the chain rule; None where it is nothing.
+
+        SymPy's own derivatives take ten times as long to find, and repeat what a chain has in common.
+        """
+        if by not in self._depends(e):
+            return None
+        if (e, by) not in self.known_slopes:
+            self.known_slopes[e, by] = self._slope(e, by)
+        return self.known_slopes[e, by]
+
+    def _depends(self, e: Any) -> frozenset[sp.Symbol]:
+        """Symbols by which an expression may have a slope: its own, and the delay of an input."""
+        if e not in self.dependent:
+            if e.is_Symbol:
+                self.dependent[e] = frozenset({e, self.moved[e][0]} if e in self.moved else {e})
+            else:
+                self.dependent[e] = frozenset().union(*map(self._depends, e.args))
+        return self.dependent[e]
+
+    def _slope(self, e: Any, by: sp.Symbol) -> str | None:
+        if e.is_Symbol:
+            return _ONE if e == by else self._new(f"fneg {FREE} double {self.value(self.moved[e][1])}")
+        if isinstance(e, sp.Piecewise):
+            pieces = [(self.slope(value, by), condition) for value, condition in e.args]
+            some = any(slope for slope, _ in pieces)
+            return self._chosen([(slope or _ZERO, condition) for slope, condition in pieces]) if some else None
+        if isinstance(e, (*_FLAT, Boolean)):
+            return None
+        slopes = [(i, self.slope(part, by)) for i, part in enumerate(e.args)]
+        terms = [self._times(self._partial(e, i), slope) for i, slope in slopes if slope is not None]
+        return self._fold("fadd", terms) if terms else None
+
+    def _partial(self, e: Any, i: int) -> str:
+        """What holds the slope of an operation by its argument i."""
+        if e.is_Add:
+            return _ONE
+        if e.is_Mul:
+            return self.value(sp.Mul(*e.args[:i], *e.args[i + 1 :], evaluate=False))
+        if not e.is_Pow:
+            return self.value(sp.sympify(e.fdiff(i + 1)))
+        if i == 1:
+            return self._times(self.value(e), self.value(sp.log(e.base)))
+        if e.exp == sp.Rational(1, 2):
+            return self._times(_constant(0.5), self._inverse_root(e.base))
+        return self._times(self.value(e.exp), self.value(e.base ** (e.exp - 1)))
+
+    def _times(self, a: str, b: str) -> str:
+        return b if a == _ONE else a if b == _ONE else self._new(f"fmul {FREE} double {a}, {b}")
 
     def value(self, e: Any) -> str:
         """The name of the register, or the constant, that holds an expression."""
@@ -198,7 +203,7 @@ class _Function:
     def _add(self, *terms: sp.Expr) -> str:
         positive = [t for t in terms if not t.could_extract_minus_sign()]
         negative = [-t for t in terms if t.could_extract_minus_sign()]
-        total = self._fold("fadd", [self.value(t) for t in positive]) if positive else _constant(0.0)
+        total = self._fold("fadd", [self.value(t) for t in positive]) if positive else _ZERO
         for term in negative:
             total = self._new(f"fsub {FREE} double {total}, {self.value(term)}")
         return total
@@ -207,7 +212,7 @@ class _Function:
         above = [f for f in factors if not _is_reciprocal(f)]
         below = [f.base**-f.exp for f in factors if _is_reciprocal(f)]
         negative = above[:1] == [sp.S.NegativeOne]
-        product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_constant(1.0)])
+        product = self._fold("fmul", [self.value(f) for f in above[negative:]] or [_ONE])
         if below:
             product = self._new(f"fdiv {FREE} double {product}, {self._fold('fmul', [self.value(f) for f in below])}")
         return self._new(f"fneg {FREE} double {product}") if negative else product
@@ -217,18 +222,18 @@ class _Function:
             return self._call("llvm.sqrt.f64", base)
         if exponent.is_Integer and 1 <= abs(int(exponent)) <= 4:
             product = self._fold("fmul", [self.value(base)] * abs(int(exponent)))
-            return product if exponent > 0 else self._new(f"fdiv {FREE} double {_constant(1.0)}, {product}")
+            return product if exponent > 0 else self._new(f"fdiv {FREE} double {_ONE}, {product}")
         return self._new(f"call double @llvm.pow.f64(double {self.value(base)}, double {self.value(exponent)})")
 
     def _tanh(self, a: sp.Expr) -> str:
         return self._call("tanh", a)
 
     def _sign(self, a: sp.Expr) -> str:
-        negative = self._select(self._compare("olt", a, sp.S.Zero), _constant(-1.0), _constant(0.0))
-        return self._select(self._compare("ogt", a, sp.S.Zero), _constant(1.0), negative)
+        negative = self._select(self._compare("olt", a, sp.S.Zero), _constant(-1.0), _ZERO)
+        return self._select(self._compare("ogt", a, sp.S.Zero), _ONE, negative)
 
     def _heaviside(self, a: sp.Expr, *_: sp.Expr) -> str:
-        return self._select(self._compare("ogt", a, sp.S.Zero), _constant(1.0), _constant(0.0))
+        return self._select(self._compare("ogt", a, sp.S.Zero), _ONE, _ZERO)
 
     def _external_value(self, k: sp.Expr, *arguments: sp.Expr) -> str:
         return self._new(f"call double @{SYMBOLS[0]}(i64 {k}, ptr {self._array(arguments)})")
@@ -247,13 +252,14 @@ class _Function:
         return self.known[values]
 
     def _nothing(self, *_: sp.Expr) -> str:
-        return _constant(0.0)
+        return _ZERO
 
     def _rounded(self, a: sp.Expr) -> str:
         return self._call("llvm.floor.f64", a + sp.Rational(1, 2))
 
     def _inverse_root(self, a: sp.Expr) -> str:
-        return self._new(f"fdiv {FREE} double {_constant(1.0)}, {self.value(sp.sqrt(sp.Max(a, sp.Float(1e-12))))}")
+        """1/√a in the slope of a root, kept finite where the root is zero (an empty tank)."""
+        return self._new(f"fdiv {FREE} double {_ONE}, {self.value(sp.sqrt(sp.Max(a, sp.Float(1e-12))))}")
 
     def _max(self, *choices: sp.Expr) -> str:
         return self._extreme("ogt", choices)
@@ -268,9 +274,12 @@ class _Function:
         return reduce(better, map(self.value, choices))
 
     def _piecewise(self, *pieces: Any) -> str:
-        chosen = _constant(0.0)
+        return self._chosen([(self.value(value), condition) for value, condition in pieces])
+
+    def _chosen(self, pieces: Sequence[tuple[str, Any]]) -> str:
+        chosen = _ZERO
         for value, condition in reversed(pieces):
-            chosen = self.value(value) if condition == sp.true else self._select(self.value(condition), self.value(value), chosen)
+            chosen = value if condition == sp.true else self._select(self.value(condition), value, chosen)
         return chosen
 
     def _and(self, *conditions: Any) -> str:
@@ -311,13 +320,11 @@ class _Function:
         sp.Pow: _pow,
         sp.tanh: _tanh,
         sp.sign: _sign,
-        Direction: _sign,
         sp.Heaviside: _heaviside,
         sp.DiracDelta: _nothing,
         SteppedRound: _rounded,
         ExternalValue: _external_value,
         ExternalSlope: _external_slope,
-        InverseRoot: _inverse_root,
         sp.Max: _max,
         sp.Min: _min,
         sp.Piecewise: _piecewise,
@@ -340,3 +347,6 @@ def _real_number(e: sp.Expr) -> float:
 
 def _constant(value: float) -> str:
     return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"
+
+
+_ZERO, _ONE = _constant(0.0), _constant(1.0)

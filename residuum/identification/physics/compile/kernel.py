@@ -1,8 +1,9 @@
 """Kernels: the compiled form of a model's structure, kept on disk so that only the first use of a structure compiles.
 
 The key of a kernel is a digest of the model's structure (balances, effects, paths; not parameter values, bounds or
-units), of this package's own sources and of the processor. Names and machine code are written once to the cache folder
-(`$RESIDUUM_CACHE`, else `~/.cache/residuum`); a warm start therefore neither composes symbolically nor compiles.
+units), of this package's own sources and of the processor. Its names are written once to the cache folder (`$RESIDUUM_CACHE`,
+else `~/.cache/residuum`); a warm start therefore neither composes symbolically nor compiles. Machine code is kept beside them
+by its text, which names nothing of a model: structures share what is alike in them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,7 @@ from residuum.identification.physics.simulate.integration import System
 
 _LOADED = (*FUNCTIONS, *STEPPING)
 _MADE_BY = "residuum.identification.physics"
+_MAKING = Lock()
 _COUNTED = ("sizes", "surfaces", "delays", "own", "remembered")
 
 
@@ -69,26 +72,47 @@ class _Deferred:
 
 @lru_cache(maxsize=256)
 def _kernel(structure: str, deferred: _Deferred) -> Kernel:
-    machine = machine_code.target()
-    digest = hashlib.sha256((structure + machine + code_digest(_MADE_BY)).encode()).hexdigest()[:24]
-    path = cache_folder() / f"kernel_{digest}"
-    if not path.exists():
-        _write(path, _made(deferred.model))
-    header, _, code = path.read_bytes().partition(b"\n")
-    told = json.loads(header)
+    path = _place("kernel", structure)
+    with _MAKING:  # what several threads ask for at once is made once
+        told = _told(path) or _made(path, deferred.model)
+    code = [(path.parent / part).read_bytes() for part in told["parts"]]
     functions: Mapping[str, Any] = dict(zip(_LOADED, machine_code.loaded(code, _LOADED), strict=True))
     numbers: Mapping[str, Any] = {key: np.array(told[key], dtype=np.int64) for key in _COUNTED}
     names = {key: tuple(told[key]) for key in ("states", "parameters", "outputs", "signals", "deviating")}
     return Kernel(**names, system=System(**functions, **numbers))
 
 
-def _made(model: PhysicalModel) -> bytes:
-    """What a kernel's file holds. SymPy is imported here: where all kernels are on disk it is not needed."""
+def _place(kind: str, content: str) -> Path:
+    """Where what is made of `content` is kept."""
+    key = content + machine_code.target() + code_digest(_MADE_BY)
+    return cache_folder() / f"{kind}_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
+
+
+def _told(path: Path) -> dict[str, Any] | None:
+    """What a kernel's file says; None where it, or code that it names, is not on disk."""
+    if not path.exists():
+        return None
+    told: dict[str, Any] = json.loads(path.read_bytes())
+    return told if all((path.parent / part).exists() for part in told["parts"]) else None
+
+
+def _made(path: Path, model: PhysicalModel) -> dict[str, Any]:
+    """A kernel's file and its code, written. SymPy is imported here: where all kernels are on disk it is not needed."""
     from residuum.identification.physics.compile.code_generation import generate, names_of  # noqa: PLC0415
     from residuum.identification.physics.compile.composition import compose  # noqa: PLC0415
 
     equations = compose(model)
-    return json.dumps(names_of(equations)).encode() + b"\n" + machine_code.compiled(generate(equations))
+    told = names_of(equations) | {"parts": [_compiled(text) for text in generate(equations)]}
+    _write(path, json.dumps(told).encode())
+    return told
+
+
+def _compiled(assembly: str) -> str:
+    """The name of the file of a module's machine code, which is compiled where it is not on disk."""
+    path = _place("code", assembly)
+    if not path.exists():
+        _write(path, machine_code.compiled(assembly))
+    return path.name
 
 
 def _structure(model: PhysicalModel) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from itertools import count
 from typing import Any
@@ -65,10 +65,12 @@ def compiled(assembly: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def loaded(code: bytes, names: Sequence[str]) -> tuple[Function, ...]:
-    """The functions `names` of object code."""
+def loaded(parts: Iterable[bytes], names: Sequence[str]) -> tuple[Function, ...]:
+    """The functions `names` of object code in parts that call one another by name."""
     number = next(_COUNT)
-    builder = llvm.JITLibraryBuilder().add_object_img(code).add_current_process()
+    builder = llvm.JITLibraryBuilder().add_current_process()
+    for code in parts:
+        builder.add_object_img(code)
     for name, address in ADDRESSES.items():
         builder.import_symbol(name, address)
     for name in names:

@@ -1,5 +1,8 @@
 """A Runge–Kutta step of a structure, and of its sensitivities, as LLVM assembly: unrolled over the states.
 
+What is done for each column of S takes the most code and asks of the equations only how many states and outputs there are and
+what is always zero in A and B. So it stands apart, in `columns` and `observed`, and is compiled once for all structures alike.
+
     advance(x, u₀, u₁, u₂, p, s, m, work, step)
     advance_slopes(x, u₀, u₁, u₂, p, s, m, work, step, S, columns, count)
     observe(x, u, ur, p, s, m, work, y, dy, S, columns, count)
@@ -13,10 +16,8 @@ overlap, so that what depends on p alone is computed once a step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import reduce
-
-from residuum.identification.physics.compile.composition import Equations
 
 FREE = "nsz arcp contract"
 """What the compiler may do beyond IEEE 754: share a reciprocal, fuse a product with a sum."""
@@ -30,13 +31,22 @@ Places = Collection[tuple[int, int]]
 """Row and column of what need not be zero in a matrix."""
 
 
-def stepping(equations: Equations, A: Places, B: Places) -> str:
-    """The assembly of the three functions; it calls the structure's `rates`, `slopes`, `outputs` and `output_slopes`.
+_COLUMNS = "ptr noalias %work, ptr noalias {0}, ptr noalias %S, ptr noalias %columns, i64 %count, i64 {1}"
+"""Of `columns`, whose second argument is `step`, and of `observed`, whose second is `dy`; the last is the width of B."""
 
-    `A` and `B` say where the slopes of the rates need not be zero.
+
+def stepping(nx: int, nu: int, n_p: int, ny: int) -> str:
+    """The assembly of the three functions for so many states, inputs, parameters and outputs.
+
+    They call `rates`, `slopes`, `outputs` and `output_slopes` beside them, and what `columns_of` gives.
     """
-    sizes = len(equations.x), len(equations.u), len(equations.p), len(equations.outputs)
-    return "\n\n".join([_advance(*sizes[:3]), _advance(*sizes[:3], (A, B)), _observe(*sizes)])
+    declared = [f"declare void @{name}(ptr, ptr, ptr, ptr, i64, i64)" for name in ("columns", "observed")]
+    return "\n\n".join([*declared, _advance(nx, nu), _advance(nx, nu, n_p + nx), _observe(nx, ny, n_p + nx)])
+
+
+def columns_of(nx: int, ny: int, A: Places, B: Places) -> tuple[str, str]:
+    """The assembly of `columns` and of `observed`, a module each; `A` and `B` say where slopes need not be zero."""
+    return _columns(nx, A, {row for row, _ in B}), _observed(nx, ny)
 
 
 class _Lines:
@@ -69,39 +79,57 @@ class _Lines:
     def say(self, line: str) -> None:
         self.lines.append(line)
 
+    def ended(self) -> str:
+        """The text of a function that returns here."""
+        return "\n".join([*self.lines, "  ret void", "}"]) + "\n"
 
-def _advance(nx: int, nu: int, n_p: int, slopes: tuple[Places, Places] | None = None) -> str:
-    t, width = _Lines(), n_p + nx
-    name = "advance_slopes" if slopes else "advance"
+
+def _advance(nx: int, nu: int, width: int | None = None) -> str:
+    """With the sensitivities where the width of B is given."""
+    t = _Lines()
+    slopes = width is not None
     given = ("x", "u0", "u1", "u2", "p", "s", "m", "work", "step", *(("S", "columns") if slopes else ()))
+    name = "advance_slopes" if slopes else "advance"
     t.say(f"define void @{name}({', '.join(f'ptr noalias %{a}' for a in given)}{', i64 %count' if slopes else ''}) {{")
-    t.say("entry:")
-    h = t.load("%step", 0)
-    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
-    third = t.add(sixth, sixth)
+    h, half, sixth, third = _lengths(t)
     x0 = [t.load("%x", i) for i in range(nx)]
     xs = t.place("%work", 4 * nx)
-    A, B = _slope_places(t, nx, width)
+    results = list(zip(*_slope_places(t, nx, str(width)), strict=True)) if slopes else [None] * 4
     slopes_of_inputs = [t.place(f"%u{j}", nu + 1) for j in range(3)]
     rates: list[list[str]] = []
     for r in range(4):
         k = t.place("%work", r * nx)
-        rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, (A[r], B[r]) if slopes else None, nx))
+        rates.append(_stage(t, r, k, "%x" if r == 0 else xs, slopes_of_inputs, results[r], nx))
         if r < 3:
             _move(t, x0, h if r == 2 else half, rates[r], xs)
     for i in range(nx):
         t.store(_weighted(t, x0[i], [rate[i] for rate in rates], sixth, third), "%x", i)
     if slopes:
-        _columns_loop(t, lambda column: _column_step(t, nx, width, (A, B), slopes, column, (h, half, sixth, third)))
-    t.say("  ret void")
-    t.say("}")
-    return "\n".join(t.lines)
+        t.say(f"  call void @columns({_COLUMNS.format('%step', width).replace('noalias ', '')})")
+    return t.ended()
 
 
-def _slope_places(t: _Lines, nx: int, width: int) -> tuple[list[str], list[str]]:
+def _columns(nx: int, A: Places, rows: Collection[int]) -> str:
+    t = _Lines()
+    t.say(f"define void @columns({_COLUMNS.format('%step', '%width')}) {{\nentry:")
+    lengths = _lengths(t)
+    begins = {i: t.new(f"mul i64 %width, {i}") for i in sorted(rows)}
+    matrices = _slope_places(t, nx, "%width")
+    _columns_loop(t, lambda column: _column_step(t, nx, begins, matrices, A, column, lengths))
+    return t.ended()
+
+
+def _lengths(t: _Lines) -> tuple[str, str, str, str]:
+    """Of a step: the whole, a half, a sixth and a third."""
+    h = t.load("%step", 0)
+    half, sixth = t.times(h, "0.5"), t.new(f"fdiv double {h}, 6.0")
+    return h, half, sixth, t.add(sixth, sixth)
+
+
+def _slope_places(t: _Lines, nx: int, width: str) -> tuple[list[str], list[str]]:
     """Where in the working memory the slopes of each stage by states and by parameters stand."""
-    A = [t.place("%work", 5 * nx + r * nx * nx) for r in range(4)]
-    return A, [t.place("%work", 5 * nx + 4 * nx * nx + r * nx * width) for r in range(4)]
+    *A, behind = (t.place("%work", 5 * nx + r * nx * nx) for r in range(5))
+    return A, [t.place(behind, t.new(f"mul i64 {width}, {r * nx}")) for r in range(4)]
 
 
 def _stage(
@@ -138,8 +166,8 @@ class _Column:
         """Into such an array."""
         self.t.say(f"  store {self.t.kind} {value}, ptr {self._place(array, row)}, align 8")
 
-    def pick(self, array: str, row: int) -> str:
-        """Of a row of a matrix the values in the places that the columns name."""
+    def pick(self, array: str, row: str) -> str:
+        """Of a row of a matrix, which begins at `row`, the values in the places that the columns name."""
         t = self.t
         values = [t.load(array, t.new(f"add i64 {row}, {column}")) for column in self.columns]
         return values[0] if self.together == 1 else self._joined(values)
@@ -164,21 +192,20 @@ class _Column:
 def _column_step(
     t: _Lines,
     nx: int,
-    width: int,
+    begins: Mapping[int, str],
     matrices: tuple[Sequence[str], Sequence[str]],
-    places: tuple[Places, Places],
+    places: Places,
     column: _Column,
     lengths: tuple[str, str, str, str],
 ) -> None:
     h, half, sixth, third = map(column.all, lengths)
     S0 = [column.load("%S", i) for i in range(nx)]
-    own = {i for i, _ in places[1]}
     S, found = S0, []
     for r, (A, B) in enumerate(zip(*matrices, strict=True)):
         d = []
         for i in range(nx):
-            terms = [column.pick(B, i * width)] if i in own else []
-            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places[0]]
+            terms = [column.pick(B, begins[i])] if i in begins else []
+            terms += [t.times(column.all(t.load(A, i * nx + j)), S[j]) for j in range(nx) if (i, j) in places]
             d.append(reduce(t.add, terms) if terms else column.all("0.0"))
         found.append(d)
         S = [t.add(S0[i], t.times(h if r == 2 else half, d[i])) for i in range(nx)]
@@ -186,9 +213,9 @@ def _column_step(
         column.store(_weighted(t, S0[i], [d[i] for d in found], sixth, third), "%S", i)
 
 
-def _columns_loop(t: _Lines, body: Callable[[_Column], None], begun: str = "entry") -> None:
+def _columns_loop(t: _Lines, body: Callable[[_Column], None]) -> None:
     """Do `body` for all sensitivity columns, as many side by side as a vector holds, then for those left one by one."""
-    first = "0"
+    first, begun = "0", "entry"
     for together in _VECTORS:
         n = str(together)
         t.say(f"  br label %head{n}\nhead{n}:\n  %c{n} = phi i64 [ {first}, %{begun} ], [ %next{n}, %body{n} ]")
@@ -205,27 +232,32 @@ def _weighted(t: _Lines, start: str, k: Sequence[str], sixth: str, third: str) -
     return t.add(start, t.add(outer, t.times(third, t.add(k[1], k[2]))))
 
 
-def _observe(nx: int, nu: int, n_p: int, ny: int) -> str:
-    t, width = _Lines(), n_p + nx
+def _observe(nx: int, ny: int, width: int) -> str:
+    t = _Lines()
     arrays = ("x", "u", "ur", "p", "s", "m", "work", "y", "dy", "S", "columns")
     t.say(f"define void @observe({', '.join(f'ptr noalias %{a}' for a in arrays)}, i64 %count) {{")
-    t.say("entry:")
     given = ", ".join(f"ptr %{a}" for a in arrays[:6])
     t.say(f"  call void @outputs({given}, ptr %y, ptr %work, ptr %work)")
-    t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %observed\nend:\n  ret void\nobserved:")
+    t.say("  %none = icmp eq i64 %count, 0\n  br i1 %none, label %end, label %slopes\nslopes:")
+    t.say(f"  call void @output_slopes({given}, ptr %work, ptr {t.place('%work', ny * nx)}, ptr %work)")
+    t.say(f"  call void @observed({_COLUMNS.format('%dy', width).replace('noalias ', '')})\n  br label %end\nend:")
+    return t.ended()
+
+
+def _observed(nx: int, ny: int) -> str:
+    t = _Lines()
+    t.say(f"define void @observed({_COLUMNS.format('%dy', '%width')}) {{\nentry:")
     D = t.place("%work", ny * nx)
-    t.say(f"  call void @output_slopes({given}, ptr %work, ptr {D}, ptr %work)")
     C = [[t.load("%work", o * nx + i) for i in range(nx)] for o in range(ny)]
+    begins = [t.new(f"mul i64 %width, {o}") for o in range(ny)]
 
     def column_of(column: _Column) -> None:
         S = [column.load("%S", i) for i in range(nx)]
         for o in range(ny):
-            total = column.pick(D, o * width)
+            total = column.pick(D, begins[o])
             for i in range(nx):
                 total = t.add(total, t.times(column.all(C[o][i]), S[i]))
             column.store(total, "%dy", o)
 
-    _columns_loop(t, column_of, "observed")
-    t.say("  ret void")
-    t.say("}")
-    return "\n".join(t.lines)
+    _columns_loop(t, column_of)
+    return t.ended()
