@@ -34,6 +34,7 @@ from residuum.service.storage.rows import (
     records,
     windows,
 )
+from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.storage.same_place import SamePlace
 from residuum.service.store import (
     Alarm,
@@ -60,6 +61,8 @@ _CHECK_WITHIN = 2.0
 """Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
 """Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
+_BETWEEN_ROWS = 0.02
+"""Pause [s] after every thousand rows that are looked at, in which requests are answered."""
 _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
 """[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some start."""
 _AHEAD = timedelta(minutes=1)
@@ -484,8 +487,15 @@ class DiskStore:
         return {subject: says for subject, says in told.items() if says is not None}
 
     def look_for_damage(self) -> str | None:
-        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`."""
+        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
+
+        Its structure first, then each row: a value that flipped where rows are chosen by it may leave a row out of an answer.
+        """
         self.damage = self._database.damage()
+        if self.damage is None:
+            with self._database.read() as connection:
+                wrong = check_rows(connection, pause=_BETWEEN_ROWS).wrong
+            self.damage = None if not wrong else f"{wrong[0]}{f', and {len(wrong) - 1} more' if len(wrong) > 1 else ''}"
         return self.damage
 
     def orphans(self, settled: float = 0.0) -> set[str]:
