@@ -254,10 +254,8 @@ def _entry(row: Row[Any]) -> AlarmEntry:
 
 
 def _alarm(row: Row[Any]) -> Alarm:
-    if _differs(row):  # shown as one to look at: whatever it was, nobody has seen this
-        unknown = dict.fromkeys(("worst_at", "raised_at", "cleared_at", "acknowledged_at", "shelved_until", "window"))
-        told = {"acknowledged_by": None, "comment": None, "occurrences": 0, "message": f"alarm {row.id}: {row_checksums.TELLS}"}
-        return Alarm(row.id, row.asset_id, row.kind, AlarmState.UNACKNOWLEDGED, condition=True, **unknown, **told)
+    if _differs(row):
+        return _damaged(row)
     return Alarm(
         row.id,
         row.asset_id,
@@ -274,4 +272,25 @@ def _alarm(row: Row[Any]) -> Alarm:
         row.shelved_until,
         row.comment,
         row.window_id,
+    )
+
+
+def _damaged(row: Row[Any]) -> Alarm:
+    """Shown as an alarm to look at: whatever it was, nobody has seen that it is damaged."""
+    return Alarm(
+        row.id,
+        row.asset_id,
+        row.kind,
+        AlarmState.UNACKNOWLEDGED,
+        condition=True,
+        message=f"alarm {row.id}: {row_checksums.TELLS}",
+        worst_at=None,
+        occurrences=0,
+        raised_at=None,
+        cleared_at=None,
+        acknowledged_at=None,
+        acknowledged_by=None,
+        shelved_until=None,
+        comment=None,
+        window=None,
     )

@@ -164,7 +164,7 @@ def _asset(row: Row[Any]) -> Asset:
     last = stored_finding(row) if row.id is not None else None
     known = row_checksums.of_labelled(assets, row)
     if not row_checksums.differs(assets, known):
-        return Asset(*(known[name] for name in ("id", "title", "diagnoser", "created_at", "windows")), last)
+        return Asset(known["id"], known["title"], known["diagnoser"], known["created_at"], known["windows"], last)
     damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
     told = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
     return Asset(known["id"], known["id"], None, known["created_at"], known["windows"], told)

@@ -5,11 +5,23 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import orjson
 from sqlalchemy import Column, Connection, Label, LargeBinary, Row, Table, select, update
 
+from residuum.service.storage.tables import (
+    alarm_journal,
+    alarms,
+    assets,
+    finding_hours,
+    findings,
+    model_versions,
+    models,
+    records,
+    windows,
+)
 from residuum.service.store import StorageUnavailable
 
 TELLS = "its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
@@ -50,9 +62,8 @@ def of_row(table: Table, values: Mapping[Any, Any]) -> str:
 
 
 def differs(table: Table, values: Mapping[Any, Any]) -> bool:
-    """Whether such a row differs from its checksum; those of old have none."""
-    checksum = values[_own(table)]
-    return checksum is not None and checksum != of_row(table, values)
+    """Whether such a row differs from its checksum. One without any does: the end of a row is lost by a flip in its head."""
+    return bool(values[_own(table)] != of_row(table, values))
 
 
 def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -98,9 +109,9 @@ def _counts(table: Table, column: Column[Any]) -> bool:
 
 
 def finding_differs(values: Mapping[Any, Any]) -> bool:
-    """Whether a finding's row, as far as it was read, differs from its checksum; those of old have none."""
-    checksum = values["checksum"]
-    return checksum is not None and any(
+    """Whether a finding's row, as far as it was read, differs from its checksum."""
+    checksum = values["checksum"] or ""
+    return any(
         _crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8]
         for k, part in enumerate(_PARTS_OF_FINDING)
         if part[0] in values
@@ -108,8 +119,21 @@ def finding_differs(values: Mapping[Any, Any]) -> bool:
 
 
 def window_differs(values: Mapping[Any, Any]) -> bool:
-    """Whether a window's row differs from its checksum; those of old have none."""
-    return values["checksum"] is not None and values["checksum"] != of_window(values)
+    """Whether a window's row differs from its checksum."""
+    return bool(values["checksum"] != of_window(values))
+
+
+def seal_rows_of_old(connection: Connection) -> None:
+    """Give each row its checksum that was written before rows had any, as it is now."""
+    for table in (assets, windows, findings, finding_hours, alarms, alarm_journal, records, models, model_versions):
+        own = table.c[_own(table)]
+        of = {"windows": of_window, "findings": of_finding}.get(table.name, partial(of_row, table))
+        numbers = list(table.primary_key)
+        old = connection.execute(select(*numbers).where(own.is_(None))).all()
+        for key in old:
+            here = [column == value for column, value in zip(numbers, key, strict=True)]
+            row = connection.execute(select(table).where(*here)).one()
+            connection.execute(update(table).where(*here).values({own: of(row._mapping)}))
 
 
 def _crc(values: Sequence[Any]) -> str:
