@@ -82,7 +82,9 @@ def test_a_findings_value_that_changed_is_told_and_the_list_goes_on(store, url, 
     assert store.indicators("press", 10).indicators["rms"] == ([0.5, 1.5, 2.5] if in_history else [0.5, 2.5])
 
 
-@pytest.mark.parametrize(("column", "value"), [("t0", 7.0), ("n", 4), ("sample_time", 0.2), ("source", "can1")])
+@pytest.mark.parametrize(
+    ("column", "value"), [("t0", 7.0), ("n", 4), ("sample_time", 0.2), ("source", "can1"), ("checksum", None)]
+)
 def test_a_windows_value_that_changed_is_refused(store, url, column, value):
     assert "window 2 of 'press': its row differs from its checksum" in changed(url, "windows", column, value)
     for asked in (lambda: store.window("press", 2), lambda: store.window_record("press", 2), lambda: store.windows("press")):
@@ -108,7 +110,14 @@ def alarm(store):
 
 @pytest.mark.parametrize(
     ("column", "value"),
-    [("message", "it sings"), ("state", "normal"), ("comment", "sees"), ("occurrences", 2), ("acknowledged_by", "x")],
+    [
+        ("message", "it sings"),
+        ("state", "normal"),
+        ("comment", "sees"),
+        ("occurrences", 2),
+        ("acknowledged_by", "x"),
+        ("checksum", None),
+    ],
 )
 def test_an_alarms_value_that_changed_is_told_and_the_alarm_begins_anew(store, url, alarm, column, value):
     assert alarm.state == "acknowledged" and alarm.message.startswith("it knocks")
