@@ -2,9 +2,10 @@
 
     python -m benchmarks.memory_by_question --rows 2000 --kilobytes 100
 
-Findings with much evidence, windows of many channels, records with long notes and an asset each are stored; then every list and
-history is asked for with its largest limit. The peak of the process's resident memory is reset before each question and read
-after it. The exit status is 1 when one question adds more than 64 MiB, or a hundred add more than 256 MiB.
+Findings with much evidence, windows of many channels, two with 64 MiB of samples, records with long notes and an asset each are
+stored; then every list and history is asked for with its largest limit, and long signals with what is made of them. The peak of
+the process's resident memory is reset before each question and read after it. The exit status is 1 when one question adds more
+than 64 MiB, or a hundred add more than 256 MiB.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from residuum.service.work.large_arrays import give_back_large_arrays
 
 ONE, HUNDRED = 64, 256
 """MiB that one question may add, and a hundred at once."""
+LONG, CHANNELS = 64, 6
+"""MiB of the samples of a long window, and its channels; beside it one of a single channel."""
 QUESTIONS = (
     "assets?limit=500",
     "assets/press/findings?limit=500",
@@ -46,7 +49,16 @@ QUESTIONS = (
     "alarms/history?limit=500",
     "audit?limit=500",
     "models?limit=500",
-    "assets/press/windows/2/signal?points=20000",
+    "assets/press/windows/4/signal?points=20000",
+    "assets/long/windows/1/signal?points=20000",
+    "assets/long/windows/1/signal?points=20000&to=10",
+    "assets/long/windows/1/record",
+    "assets/long/windows/1/spectrum?points=20000",
+    "assets/long/windows/1/kurtogram",
+    "assets/long/windows/1/envelope",
+    "assets/long/tables/waveform?points=20000",
+    "assets/longest/windows/2/signal?points=20000",
+    "assets/longest/windows/2/record",
 )
 
 
@@ -54,6 +66,10 @@ def fill(data: Path, rows: int, kilobytes: int) -> None:
     """Store so many windows whose findings have so much evidence, with assets and records beside them."""
     rng = np.random.default_rng(0)
     store = DiskStore(data, f"sqlite:///{data / 'residuum.db'}")
+    for asset, channels in (("long", CHANNELS), ("longest", 1)):
+        long = {f"y{k}": rng.normal(size=LONG * 2**20 // 8 // channels) for k in range(channels)}
+        store.add_window(asset, Record(long, dict.fromkeys(long, "m/s²"), 1e-4), Finding("bearing", "healthy"))
+    del long
     numbers = rng.normal(size=1024 * kilobytes // 20).tolist()
     wide = {f"a rather long name of a channel, number {k}": rng.normal(size=16) for k in range(256)}
     record = Record(wide, dict.fromkeys(wide, "m/s²"), 1e-3, notes=("n" * 60_000,))
@@ -135,7 +151,7 @@ def campaign(rows: int, kilobytes: int) -> dict[str, Any]:
             found["a hundred at once"] = {"added": peak(pid) - before, "status": dict(Counter(key[0] for key in seen.elements()))}
             found["items"] = {
                 "findings of press": listed(port, "assets/press/findings?limit=500") == rows // 2,
-                "assets": listed(port, "assets?limit=500") == rows - rows // 2 + 1,
+                "assets": listed(port, "assets?limit=500") == rows - rows // 2 + 3,
             }
             return found
         finally:

@@ -38,7 +38,7 @@ from residuum.service.security.refusals import Refusals
 from residuum.service.services import LivePipeline, Services
 from residuum.service.settings import BadSettings, Settings
 from residuum.service.storage import DiskStore
-from residuum.service.storage.database import LOOKED_THROUGH, sqlite_file
+from residuum.service.storage.database import sqlite_file
 from residuum.service.storage.disk_store import SETTLED
 from residuum.service.storage.retention import Retention
 from residuum.service.store import StorageUnavailable, Store
@@ -172,7 +172,7 @@ async def _running(
             _watch_refusals(store, refusals),
         ):
             started.callback(asyncio.create_task(watch).cancel)
-        if (file := sqlite_file(settings.database_url)) is not None and file.stat().st_size > LOOKED_THROUGH:
+        if sqlite_file(settings.database_url) is not None:
             threading.Thread(target=_look_for_damage, args=(store,), name="look for damage", daemon=True).start()
         threading.Thread(target=read_registry, name="read units", daemon=True).start()
         await pipeline.start()

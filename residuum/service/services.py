@@ -11,6 +11,7 @@ from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from fastapi import Depends, Request
 
+from residuum.identification.errors import BadInput
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.events import Events
 from residuum.service.fieldbus.settings import MachineSettings
@@ -30,8 +31,10 @@ _MEMORY = 160 * MIB
 """Bytes that answers may take together while they are made."""
 _LISTED = 16 * MIB
 """Bytes that a page of a list takes while it is made: rows of 1 MiB as values of Python, and as JSON."""
-_COPIES = 3
+_COPIES = 5
 """Times its samples that a question about a stored signal takes: the block, what is made of it, the answer."""
+_ONE = 64 * MIB
+"""Bytes that a single answer may take."""
 
 
 class LivePipeline(Protocol):
@@ -96,7 +99,15 @@ class Services:
             return await run_sync(partial(page, *arguments, **more))
 
     async def sampling(self, size: int, make: Callable[P, T], *arguments: P.args, **more: P.kwargs) -> T:
-        """Make something of stored samples of `size` bytes in a thread, when there is room for it; TooBusy as `listing`."""
+        """Make something of stored samples of `size` bytes in a thread, when there is room for it; TooBusy as `listing`.
+
+        BadInput for so many that this question alone would take too much.
+        """
+        if _COPIES * size > _ONE:
+            raise BadInput(
+                f"signal: its samples take {size / MIB:.1f} MiB, and this is made of at most {_ONE // _COPIES / MIB:.1f} MiB; "
+                "ask for the signal itself (GET …/signal), or take the record (GET …/record) and look at it by the command line"
+            )
         async with self._memory.hold(_COPIES * size):
             return await run_sync(partial(make, *arguments, **more))
 

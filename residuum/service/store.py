@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, Generic, Protocol, TypeVar
+
+import numpy.typing as npt
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
@@ -85,6 +87,23 @@ class StoredWindow(_Plain):
     source: str
     size_bytes: int
     signal_let_go_at: datetime | None
+
+
+@dataclass(frozen=True)
+class ReadInPieces:
+    """A stored record whose samples are read piece by piece: a long signal is never held as a whole.
+
+    `pieces(name)` gives a channel's samples in their order. What is damaged shows at the end, as an exception instead of an end:
+    what was made of the pieces before is not to be answered with then.
+    """
+
+    sample_time: float
+    t0: float
+    n: int
+    units: Mapping[str, str]
+    notes: Sequence[str]
+    dtypes: Mapping[str, str]
+    pieces: Callable[[str], Iterator[npt.NDArray[Any]]]
 
 
 @dataclass(frozen=True)
@@ -316,6 +335,9 @@ class Store(Protocol):
     def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of a window; SignalLetGo when the retention rule has removed them."""
 
+    def window_in_pieces(self, asset: str, window: int, channels: Sequence[str] | None = None) -> ReadInPieces:
+        """The same, to be read piece by piece."""
+
     def alarms(
         self,
         asset: str | None = None,
@@ -367,6 +389,9 @@ class Store(Protocol):
 
     def record_samples(self, record: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of an uploaded record."""
+
+    def record_in_pieces(self, record: int, channels: Sequence[str] | None = None) -> ReadInPieces:
+        """The same, to be read piece by piece."""
 
     def remove_record(self, record: int, by: str | None = None) -> None:
         """Delete an uploaded record for good; NotFound when there is none."""

@@ -1,15 +1,45 @@
 """Records as NPZ: one array a channel, `sample_time`, and `units` as JSON."""
 
+from __future__ import annotations
+
 import json
 import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
 
 from residuum.identification.errors import BadRecord, in_one_line
 from residuum.identification.record import Record
 from residuum.identification.record_formats.options import ReadOptions
+
+
+class Described(Protocol):
+    """What a record says of its samples."""
+
+    @property
+    def sample_time(self) -> float:
+        """[s]."""
+
+    @property
+    def t0(self) -> float:
+        """[s]."""
+
+    @property
+    def n(self) -> int:
+        """Samples of each channel."""
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """By channel."""
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What is worth knowing of it."""
+
 
 _RESERVED = ("sample_time", "units", "t0", "notes")
 
@@ -39,16 +69,32 @@ def read_npz(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
 
 def write_npz(record: Record, path: str | Path) -> None:
     """Write a record so that `read_npz` gives it back exactly."""
+    dtypes = {name: signal.dtype.str for name, signal in record.channels.items()}
+    write_npz_in_pieces(path, record, dtypes, lambda name: (record[name],))
+
+
+def write_npz_in_pieces(
+    path: str | Path, described: Described, dtypes: Mapping[str, str], pieces: Callable[[str], Iterable[npt.NDArray[Any]]]
+) -> None:
+    """Write a record whose samples come piece by piece, for each channel of `dtypes`, so that they are never held as a whole."""
     extra: dict[str, Any] = {
-        "sample_time": np.float64(record.sample_time),
-        "t0": np.float64(record.t0),
-        "units": np.array(json.dumps(dict(record.units))),
-        "notes": np.array(record.notes, dtype=str),
+        "sample_time": np.float64(described.sample_time),
+        "t0": np.float64(described.t0),
+        "units": np.array(json.dumps(dict(described.units))),
+        "notes": np.array(described.notes, dtype=str),
     }
-    if clash := set(extra) & set(record.names):
+    if clash := set(extra) & set(dtypes):
         raise BadRecord(f"{path}: a channel cannot be called {sorted(clash)[0]!r} in an NPZ record")
-    arrays: dict[str, Any] = {**record.channels, **extra}
-    np.savez_compressed(path, **arrays)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, dtype in dtypes.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                header = {"descr": dtype, "fortran_order": False, "shape": (described.n,)}
+                npy.write_array_header_1_0(file, header)
+                for piece in pieces(name):
+                    file.write(np.ascontiguousarray(piece).data)
+        for name, value in extra.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                npy.write_array(file, np.asanyarray(value), allow_pickle=False)
 
 
 def _scalar(array: Any, name: str, path: str | Path) -> float:

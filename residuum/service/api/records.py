@@ -129,9 +129,9 @@ async def get_record_signal(
             raise BadInput(f"channel {name[:60]!r}: the record has none of this name; {says}")
 
     def view() -> Response:
-        return Json({"window": None, **signal_view(running.store.record_samples(record, channels), points, begin, end)})
+        return Json({"window": None, **signal_view(running.store.record_in_pieces(record, channels), points, begin, end)})
 
-    return await running.sampling(known.size_bytes, view)
+    return await running.listing(view)
 
 
 def _read(filename: str, content: bytes, settings: Settings, said: Mapping[str, object], bus: Path | None) -> Record:

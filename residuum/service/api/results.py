@@ -31,14 +31,14 @@ _MOST_BYTES = 2**30
 async def get_findings_file(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
     """Findings of a span of time as a Parquet file, a row a finding (needs the extra `parquet`)."""
     span = span_of(begin, end)
-    return await _file(running, f"{asset}-findings.parquet", lambda path: write_findings(running.store, asset, span, path))
+    return await file_answer(running, f"{asset}-findings.parquet", lambda path: write_findings(running.store, asset, span, path))
 
 
 @router.get("/windows.parquet", response_class=Response)
 async def get_windows_file(running: Running, asset: AssetName, begin: Begin, end: End) -> Response:
     """Windows of a span of time with their signals as a Parquet file, a row a window and channel (needs the extra `parquet`)."""
     span = span_of(begin, end)
-    return await _file(
+    return await file_answer(
         running, f"{asset}-windows.parquet", lambda path: write_windows(running.store, asset, span, path, _MOST_BYTES)
     )
 
@@ -58,12 +58,12 @@ def downloads(data: Path) -> Path:
     return data / "downloads"
 
 
-async def _file(running: Services, name: str, write: Callable[[Path], int]) -> Response:
-    return await running.writing(_written, downloads(running.settings.data), name, write)
+async def file_answer(running: Services, name: str, write: Callable[[Path], object], media_type: str = MEDIA_TYPE) -> Response:
+    """The answer of a file that `write` makes, one at a time, and that is gone when it was sent."""
+    return await running.writing(_written, downloads(running.settings.data), name, write, media_type)
 
 
-def _written(place: Path, name: str, write: Callable[[Path], int]) -> Response:
-    """The answer of a file that is gone when it was sent."""
+def _written(place: Path, name: str, write: Callable[[Path], object], media_type: str) -> Response:
     place.mkdir(parents=True, exist_ok=True)
     folder = tempfile.TemporaryDirectory(dir=place)
     path = Path(folder.name) / name
@@ -72,4 +72,4 @@ def _written(place: Path, name: str, write: Callable[[Path], int]) -> Response:
     except BaseException:
         folder.cleanup()
         raise
-    return FileResponse(path, media_type=MEDIA_TYPE, filename=name, background=BackgroundTask(folder.cleanup))
+    return FileResponse(path, media_type=media_type, filename=name, background=BackgroundTask(folder.cleanup))

@@ -7,19 +7,19 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
+from starlette.concurrency import run_in_threadpool
 
 from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
-from residuum.identification.record import Record
 from residuum.library.picture import Curve
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute, in_pieces
 from residuum.service.api.parameters import AssetName
 from residuum.service.api.results import Begin, End
-from residuum.service.api.windows import known_channels
+from residuum.service.api.windows import of_one_channel
 from residuum.service.results.month_report import Followed
 from residuum.service.results.time_span import findings_in, span_of
 from residuum.service.services import Running, Services
-from residuum.service.store import NotFound, StoredFinding
+from residuum.service.store import NotFound, StoredFinding, StoredWindow
 
 router = APIRouter(prefix="/assets/{asset}/tables", tags=["results"], route_class=StrictRoute, responses=PROBLEMS)
 
@@ -60,37 +60,42 @@ def get_indicators_table(running: Running, asset: AssetName, begin: Begin, end: 
 
 
 @router.get("/waveform")
-def get_waveform_table(
+async def get_waveform_table(
     running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
 ) -> Response:
     """The signal of a window: a row a moment [s after its begin]."""
-    name, record = _channel(running, asset, window, channel)
-    values, unit = record[name], record.units[name]
-    rows = [{"time": k * record.sample_time, "value": values[k], "unit": unit} for k in _kept(values, points)]
-    return _rows(rows)
+
+    def rows(known: StoredWindow, name: str) -> Response:
+        record = running.store.window_record(asset, known.id, [name])
+        values, unit = record[name], record.units[name]
+        return _rows([{"time": k * record.sample_time, "value": values[k], "unit": unit} for k in _kept(values, points)])
+
+    return await of_one_channel(running, asset, await _window(running, asset, window), channel, rows)
 
 
 @router.get("/spectrum")
-def get_spectrum_table(
+async def get_spectrum_table(
     running: Running, asset: AssetName, window: Window = None, channel: ChannelName = None, points: Points = 2000
 ) -> Response:
     """Amplitude spectrum of a window's signal (Hann window, mean removed): a row a frequency [Hz]."""
-    name, record = _channel(running, asset, window, channel)
-    found, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
-    rows = [{"frequency": k * found.step, "amplitude": found.amplitude[k], "unit": unit} for k in _kept(found.amplitude, points)]
-    return _rows(rows)
+
+    def rows(known: StoredWindow, name: str) -> Response:
+        record = running.store.window_record(asset, known.id, [name])
+        found, unit = amplitude_spectrum(record[name], record.sample_time), record.units[name]
+        kept = _kept(found.amplitude, points)
+        return _rows([{"frequency": k * found.step, "amplitude": found.amplitude[k], "unit": unit} for k in kept])
+
+    return await of_one_channel(running, asset, await _window(running, asset, window), channel, rows)
 
 
-def _channel(running: Services, asset: str, window: int | None, channel: str | None) -> tuple[str, Record]:
-    if window is None:
-        newest = running.store.windows(asset, limit=1).items
-        if not newest:
-            raise NotFound(f"asset {asset!r}: has no window yet")
-        window = newest[0].id
-    units = running.store.window(asset, window).units
-    name = channel or next(iter(units))
-    known_channels([name], units)
-    return name, running.store.window_record(asset, window, [name])
+async def _window(running: Services, asset: str, window: int | None) -> int:
+    """The number of the window that is asked for, None: the newest."""
+    if window is not None:
+        return window
+    newest = (await run_in_threadpool(running.store.windows, asset, limit=1)).items
+    if not newest:
+        raise NotFound(f"asset {asset!r}: has no window yet")
+    return newest[0].id
 
 
 def _finding_row(found: StoredFinding) -> dict[str, Any]:

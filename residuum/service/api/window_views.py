@@ -7,6 +7,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
@@ -19,9 +20,9 @@ from residuum.identification.record import Record
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
 from residuum.service.api.parameters import AssetName, WindowId
-from residuum.service.api.windows import known_channels
+from residuum.service.api.windows import of_one_channel
 from residuum.service.services import Running, Services
-from residuum.service.store import Conflict, NotFound
+from residuum.service.store import Conflict, NotFound, StoredWindow
 from residuum.service.views.signal_view import extremes
 
 router = APIRouter(prefix="/assets/{asset}/windows/{window}", tags=["assets"], route_class=StrictRoute, responses=PROBLEMS)
@@ -77,9 +78,13 @@ class RegionsAnswer(BaseModel):
 
 
 @router.get("/kurtogram", response_model=KurtogramAnswer)
-def get_kurtogram(running: Running, asset: AssetName, window: WindowId, channel: ChannelName = None) -> Response:
+async def get_kurtogram(running: Running, asset: AssetName, window: WindowId, channel: ChannelName = None) -> Response:
     """In which band, and at which width, the signal is most impulsive."""
-    name, record = _channel(running, asset, window, channel)
+    return await of_one_channel(running, asset, window, channel, lambda known, name: _kurtogram(running, known, name))
+
+
+def _kurtogram(running: Services, window: StoredWindow, name: str) -> Response:
+    record = _channel(running, window, name)
     found = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft")
     level, frequency, kurtosis = found.as_map()
     best = {"centre": found.best.centre, "width": found.best.width, "kurtosis": found.best.kurtosis}
@@ -89,7 +94,7 @@ def get_kurtogram(running: Running, asset: AssetName, window: WindowId, channel:
 
 
 @router.get("/envelope", response_model=EnvelopeAnswer)
-def get_envelope(
+async def get_envelope(
     running: Running,
     asset: AssetName,
     window: WindowId,
@@ -98,9 +103,13 @@ def get_envelope(
     high: Annotated[float | None, Query(description="Upper edge [Hz].", gt=0)] = None,
 ) -> Response:
     """Spectrum of the envelope of a band: what rhythm its impacts have."""
-    name, record = _channel(running, asset, window, channel)
     if (low is None) != (high is None):
         raise BadInput("query, low and high: give both edges of the band, or none")
+    return await of_one_channel(running, asset, window, channel, lambda known, name: _envelope(running, known, name, low, high))
+
+
+def _envelope(running: Services, window: StoredWindow, name: str, low: float | None, high: float | None) -> Response:
+    record = _channel(running, window, name)
     if low is None or high is None:
         best = kurtogram(record[name], record.sampling_rate, _levels(record.n), method="fft").best
         low, high = max(best.low, 0.0), min(best.high, record.sampling_rate / 2)
@@ -112,9 +121,14 @@ def get_envelope(
 
 
 @router.get("/residual", response_model=ResidualAnswer)
-def get_residual(running: Running, asset: AssetName, window: WindowId) -> Response:
+async def get_residual(running: Running, asset: AssetName, window: WindowId) -> Response:
     """What the machine's model does not explain of the window; 409 for a diagnoser that judges without a residual."""
-    judge = _residual_judge(running, asset)
+    judge = await run_in_threadpool(_residual_judge, running, asset)
+    known = await run_in_threadpool(running.store.window, asset, window)
+    return await running.sampling(known.size_bytes, _residual, running, asset, window, judge)
+
+
+def _residual(running: Services, asset: str, window: int, judge: RobustResidual) -> Response:
     record = running.store.window_record(asset, window)
     model = judge.design.model
     u, y = record.in_unit(judge.input, model.input_unit), record.in_unit(judge.output, model.output_unit)
@@ -175,14 +189,11 @@ def _trained_judge(running: Services, asset: str, kind: type[Judge], what: str) 
     return judge
 
 
-def _channel(running: Services, asset: str, window: int, channel: str | None) -> tuple[str, Record]:
-    units = running.store.window(asset, window).units
-    name = channel if channel is not None else next(iter(units))
-    known_channels([name], units)
-    record = running.store.window_record(asset, window, [name])
+def _channel(running: Services, window: StoredWindow, name: str) -> Record:
+    record = running.store.window_record(window.asset, window.id, [name])
     if np.isnan(record[name]).any():
-        raise BadRecord(f"window {window}, channel {name!r}: has missing samples; this view needs all of them")
-    return name, record
+        raise BadRecord(f"window {window.id}, channel {name!r}: has missing samples; this view needs all of them")
+    return record
 
 
 def _levels(n: int) -> int:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -14,18 +15,19 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.record_formats import write_record
+from residuum.identification.record_formats.npz import write_npz_in_pieces
 from residuum.nearest_names import known_names
 from residuum.service.api.answers import PROBLEMS, PageOf, SignalAnswer, SpectrumAnswer, StoredWindowAnswer, WindowAnswer
-from residuum.service.api.json_response import Json, in_pieces, page_answer
+from residuum.service.api.json_response import Json, page_answer
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
+from residuum.service.api.results import file_answer
 from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, record_of
 from residuum.service.machines.baselines.deciding_method import deciding_method
 from residuum.service.machines.baselines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
-from residuum.service.store import NotFound, StoredWindow
-from residuum.service.views.signal_view import extremes
+from residuum.service.store import NotFound, ReadInPieces, StoredWindow
+from residuum.service.views.signal_view import extremes, extremes_of_pieces, stretch
 
 router = APIRouter(prefix="/assets/{asset}/windows", tags=["windows"], responses=PROBLEMS)
 
@@ -82,10 +84,12 @@ def get_window(running: Running, asset: AssetName, window: WindowId) -> Response
 @router.get("/{window}/record", response_class=Response)
 async def get_record(running: Running, asset: AssetName, window: WindowId) -> Response:
     """The window as a record file (NPZ), its signals called as the diagnoser has them."""
-    size = (await run_in_threadpool(running.store.window, asset, window)).size_bytes
-    content = await running.sampling(size, _record_file, running, asset, window)
-    headers = {"Content-Disposition": f'attachment; filename="{asset}-{window}.npz"'}
-    return in_pieces(content, "application/zip", headers)
+    record = await run_in_threadpool(running.store.window_in_pieces, asset, window)
+
+    def write(path: Path) -> None:
+        write_npz_in_pieces(path, record, record.dtypes, record.pieces)
+
+    return await file_answer(running, f"{asset}-{window}.npz", write, "application/zip")
 
 
 @router.get("/{window}/signal", response_model=SignalAnswer)
@@ -103,9 +107,9 @@ async def get_signal(
     wanted = known_channels(channels, known.units)
 
     def view() -> Response:
-        return Json({"window": window, **signal_view(running.store.window_record(asset, window, wanted), points, begin, end)})
+        return Json({"window": window, **signal_view(running.store.window_in_pieces(asset, window, wanted), points, begin, end)})
 
-    return await running.sampling(_bytes(known, wanted), view)
+    return await running.listing(view)
 
 
 @router.get("/{window}/spectrum", response_model=SpectrumAnswer)
@@ -118,21 +122,19 @@ async def get_spectrum(
     highest: Annotated[float | None, Query(alias="to", description="Highest frequency to show [Hz].", gt=0)] = None,
 ) -> Response:
     """Amplitude spectrum of one channel (Hann window, mean removed), the largest of every interval kept."""
+    return await of_one_channel(
+        running, asset, window, channel, lambda known, name: _spectrum(running, known, name, points, highest)
+    )
+
+
+async def of_one_channel(
+    running: Services, asset: str, window: int, channel: str | None, make: Callable[[StoredWindow, str], Response]
+) -> Response:
+    """What `make(window, channel)` makes of a channel's samples (None: the first), when there is memory for it."""
     known = await run_in_threadpool(running.store.window, asset, window)
     name = channel if channel is not None else next(iter(known.units))
-    wanted = known_channels([name], known.units)
-    return await running.sampling(_bytes(known, wanted), lambda: _spectrum(running, known, name, points, highest))
-
-
-def _bytes(window: StoredWindow, channels: list[str] | None) -> int:
-    """Bytes that some channels of a window take in memory."""
-    return window.size_bytes if channels is None else window.size_bytes * len(channels) // max(1, len(window.units))
-
-
-def _record_file(running: Services, asset: str, window: int) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        write_record(running.store.window_record(asset, window), Path(folder) / "window.npz")
-        return (Path(folder) / "window.npz").read_bytes()
+    known_channels([name], known.units)
+    return await running.sampling(known.size_bytes // max(1, len(known.units)), make, known, name)
 
 
 def _spectrum(running: Services, window: StoredWindow, name: str, points: int, highest: float | None) -> Response:
@@ -151,17 +153,21 @@ def _spectrum(running: Services, window: StoredWindow, name: str, points: int, h
     return Json(answer)
 
 
-def signal_view(record: Record, points: int, begin: float, end: float | None) -> dict[str, Any]:
+def signal_view(record: ReadInPieces, points: int, begin: float, end: float | None) -> dict[str, Any]:
     """The `SignalAnswer` of a stretch of a record, without the window's number; BadInput when the stretch is empty."""
     first = min(int(begin / record.sample_time + _NEXT), record.n)
     last = record.n if end is None else min(record.n, int(end / record.sample_time + _NEXT) + 1)
     if last <= first:
-        raise BadInput(f"query, from and to: no sample in {begin} … {end} s; the window lasts {record.duration:.6g} s")
-    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.names)))
-    shown = {name: signal[first:last] for name, signal in record.channels.items()}
+        raise BadInput(
+            f"query, from and to: no sample in {begin} … {end} s; the window lasts {record.n * record.sample_time:.6g} s"
+        )
+    points = min(points, max(_FEWEST, _MOST_SHOWN // len(record.units)))
     samples = max(1, -(-(last - first) // points))
     reduced = samples > 2
-    channels = {name: {"unit": record.units[name], **_values(signal, points, reduced)} for name, signal in shown.items()}
+    channels = {
+        name: {"unit": unit, **_values(stretch(record.pieces(name), first, last), last - first, points, reduced)}
+        for name, unit in record.units.items()
+    }
     interval = record.sample_time * (samples if reduced else 1)
     return {
         "start": first * record.sample_time,
@@ -172,10 +178,10 @@ def signal_view(record: Record, points: int, begin: float, end: float | None) ->
     }
 
 
-def _values(signal: Any, points: int, reduced: bool) -> dict[str, Any]:
+def _values(pieces: Iterator[Any], n: int, points: int, reduced: bool) -> dict[str, Any]:
     if not reduced:
-        return {"values": signal}
-    kept = extremes(signal, points)
+        return {"values": np.concatenate(list(pieces))}
+    kept = extremes_of_pieces(pieces, n, points)
     return {"minimum": kept.minimum, "maximum": kept.maximum}
 
 

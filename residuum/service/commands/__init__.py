@@ -17,6 +17,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "restore": ("restore", "Bring a backup back into an empty data folder and database."),
     "gateway": ("gateway", "Read machines and send their windows over MQTT to the scorers."),
     "scorer": ("scorer", "Judge and store windows that gateways send over MQTT."),
+    "set-aside": ("set_aside", "List messages that scorers could not store, write one into a file, or send them again."),
     "machine": ("machine", "Run one simulated machine on a real bus."),
     "simulate": ("simulate", "Write a record of a simulated machine, with effects and faults."),
     "fault": ("fault", "Switch a fault of a machine in a running demo."),

@@ -18,7 +18,7 @@ from sqlalchemy import Connection, Row, insert, select, update
 
 from residuum.service.storage.rows import paging
 from residuum.service.storage.tables import audit, audit_head
-from residuum.service.store import AuditEntry, Page
+from residuum.service.store import AuditEntry, Page, StorageUnavailable
 
 _BEGIN = "0" * 64
 _AT_ONCE = 1000
@@ -84,7 +84,14 @@ def page(connection: Connection, cursor: str | None, limit: int) -> Page[AuditEn
     query = select(audit).order_by(audit.c.number.desc()).limit(limit + 1)
     if cursor:
         query = query.where(audit.c.number < paging.decode_number(cursor))
-    return paging.page(connection.execute(query).all(), limit, "number", _entry)
+    rows = connection.execute(query).all()
+    before = [each.digest for each in rows[1:]] + ([_BEGIN] if len(rows) <= limit else [])
+    for row, before_it in zip(rows, before, strict=False):
+        if _digest(before_it, row.number, row.at, row.by, row.action, row.subject, row.detail) != row.digest:
+            raise StorageUnavailable(
+                f"audit: entry {row.number} or the one before it was changed; `residuum doctor` names the first"
+            )
+    return paging.page(rows, limit, "number", _entry)
 
 
 def _digest(before: str, number: int, at: datetime, by: str | None, action: str, subject: str, detail: str) -> str:

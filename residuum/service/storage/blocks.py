@@ -9,8 +9,8 @@ import os
 import time
 import uuid
 import zlib
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import orjson
 
 from residuum.identification.record import Record
 from residuum.service.storage.durable_folder import make_folder, sync_folder
-from residuum.service.store import StorageUnavailable
+from residuum.service.store import ReadInPieces, StorageUnavailable
 
 MAGIC = b"RESIDUUM-BLOCK-2\n"
 _WITHOUT_CHECKSUM = b"RESIDUUM-BLOCK-1\n"
@@ -30,6 +30,8 @@ _CRC = 4
 _ALIGNMENT = 64
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PROBE = 64 * 1024
+_PIECE = 2**20
+"""Bytes of a long channel that are read at once."""
 
 
 class BrokenBlock(Exception):
@@ -80,27 +82,52 @@ class Blocks:
 
         `checksum` is that of the whole file, by which a block is verified whose header has none of its own.
         """
-        file = self.folder / path
-        try:
-            if checksum is not None and _begins_with(file, _WITHOUT_CHECKSUM):
-                self.verify(BlockReference(path, checksum, 0))
-            header, start = _header(file)
-            wanted = header["channels"] if channels is None else [_entry(header, name) for name in channels]
-            arrays = {entry["name"]: _array(file, entry, start, header["n"]) for entry in wanted}
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise BrokenBlock(f"signal block {path}: {error}") from error
-        units = {entry["name"]: entry["unit"] for entry in wanted}
+        with _broken(path):
+            header, start, wanted = self._described(path, channels, checksum)
+            arrays = {entry["name"]: _array(self.folder / path, entry, start, header["n"]) for entry in wanted}
+            units = {entry["name"]: entry["unit"] for entry in wanted}
         return Record(
             arrays, units, header["sample_time"], header["t0"], notes=tuple(header["notes"]), source=str(header["source"])
         )
 
+    def in_pieces(self, path: str, channels: Sequence[str] | None = None, checksum: str | None = None) -> ReadInPieces:
+        """As `read`, piece by piece: a channel is verified when its last piece was taken, and BrokenBlock comes then."""
+        with _broken(path):
+            header, start, wanted = self._described(path, channels, checksum)
+            known = {entry["name"]: entry for entry in wanted}
+
+        def pieces(name: str) -> Iterator[np.ndarray[Any, Any]]:
+            with _broken(path):
+                yield from _pieces(self.folder / path, known[name], start, header["n"])
+
+        return ReadInPieces(
+            header["sample_time"],
+            header["t0"],
+            header["n"],
+            {name: entry["unit"] for name, entry in known.items()},
+            header["notes"],
+            {name: entry["dtype"] for name, entry in known.items()},
+            pieces,
+        )
+
+    def _described(
+        self, path: str, channels: Sequence[str] | None, checksum: str | None
+    ) -> tuple[dict[str, Any], int, list[dict[str, Any]]]:
+        """(header, where the samples start, what the header says of the channels that are asked for)."""
+        file = self.folder / path
+        if checksum is not None and _begins_with(file, _WITHOUT_CHECKSUM):
+            self.verify(BlockReference(path, checksum, 0))
+        header, start = _header(file)
+        return header, start, header["channels"] if channels is None else [_entry(header, name) for name in channels]
+
     def verify(self, reference: BlockReference) -> None:
         """Raise BrokenBlock when the file differs from what was written."""
         try:
-            content = (self.folder / reference.path).read_bytes()
+            with open(self.folder / reference.path, "rb") as file:
+                found = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
             raise BrokenBlock(f"signal block {reference.path}: {error.strerror}") from error
-        if hashlib.sha256(content).hexdigest() != reference.checksum:
+        if found != reference.checksum:
             raise BrokenBlock(f"signal block {reference.path}: content differs from its checksum")
 
     def remove(self, path: str) -> None:
@@ -211,6 +238,31 @@ def _entry(header: dict[str, Any], name: str) -> dict[str, Any]:
             found: dict[str, Any] = entry
             return found
     raise KeyError(f"no channel {name!r}")
+
+
+@contextmanager
+def _broken(path: str) -> Iterator[None]:
+    """What cannot be read as the block it should be, as BrokenBlock."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BrokenBlock(f"signal block {path}: {error}") from error
+
+
+def _pieces(file: Path, entry: dict[str, Any], start: int, n: int) -> Iterator[np.ndarray[Any, Any]]:
+    dtype, crc, left = np.dtype(entry["dtype"]), 0, n
+    with open(file, "rb") as stream:
+        stream.seek(start + entry["offset"])
+        while left > 0:
+            content = stream.read(min(left, _PIECE // dtype.itemsize) * dtype.itemsize)
+            crc = zlib.crc32(content, crc)
+            piece = np.frombuffer(content[: len(content) // dtype.itemsize * dtype.itemsize], dtype)
+            if not len(piece):
+                break
+            left -= len(piece)
+            yield piece
+    if left or crc != entry["crc32"]:
+        raise ValueError(f"channel {entry['name']!r} differs from its checksum")
 
 
 def _array(file: Path, entry: dict[str, Any], start: int, n: int) -> np.ndarray[Any, Any]:

@@ -22,8 +22,11 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from residuum.identification.errors import BadInput
 from residuum.service.settings import BadSettings
 from residuum.service.storage.durable_folder import make_folder
+from residuum.service.storage.rows.row_checksums import seal_rows_of_old
 from residuum.service.store import StorageUnavailable
 
+_SEALED = "0010"
+"""The revision from which on each row has its checksum."""
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _PATIENCE = 10.0
 """How long a writer waits for another process's lock [s]."""
@@ -149,6 +152,8 @@ class Database:
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
             (command.downgrade if down else command.upgrade)(config, revision)
+            if revision == "head" and found is not None and found < _SEALED:
+                seal_rows_of_old(connection)
 
     def revision(self) -> str | None:
         """The schema's revision; None when there are no tables yet."""
@@ -160,7 +165,7 @@ class Database:
         if self.url.get_backend_name() != "sqlite":
             return None
         with self.read() as connection:
-            says = str(connection.exec_driver_sql("PRAGMA quick_check(1)").scalar())
+            says = str(connection.exec_driver_sql("PRAGMA integrity_check(1)").scalar())  # with indexes, unlike quick_check
         return None if says == "ok" else " ".join(says.split())
 
     def refuse_other_revision(self) -> None:

@@ -15,6 +15,7 @@ from sqlalchemy import Row
 from sqlalchemy.exc import IntegrityError
 
 from residuum.diagnosis.finding import Finding
+from residuum.identification.errors import in_one_line
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_rules import AlarmRule
 from residuum.service.alarms.alarm_states import AlarmEvent
@@ -34,6 +35,7 @@ from residuum.service.storage.rows import (
     records,
     windows,
 )
+from residuum.service.storage.rows.row_checks import check_rows
 from residuum.service.storage.same_place import SamePlace
 from residuum.service.store import (
     Alarm,
@@ -46,6 +48,7 @@ from residuum.service.store import (
     IndicatorHistory,
     ModelVersion,
     Page,
+    ReadInPieces,
     SignalLetGo,
     StorageUnavailable,
     StoredFinding,
@@ -60,6 +63,8 @@ _CHECK_WITHIN = 2.0
 """Seconds for which who asks meanwhile waits for what another look finds."""
 _CHECK_EVERY = 1.0
 """Seconds between looks at whether something can be stored: each writes to the disk, and anybody may ask for one."""
+_BETWEEN_ROWS = 0.1
+"""Pause [s] after every thousand rows that are looked at, in which requests are answered."""
 _FIRST_CLOCK, _LAST_CLOCK = 946_684_800.0, 253_402_300_000.0
 """[s] Of window times that are taken for a clock: from the year 2000 to 9999; others count from some start."""
 _AHEAD = timedelta(minutes=1)
@@ -309,11 +314,22 @@ class DiskStore:
 
     def window_record(self, asset: str, window: int, channels: Sequence[str] | None = None) -> Record:
         """The samples of a window (of some channels), verified; SignalLetGo when the retention rule has removed them."""
-        try:
-            row = self._held(asset, window)
+        with self._let_go_meanwhile(asset, window) as row:
             return self._blocks.read(row.block_path, channels, row.block_checksum)
+
+    def window_in_pieces(self, asset: str, window: int, channels: Sequence[str] | None = None) -> ReadInPieces:
+        """The same, to be read piece by piece."""
+        with self._let_go_meanwhile(asset, window) as row:
+            return self._blocks.in_pieces(row.block_path, channels, row.block_checksum)
+
+    @contextmanager
+    def _let_go_meanwhile(self, asset: str, window: int) -> Iterator[Row[Any]]:
+        """The row of a window whose signal is kept; SignalLetGo also where it goes while its block is read."""
+        row = self._held(asset, window)
+        try:
+            yield row
         except BrokenBlock:
-            self._held(asset, window)  # it may have been let go between the row and the block
+            self._held(asset, window)
             raise
 
     def _held(self, asset: str, window: int) -> Row[Any]:
@@ -409,6 +425,12 @@ class DiskStore:
             row = records.row_of(connection, record)
         return self._blocks.read(row.block_path, channels, row.block_checksum)
 
+    def record_in_pieces(self, record: int, channels: Sequence[str] | None = None) -> ReadInPieces:
+        """The same, to be read piece by piece."""
+        with self._database.read() as connection:
+            row = records.row_of(connection, record)
+        return self._blocks.in_pieces(row.block_path, channels, row.block_checksum)
+
     def audit_refusals(self, refusals: Sequence[tuple[Mapping[str, Any], int]]) -> None:
         """Note in the trail what was refused: address, name of the key, method, path and status of each, and how often."""
         now = _now()
@@ -484,9 +506,22 @@ class DiskStore:
         return {subject: says for subject, says in told.items() if says is not None}
 
     def look_for_damage(self) -> str | None:
-        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`."""
+        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
+
+        Its structure first, then each row: a value that flipped where rows are chosen by it may leave a row out of an answer.
+        """
         self.damage = self._database.damage()
+        if self.damage is None:
+            self.damage = self._damaged_rows()
         return self.damage
+
+    def _damaged_rows(self) -> str | None:
+        try:
+            with self._database.read() as connection:
+                wrong = check_rows(connection, pause=_BETWEEN_ROWS).wrong
+        except ValueError as error:
+            return f"a row cannot be read: {in_one_line(error)}"
+        return f"{wrong[0]} ({len(wrong)} in all; `residuum doctor` names them)" if wrong else None
 
     def orphans(self, settled: float = 0.0) -> set[str]:
         """Blocks that no row points to (left by a crash) and that are older than `settled` seconds.

@@ -65,6 +65,7 @@ assets = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("windows", BigInteger, nullable=False, default=0),
     Column("last_finding_id", BigInteger),
+    Column("checksum", String(8)),
 )
 
 windows = Table(
@@ -105,7 +106,7 @@ findings = Table(
     Column("units", Document, nullable=False),
     Column("evidence", Document, nullable=False),
     Column("reason", Text),
-    Column("checksum", String(16)),
+    Column("checksum", String(24)),
     Index(None, "asset_id", "id"),
 )
 
@@ -117,6 +118,7 @@ finding_hours = Table(
     Column("windows", BigInteger, nullable=False),
     Column("verdicts", Document, nullable=False),
     Column("indicators", Document, nullable=False),
+    Column("checksum", String(8)),
 )
 
 alarms = Table(
@@ -143,6 +145,7 @@ alarms = Table(
     Column("shelved_until", UtcDateTime),
     Column("comment", Text),
     Column("window_id", ForeignKey("windows.id")),
+    Column("checksum", String(8)),
     UniqueConstraint("asset_id", "kind"),
 )
 
@@ -156,6 +159,7 @@ alarm_journal = Table(
     Column("state", String(30), nullable=False),
     Column("by", String(64)),
     Column("comment", Text),
+    Column("checksum", String(8)),
     Index(None, "at"),
 )
 
@@ -225,6 +229,7 @@ records = Table(
     Column("block_path", String(200), nullable=False, unique=True),
     Column("block_checksum", String(64), nullable=False),
     Column("size_bytes", BigInteger, nullable=False),
+    Column("checksum", String(8)),
 )
 
 models = Table(
@@ -234,6 +239,7 @@ models = Table(
     Column("kind", String(20), nullable=False),
     Column("created_at", UtcDateTime, nullable=False),
     Column("last_number", Integer, nullable=False),
+    Column("checksum", String(8)),
 )
 
 model_versions = Table(
@@ -247,4 +253,5 @@ model_versions = Table(
     Column("content", LargeBinary, nullable=False),
     Column("size_bytes", BigInteger, nullable=False),
     Column("checksum", String(64), nullable=False),
+    Column("row_checksum", String(8)),
 )

@@ -6,6 +6,7 @@ Every `interval` keeps its extremes, so a peak of one sample survives any reduct
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,3 +42,30 @@ def extremes(signal: npt.NDArray[Any], most: int) -> Extremes:
         lowest = np.append(lowest, np.fmin.reduce(signal[-rest:]))
         highest = np.append(highest, np.fmax.reduce(signal[-rest:]))
     return Extremes(samples, lowest.astype(np.float64), highest.astype(np.float64))
+
+
+def extremes_of_pieces(pieces: Iterator[npt.NDArray[Any]], n: int, most: int) -> Extremes:
+    """`extremes` of a signal of n samples that comes piece by piece.
+
+    >>> extremes_of_pieces(iter([np.array([0.0, 5.0, -1.0]), np.array([2.0, np.nan])]), 5, 3).maximum.tolist()
+    [5.0, 2.0, nan]
+    """
+    samples = max(1, -(-n // most))
+    found, held = list[Extremes](), np.empty(0)
+    for piece in pieces:
+        held = np.concatenate([held, piece]) if len(held) else piece
+        if whole := len(held) // samples:
+            found.append(extremes(held[: whole * samples], whole))
+            held = held[whole * samples :]
+    if len(held):
+        found.append(extremes(held, 1))
+    return Extremes(samples, *(np.concatenate([getattr(each, end) for each in found]) for end in ("minimum", "maximum")))
+
+
+def stretch(pieces: Iterator[npt.NDArray[Any]], first: int, last: int) -> Iterator[npt.NDArray[Any]]:
+    """The samples first … last − 1 of a signal that comes piece by piece; it is taken to its end, where damage shows."""
+    begin = 0
+    for piece in pieces:
+        if len(here := piece[max(0, first - begin) : max(0, last - begin)]):
+            yield here
+        begin += len(piece)

@@ -114,7 +114,7 @@ class Scorer:
         except BadInput as error:
             refused = str(error)
             self.refused += 1
-            self._set_aside.put(key, gateway, message.payload, refused)
+            self._set_aside.put(key, gateway, message.payload, refused, message.topic)
             self._attempts.finish(key)
             log.error("window refused and set aside", gateway=gateway, reason=refused)
         except Exception:  # one window must not end the scorer; it is not acknowledged, so it comes again

@@ -14,6 +14,8 @@ from typing import Any
 
 import orjson
 
+from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
 from residuum.service.storage.durable_folder import make_folder
 
 FOLDER = "set-aside"
@@ -28,13 +30,18 @@ _LONGEST_REASON = 500
 
 @dataclass(frozen=True)
 class Poisoned:
-    """A message that was set aside: what it was sent under, from where, when, why, and how many bytes it has."""
+    """A message that was set aside: what it was sent under, from where, when, why, and how many bytes it has.
+
+    `name` is that of its files, `topic` where it came; empty for one that an older version set aside.
+    """
 
     key: str
     gateway: str
     at: str
     reason: str
     size_bytes: int
+    topic: str = ""
+    name: str = ""
 
 
 class SetAside:
@@ -57,20 +64,37 @@ class SetAside:
         except (OSError, ValueError):
             return 0
 
-    def put(self, key: str, gateway: str, payload: bytes, reason: str) -> None:
+    def put(self, key: str, gateway: str, payload: bytes, reason: str, topic: str = "") -> None:
         """Keep a message and say why; OSError where it cannot be written."""
         make_folder(self._folder)
         name = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}-{_SAFE.sub('_', key)[:64]}"
-        told = Poisoned(key[:200], gateway[:200], datetime.now(UTC).isoformat(), reason[:_LONGEST_REASON], len(payload))
+        now, why = datetime.now(UTC).isoformat(), reason[:_LONGEST_REASON]
+        told = Poisoned(key[:200], gateway[:200], now, why, len(payload), topic, name)
         (self._folder / f"{name}.message").write_bytes(payload)
         (self._folder / f"{name}.json").write_bytes(orjson.dumps(asdict(told)))
         (self._folder / "count").write_text(str(self.count + 1), encoding="ascii")
         self._let_the_oldest_go()
 
-    def newest(self, limit: int = 20) -> list[Poisoned]:
-        """The messages that were set aside last, the newest first."""
+    def newest(self, limit: int | None = 20) -> list[Poisoned]:
+        """The messages that were set aside last (None: all), the newest first."""
         told = sorted(self._folder.glob("*.json"), reverse=True)[:limit]
-        return [Poisoned(**orjson.loads(file.read_bytes())) for file in told if file.is_file()]
+        return [Poisoned(**{"name": file.stem, **orjson.loads(file.read_bytes())}) for file in told if file.is_file()]
+
+    def get(self, name: str) -> Poisoned:
+        """The message of a name; BadInput where none has it."""
+        kept = {each.name: each for each in self.newest(limit=None)}
+        if name not in kept:
+            raise BadInput(f"message {name[:80]!r}: none of this name is set aside; {known_names(name, kept, 'there are')}")
+        return kept[name]
+
+    def payload(self, name: str) -> bytes:
+        """A message as it came."""
+        return (self._folder / f"{self.get(name).name}.message").read_bytes()
+
+    def let_go(self, name: str) -> None:
+        """Keep a message no more."""
+        for ending in ("json", "message"):
+            (self._folder / f"{name}.{ending}").unlink(missing_ok=True)
 
     def to_json(self) -> dict[str, Any]:
         """How many there were, and the newest."""

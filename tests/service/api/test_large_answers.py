@@ -7,12 +7,15 @@ import asyncio
 import time
 
 import httpx
+import numpy as np
 import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
+from residuum.identification.record_formats import read_record
 from residuum.service.machines.adding.bus_description import bus_description
 from residuum.service.memory_budget import MemoryBudget, TooBusy
+from residuum.service.storage import DiskStore
 from residuum.service.storage.rows.paging import PAGE_BYTES
 
 MANY, LARGE = 12, 300_000
@@ -48,6 +51,31 @@ def test_a_row_that_is_larger_than_a_page_is_a_page(run_service):
         service.services.store.add_window("press", Record({"y": [0.0]}, {"y": "V"}, 1.0), finding)
     page = httpx.get(f"{service.url}/api/v1/assets/press/findings", timeout=60).json()
     assert len(page["items"]) == 1 and page["next_cursor"]
+
+
+def test_a_long_signal_is_read_in_pieces_and_what_takes_many_times_its_size_is_refused_with_the_way_on(
+    service, monkeypatch, tmp_path
+):
+    y = np.random.default_rng(0).normal(size=1_700_001).astype(np.float64)
+    y[5] = np.nan
+    window = service.services.store.add_window("long", Record({"y": y}, {"y": "V"}, 1e-4), Finding("bearing", "healthy"))
+    path = f"{service.url}/api/v1/assets/long/windows/{window}"
+    whole = DiskStore.window_record
+    monkeypatch.setattr(DiskStore, "window_record", None)  # nobody asks for the whole
+    seen = httpx.get(f"{path}/signal?points=1000&from=0.1&to=160", timeout=60).json()
+    shown = y[1000:1_600_001]
+    interval = round(seen["interval"] / 1e-4)
+    starts = np.arange(0, len(shown), interval)
+    for end, reduce in (("minimum", np.fmin), ("maximum", np.fmax)):
+        np.testing.assert_array_equal(seen["channels"]["y"][end], reduce.reduceat(shown, starts))
+    few = httpx.get(f"{path}/signal?from=0&to=0.0010", timeout=60).json()["channels"]["y"]["values"]
+    assert few == [None if np.isnan(v) else v for v in y[:11]]
+    (tmp_path / "record.npz").write_bytes(httpx.get(f"{path}/record", timeout=60).content)
+    np.testing.assert_array_equal(read_record(tmp_path / "record.npz")["y"], y)
+    monkeypatch.setattr(DiskStore, "window_record", whole)
+    for view in ("spectrum", "kurtogram", "envelope"):
+        answer = httpx.get(f"{path}/{view}", timeout=60)
+        assert answer.status_code == 422 and "GET …/record" in answer.json()["detail"]
 
 
 def test_who_finds_no_room_is_told_the_way_on(service, monkeypatch):

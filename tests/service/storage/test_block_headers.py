@@ -38,6 +38,9 @@ def test_every_changed_byte_is_told_or_harmless(tmp_path, flip):
             assert same(blocks.read(written.path), record), place
         except BrokenBlock:
             told += 1
+            with pytest.raises(BrokenBlock):
+                in_pieces = blocks.in_pieces(written.path)
+                [list(in_pieces.pieces(name)) for name in in_pieces.units]
     padding = 2 * (64 - 5 * 8)  # after either channel: nobody reads it
     assert told == len(whole) - padding
 

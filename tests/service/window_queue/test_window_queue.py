@@ -22,6 +22,7 @@ from residuum.service.machines.baselines.deciding_method import choose_method
 from residuum.service.machines.judging.scoring import PlainRecord
 from residuum.service.storage import DiskStore
 from residuum.service.window_queue.gateway import Gateway
+from residuum.service.window_queue.set_aside import SetAside
 from residuum.service.window_queue.spool import Spool
 from residuum.service.window_queue.topics import PARTITIONS, partition_of, receipt_topic, window_topic, windows_of_part
 from residuum.service.window_queue.window_message import WindowMessage
@@ -158,10 +159,18 @@ def test_a_scorer_that_comes_late_gets_the_windows_of_a_machine_in_their_order(s
     assert list(dict.fromkeys(came)) == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mosquitto, processes, free_port, tmp_path):
+def test_a_window_that_cannot_be_judged_is_set_aside_holds_up_nothing_and_can_be_sent_again(
+    start_mosquitto, processes, free_port, tmp_path, monkeypatch, capsys
+):
     port = free_port()
     start_mosquitto(port)
     mqtt = f"mqtt://127.0.0.1:{port}"
+    monkeypatch.setenv("RESIDUUM_MQTT", mqtt)
+
+    def command(*arguments):
+        run(["set-aside", "--data", str(tmp_path / "data"), *arguments])
+        return capsys.readouterr()
+
     gateway = Gateway("hall-1", Spool(tmp_path / "spool", 2**30), broker_address(mqtt))
     unknown = machine("press-1").model_copy(update={"diagnoser": "phlogiston"})
     gateway.handle(unknown, window(0), "", None)
@@ -171,8 +180,25 @@ def test_a_window_that_cannot_be_judged_is_refused_and_holds_up_nothing(start_mo
         processes.append(start_scorer("1/1", mqtt, tmp_path / "data"))
         wait_for(lambda: gateway.status()["waiting"] == 0, gateway.status)
         assert (gateway.status()["refused"], gateway.status()["stored"]) == (1, 1)
+        aside = SetAside(tmp_path / "data")
+        (refused,) = aside.newest()
+        aside.put("good", "hall-1", message_of(machine("press-1"), window(2)), "as if an update had mended it", refused.topic)
+        again = json.loads(command("--again", "--json").out.splitlines()[-1])  # the gateway logs there, too
+        assert again["stored"] == [each["name"] for each in again["messages"] if each["key"] == "good"]
+        (left,) = aside.newest()
+        assert left.key == refused.key and left.name != refused.name and "phlogiston" in left.reason, "set aside anew"
+        assert left.reason in command(left.name, "--to", str(tmp_path / "taken")).out
+        assert WindowMessage.unpack((tmp_path / "taken").read_bytes()).diagnoser == "phlogiston"
+        assert "none of this name is set aside" in command("other").err
+        store = DiskStore(tmp_path / "data", f"sqlite:///{tmp_path / 'data' / 'residuum.db'}")
+        assert [each.t0 for each in store.windows("press-1").items] == [2.0, 1.0]
+        store.close()
     finally:
         gateway.stop()
+
+
+def message_of(settings, record):
+    return WindowMessage(settings.asset, settings.diagnoser, settings.asset, PlainRecord.of(record), settings.method).pack()
 
 
 def test_the_method_that_was_chosen_decides_whatever_the_gateway_says(start_mosquitto, processes, free_port, tmp_path):

@@ -31,11 +31,22 @@ def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> Amplitud
     >>> float(amplitude_spectrum(3 * np.sin(2 * np.pi * 50 * t), 1e-3).amplitude.max().round(2))
     3.0
     """
-    x = np.asarray(signal, dtype=np.float64)
-    present = ~np.isnan(x)
-    x = np.where(present, x - (x[present].mean() if present.any() else 0.0), 0.0)
-    n = x.shape[0]
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n) if n > 2 else np.ones(n)
+    n = signal.shape[0]
     padded = fft.next_fast_len(n, real=True)
-    amplitude = 2 * np.abs(fft.rfft(x * window, padded)) / window.sum()
+    x = np.zeros(padded)  # all that is held of a long signal, beside its spectrum: the rest is done in place
+    x[:n] = signal
+    missing = np.isnan(x)
+    count = n - np.count_nonzero(missing)
+    x[missing] = 0.0
+    x[:n] -= x.sum() / max(1, count)
+    x[missing] = 0.0
+    if n > 2:
+        window = np.arange(n) * (2 * np.pi / n)
+        np.cos(window, out=window)
+        window *= -0.5
+        window += 0.5
+        x[:n] *= window
+        del window
+    amplitude = np.abs(fft.rfft(x, overwrite_x=True))
+    amplitude *= 2 / (n / 2 if n > 2 else n)  # over Σw, which is n/2 for a Hann window over whole periods
     return AmplitudeSpectrum(1 / (padded * sample_time), amplitude, 1.44 / (n * sample_time))

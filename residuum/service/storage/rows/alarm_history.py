@@ -10,9 +10,12 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select
 
 from residuum.service.alarms.alarm_states import AlarmEvent
-from residuum.service.storage.rows import paging
+from residuum.service.storage.rows import paging, row_checksums
 from residuum.service.storage.tables import alarm_journal, alarms, findings
 from residuum.service.store import AlarmOccurrence, Page
+
+_RAISED = (alarm_journal.c.event == AlarmEvent.RAISE.value) | alarm_journal.c.event.not_in([event.value for event in AlarmEvent])
+"""Entries of the journal that tell of an alarm, or may have done before they were damaged."""
 
 
 def page(
@@ -27,9 +30,9 @@ def page(
     """Alarms that were raised in [begin, end), None for an open end, the newest first."""
     begin, end = span
     query: Select[Any] = (
-        select(alarm_journal.c.id, alarm_journal.c.alarm_id, alarm_journal.c.at, alarms.c.asset_id, alarms.c.kind)
+        select(alarm_journal, alarms.c.asset_id, alarms.c.kind)
         .join_from(alarm_journal, alarms)
-        .where(alarm_journal.c.event == AlarmEvent.RAISE.value, paging.of_sites(alarms.c.asset_id, sites))
+        .where(_RAISED, paging.of_sites(alarms.c.asset_id, sites))
         .order_by(alarm_journal.c.id.desc())
         .limit(limit + 1)
     )
@@ -69,21 +72,12 @@ def _findings_that_raised(connection: Connection, raised: Sequence[Row[Any]]) ->
         return {}
     c = findings.c
     there = c.asset_id.in_({row.asset_id for row in raised}) & c.at.in_({row.at for row in raised})
-    told: tuple[Any, ...] = (
-        c.asset_id,
-        c.at,
-        c.window_id,
-        c.diagnoser,
-        c.verdict,
-        c.fault_class,
-        c.reason,
-        c.indicators,
-        c.thresholds,
-    )
+    told: tuple[Any, ...] = (*(c[name] for name in row_checksums.SHORT_OF_FINDING), c.reason, c.checksum)
     return {(row.asset_id, row.at): row for row in connection.execute(select(*told).where(there))}
 
 
 def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | None) -> AlarmOccurrence:
+    damaged = any(row_checksums.differs(alarm_journal, each._mapping) for each in (row, *entries))
     first = {event: next((each for each in entries if each.event == event.value), None) for event in AlarmEvent}
     cleared, acknowledged = first[AlarmEvent.CLEAR], first[AlarmEvent.ACKNOWLEDGE]
     return AlarmOccurrence(
@@ -96,10 +90,20 @@ def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | No
         acknowledged_at=None if acknowledged is None else acknowledged.at,
         acknowledged_by=None if acknowledged is None else acknowledged.by,
         comments=[entry.comment for entry in entries if entry.comment],
-        message=None if cause is None else cause.reason or f"{cause.diagnoser}: {cause.fault_class or cause.verdict}",
-        times_threshold=None if cause is None else _times_threshold(cause),
+        message=f"alarm {row.alarm_id}, its journal: {row_checksums.TELLS}"
+        if damaged
+        else None
+        if cause is None
+        else _says(cause),
+        times_threshold=None if cause is None or row_checksums.finding_differs(cause._mapping) else _times_threshold(cause),
         window=None if cause is None else cause.window_id,
     )
+
+
+def _says(cause: Row[Any]) -> str:
+    if row_checksums.finding_differs(cause._mapping):
+        return f"its finding: {row_checksums.TELLS}"
+    return str(cause.reason or f"{cause.diagnoser}: {cause.fault_class or cause.verdict}")
 
 
 def _times_threshold(cause: Row[Any]) -> float | None:

@@ -15,12 +15,13 @@ from residuum.service.alarms import alarm_states
 from residuum.service.alarms.alarm_rules import AlarmRule, beyond, in_deadband, severity
 from residuum.service.alarms.alarm_states import AlarmEvent, AlarmState, AlarmStatus
 from residuum.service.storage import audit, outbox
-from residuum.service.storage.rows import paging
+from residuum.service.storage.rows import paging, row_checksums
 from residuum.service.storage.tables import alarm_journal, alarms
 from residuum.service.store import Alarm, AlarmEntry, NotFound, Page
 
 MACHINE, SIGNAL = "machine", "signal"
 
+_NEVER_RAISED = {"state": AlarmState.NORMAL.value, "condition": False, "message": "", "occurrences": 0}
 _SHOWN: dict[Verdict, tuple[tuple[str, bool], ...]] = {
     Verdict.FAULTY: ((MACHINE, True), (SIGNAL, False)),
     Verdict.HEALTHY: ((MACHINE, False), (SIGNAL, False)),
@@ -44,7 +45,8 @@ def follow(
     """
     if finding.only_recorded:
         return []
-    rows = {row.kind: row for row in connection.execute(select(alarms).where(alarms.c.asset_id == asset))}
+    found = connection.execute(select(alarms).where(alarms.c.asset_id == asset)).all()
+    rows = {row.kind: _begun_anew(connection, row, now) if _differs(row) else row for row in found}
     changed = []
     # Without a baseline an absolute limit raised the alarm: where all of them hold again, nothing keeps it.
     for kind, faulty in _SHOWN[Verdict.HEALTHY if finding.within_absolute_limits else finding.verdict]:
@@ -60,8 +62,7 @@ def follow(
             changed.append(alarm)
     says_nothing = finding.verdict is Verdict.NOT_ASSESSABLE and not finding.within_absolute_limits
     if says_nothing and (row := rows.get(MACHINE)) is not None:
-        values = {"judged_at": alarm_states.unjudged(_status(row)).judged_at}
-        connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
+        _put(connection, row.id, {"judged_at": alarm_states.unjudged(_status(row)).judged_at})
     return changed
 
 
@@ -89,6 +90,8 @@ def operate(
 ) -> Alarm:
     """What an operator asks for; IllegalTransition when the state does not allow it."""
     row = _row(connection, alarm)
+    if _differs(row):
+        raise row_checksums.refuse(f"alarm {alarm}, which begins anew with its machine's next window")
     state = alarm_states.operate(_status(row), event).state
     changes: dict[str, Any] = {"state": state.value, "shelved_until": until if state is AlarmState.SHELVED else None}
     if comment is not None:
@@ -100,8 +103,8 @@ def operate(
 
 def unshelve_expired(connection: Connection, now: datetime) -> list[Alarm]:
     """Put alarms back whose shelving has run out."""
-    query = select(alarms.c.id).where(alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now)
-    expired = connection.execute(query).scalars().all()
+    query = select(alarms).where(alarms.c.state == AlarmState.SHELVED.value, alarms.c.shelved_until <= now)
+    expired = [row.id for row in connection.execute(query) if not _differs(row)]
     return [operate(connection, alarm, AlarmEvent.UNSHELVE, by=None, comment=None, until=None, now=now) for alarm in expired]
 
 
@@ -137,19 +140,34 @@ def journal(connection: Connection, alarm: int, limit: int) -> Sequence[AlarmEnt
     """What happened to an alarm, newest first."""
     _row(connection, alarm)
     query = select(alarm_journal).where(alarm_journal.c.alarm_id == alarm).order_by(alarm_journal.c.id.desc()).limit(limit)
-    return [AlarmEntry(row.at, row.event, AlarmState(row.state), row.by, row.comment) for row in connection.execute(query)]
+    return [_entry(row) for row in connection.execute(query)]
 
 
 def _new(connection: Connection, asset: str, kind: str) -> Row[Any]:
-    values = {
-        "asset_id": asset,
-        "kind": kind,
-        "state": AlarmState.NORMAL.value,
-        "condition": False,
-        "message": "",
-        "occurrences": 0,
-    }
-    return connection.execute(insert(alarms).values(values).returning(alarms)).one()
+    values = {"asset_id": asset, "kind": kind, **_NEVER_RAISED}
+    return connection.execute(insert(alarms).values(row_checksums.sealed(alarms, values)).returning(alarms)).one()
+
+
+def _differs(row: Row[Any]) -> bool:
+    return row_checksums.differs(alarms, row._mapping)
+
+
+def _put(connection: Connection, alarm: int, changes: dict[str, Any]) -> Row[Any]:
+    return row_checksums.change(connection, alarms, alarm, lambda _row: changes)
+
+
+def _begun_anew(connection: Connection, row: Row[Any], now: datetime) -> Row[Any]:
+    """An alarm whose row is damaged, as one that was never raised: what it stood for is raised by the next finding that shows it.
+
+    Nobody can tell any more whether it was acknowledged or shelved, and a window must not be lost for that.
+    """
+    kept = ("id", "asset_id", "kind", "checksum")
+    values = {column.name: None for column in alarms.c if column.name not in kept} | _NEVER_RAISED
+    values["checksum"] = row_checksums.of_row(alarms, {"asset_id": row.asset_id, "kind": row.kind, **values})
+    connection.execute(update(alarms).where(alarms.c.id == row.id).values(values))
+    comment = "its row differed from its checksum: it begins anew"
+    _change(connection, row.id, {}, AlarmEvent.RESET, by=None, comment=comment, now=now)
+    return _row(connection, row.id)
 
 
 def _follow_one(
@@ -180,7 +198,7 @@ def _follow_one(
         changes["cleared_at"] = now
     if event is not None:
         return Followed(_change(connection, row.id, changes, event, by=None, comment=None, now=now))
-    changed = connection.execute(update(alarms).where(alarms.c.id == row.id).values(changes).returning(alarms)).one()
+    changed = _put(connection, row.id, changes)
     return Followed(_alarm(changed), text_alone=True) if told and changed.message != row.message else None
 
 
@@ -200,9 +218,9 @@ def _change(
     comment: str | None,
     now: datetime,
 ) -> Alarm:
-    row = connection.execute(update(alarms).where(alarms.c.id == alarm).values(changes).returning(alarms)).one()
+    row = _put(connection, alarm, changes)
     entry = {"alarm_id": alarm, "at": now, "event": event.value, "state": row.state, "by": by, "comment": comment}
-    connection.execute(insert(alarm_journal).values(entry))
+    connection.execute(insert(alarm_journal).values(row_checksums.sealed(alarm_journal, entry)))
     told = {"asset": row.asset_id, "kind": row.kind, "state": row.state, "comment": comment}
     audit.append(connection, f"alarm {event.value}", f"alarm {alarm}", by=by, now=now, detail=told)
     changed = _alarm(row)
@@ -229,7 +247,15 @@ def _with_times(row: Row[Any]) -> str:
     return since if row.worst_at in (None, row.raised_at) else f"{since}, at its worst {row.worst_at:%Y-%m-%d %H:%M:%S} UTC"
 
 
+def _entry(row: Row[Any]) -> AlarmEntry:
+    if row_checksums.differs(alarm_journal, row._mapping):
+        return AlarmEntry(row.at, "damaged", AlarmState.UNACKNOWLEDGED, None, row_checksums.TELLS)
+    return AlarmEntry(row.at, row.event, AlarmState(row.state), row.by, row.comment)
+
+
 def _alarm(row: Row[Any]) -> Alarm:
+    if _differs(row):
+        return _damaged(row)
     return Alarm(
         row.id,
         row.asset_id,
@@ -246,4 +272,25 @@ def _alarm(row: Row[Any]) -> Alarm:
         row.shelved_until,
         row.comment,
         row.window_id,
+    )
+
+
+def _damaged(row: Row[Any]) -> Alarm:
+    """Shown as an alarm to look at: whatever it was, nobody has seen that it is damaged."""
+    return Alarm(
+        row.id,
+        row.asset_id,
+        row.kind,
+        AlarmState.UNACKNOWLEDGED,
+        condition=True,
+        message=f"alarm {row.id}: {row_checksums.TELLS}",
+        worst_at=None,
+        occurrences=0,
+        raised_at=None,
+        cleared_at=None,
+        acknowledged_at=None,
+        acknowledged_by=None,
+        shelved_until=None,
+        comment=None,
+        window=None,
     )

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, func, insert, select, update
+from sqlalchemy import Connection, Row, Select, func, insert, select
 
 from residuum.diagnosis.finding import RECORDED, Finding, Verdict
 from residuum.service.storage.rows import paging, row_checksums
@@ -24,11 +24,11 @@ def ensure(connection: Connection, asset: str, title: str | None, diagnoser: str
     known = connection.execute(select(assets.c.id).where(assets.c.id == asset)).first()
     if known is None:
         row = {"id": asset, "title": title or asset, "diagnoser": diagnoser, "created_at": now, "windows": 0}
-        connection.execute(insert(assets).values(row))
+        connection.execute(insert(assets).values(row_checksums.sealed(assets, row)))
         return
     changes = {name: value for name, value in (("title", title), ("diagnoser", diagnoser)) if value is not None}
     if changes:
-        connection.execute(update(assets).where(assets.c.id == asset).values(changes))
+        row_checksums.change(connection, assets, asset, lambda _row: changes)
 
 
 def add_finding(connection: Connection, asset: str, window: int, finding: Finding, now: datetime) -> int:
@@ -38,8 +38,7 @@ def add_finding(connection: Connection, asset: str, window: int, finding: Findin
     values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
     values["checksum"] = row_checksums.of_finding(values)
     number: int = connection.execute(insert(findings).values(values).returning(findings.c.id)).scalar_one()
-    changes = {"last_finding_id": number, "windows": assets.c.windows + 1}
-    connection.execute(update(assets).where(assets.c.id == asset).values(changes))
+    row_checksums.change(connection, assets, asset, lambda row: {"last_finding_id": number, "windows": row["windows"] + 1})
     return number
 
 
@@ -62,7 +61,7 @@ def page(connection: Connection, cursor: str | None, limit: int, sites: Collecti
     query = _with_finding().where(paging.of_sites(assets.c.id, sites)).order_by(assets.c.id)
     if cursor:
         query = query.where(assets.c.id > paging.decode(cursor))
-    return paging.page_by_bytes(connection, query, assets.c.id, DOCUMENTS, limit, "asset", _asset)
+    return paging.page_by_bytes(connection, query, assets.c.id, DOCUMENTS, limit, "assets_id", _asset)
 
 
 def findings_page(connection: Connection, asset: str, cursor: str | None, limit: int, verdict: str | None) -> Page[StoredFinding]:
@@ -71,8 +70,8 @@ def findings_page(connection: Connection, asset: str, cursor: str | None, limit:
     query = select(findings).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     if cursor:
         query = query.where(findings.c.id < paging.decode_number(cursor))
-    if verdict:
-        query = query.where(findings.c.verdict == verdict)
+    if verdict:  # one that is none was damaged, and is told of
+        query = query.where((findings.c.verdict == verdict) | findings.c.verdict.not_in([each.value for each in Verdict]))
     return paging.page_by_bytes(connection, query, findings.c.id, DOCUMENTS, limit, "id", stored_finding)
 
 
@@ -156,29 +155,29 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float | None]]:
 
 
 def _with_finding() -> Select[Any]:
-    return select(
-        assets.c.id.label("asset"),
-        assets.c.title,
-        assets.c.diagnoser.label("asset_diagnoser"),
-        assets.c.created_at,
-        assets.c.windows,
-        findings,
-    ).join_from(assets, findings, findings.c.id == assets.c.last_finding_id, isouter=True)
+    return select(*row_checksums.labelled(assets), findings).join_from(
+        assets, findings, findings.c.id == assets.c.last_finding_id, isouter=True
+    )
 
 
 def _asset(row: Row[Any]) -> Asset:
     last = stored_finding(row) if row.id is not None else None
-    return Asset(row.asset, row.title, row.asset_diagnoser, row.created_at, row.windows, last)
+    known = row_checksums.of_labelled(assets, row)
+    if not row_checksums.differs(assets, known):
+        return Asset(known["id"], known["title"], known["diagnoser"], known["created_at"], known["windows"], last)
+    damaged = _damaged(f"asset {known['id']}", str(known["diagnoser"]))
+    told = StoredFinding(known["last_finding_id"] or 0, known["id"], 0, known["created_at"], damaged)
+    return Asset(known["id"], known["id"], None, known["created_at"], known["windows"], told)
+
+
+def _damaged(what: str, diagnoser: str) -> Finding:
+    return Finding.not_assessable(diagnoser, f"{what}: {row_checksums.TELLS}")
 
 
 def stored_finding(row: Row[Any]) -> StoredFinding:
     """The finding in a row of its table; that it cannot be told, where the row differs from its checksum."""
     if row_checksums.finding_differs(row._mapping):
-        says = (
-            f"finding {row.id}: its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
-        )
-        damaged = Finding(str(row.diagnoser), Verdict.NOT_ASSESSABLE, reason=says)
-        return StoredFinding(row.id, row.asset_id, row.window_id, row.at, damaged)
+        return StoredFinding(row.id, row.asset_id, row.window_id, row.at, _damaged(f"finding {row.id}", str(row.diagnoser)))
     finding = Finding(
         row.diagnoser,
         Verdict(row.verdict),

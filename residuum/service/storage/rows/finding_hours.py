@@ -10,7 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
-from residuum.service.storage.rows import assets
+from residuum.diagnosis.finding import Verdict
+from residuum.service.storage.rows import assets, row_checksums
 from residuum.service.storage.tables import finding_hours
 from residuum.service.store import FindingHour
 
@@ -26,12 +27,18 @@ def add(connection: Connection, findings: Iterable[Row[Any]]) -> None:
         verdicts = dict(known.verdicts) if known else {}
         indicators = dict(known.indicators) if known else {}
         for row in rows:
-            verdicts[row.verdict] = verdicts.get(row.verdict, 0) + 1
-            for name, value in row.indicators.items():
+            damaged = row_checksums.finding_differs(row._mapping)
+            verdict = Verdict.NOT_ASSESSABLE.value if damaged else row.verdict
+            verdicts[verdict] = verdicts.get(verdict, 0) + 1
+            for name, value in () if damaged else row.indicators.items():
                 if value is not None and math.isfinite(value):
                     indicators[name] = _folded(indicators.get(name), value, row.units.get(name, ""), row.thresholds.get(name))
         count = (known.windows if known else 0) + len(rows)
         values = {"asset_id": asset, "hour": hour, "windows": count, "verdicts": verdicts, "indicators": indicators}
+        if known is None or not row_checksums.differs(finding_hours, known._mapping):
+            values = row_checksums.sealed(finding_hours, values)
+        else:  # it goes on to differ
+            values["checksum"] = known.checksum
         connection.execute(delete(finding_hours).where(here))
         connection.execute(insert(finding_hours).values(values))
 
@@ -40,7 +47,13 @@ def newest(connection: Connection, asset: str, limit: int) -> list[FindingHour]:
     """The newest hours of an asset, oldest first."""
     assets.require(connection, asset)
     query = select(finding_hours).where(finding_hours.c.asset_id == asset).order_by(finding_hours.c.hour.desc()).limit(limit)
-    return [FindingHour(row.hour, row.windows, row.verdicts, row.indicators) for row in connection.execute(query)][::-1]
+    return [_hour(row) for row in connection.execute(query)][::-1]
+
+
+def _hour(row: Row[Any]) -> FindingHour:
+    if row_checksums.differs(finding_hours, row._mapping):
+        raise row_checksums.refuse(f"hour {row.hour:%Y-%m-%d %H} of {row.asset_id!r}")
+    return FindingHour(row.hour, row.windows, row.verdicts, row.indicators)
 
 
 def _folded(known: Mapping[str, Any] | None, value: float, unit: str, threshold: float | None) -> dict[str, Any]:

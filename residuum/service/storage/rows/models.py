@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select, update
+from sqlalchemy import Connection, Row, insert, select
 
-from residuum.service.storage.rows import paging
+from residuum.service.storage.rows import paging, row_checksums
 from residuum.service.storage.tables import model_versions, models
-from residuum.service.store import Conflict, ModelVersion, NotFound, Page
+from residuum.service.store import Conflict, ModelVersion, NotFound, Page, StorageUnavailable
 
 MACHINE = "machine"
 """Kind of the documents that hold a machine's settings; they are no models, and listed only when asked for."""
 
-_DESCRIPTION = [column for column in model_versions.c if column.name != "content"]
+_DESCRIPTION = [*row_checksums.labelled(models), *(column for column in model_versions.c if column.name != "content")]
 
 
 def add_version(
@@ -25,11 +25,12 @@ def add_version(
     """Insert the next version; the first makes the model. Conflict when the model is of another kind."""
     known = connection.execute(select(models).where(models.c.id == model)).first()
     if known is None:
-        connection.execute(insert(models).values(id=model, kind=kind, created_at=now, last_number=0))
+        new = {"id": model, "kind": kind, "created_at": now, "last_number": 0}
+        connection.execute(insert(models).values(row_checksums.sealed(models, new)))
     elif known.kind != kind:
         raise Conflict(f"model {model!r}: is a {known.kind} model; a {kind} one needs another name")
     number = (known.last_number if known else 0) + 1
-    connection.execute(update(models).where(models.c.id == model).values(last_number=number))
+    row_checksums.change(connection, models, model, lambda _row: {"last_number": number})
     row = {
         "model_id": model,
         "number": number,
@@ -40,14 +41,14 @@ def add_version(
         "size_bytes": len(content),
         "checksum": hashlib.sha256(content).hexdigest(),
     }
-    connection.execute(insert(model_versions).values(row))
+    connection.execute(insert(model_versions).values(row_checksums.sealed(model_versions, row)))
     return ModelVersion(model, kind, number, now, by, note, len(content), str(row["checksum"]))
 
 
 def page(connection: Connection, kind: str | None, cursor: str | None, limit: int) -> Page[ModelVersion]:
     """The newest version of every model, by name."""
     newest = (model_versions.c.model_id == models.c.id) & (model_versions.c.number == models.c.last_number)
-    query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
+    query = select(*_DESCRIPTION).join_from(models, model_versions, newest).order_by(models.c.id).limit(limit + 1)
     query = query.where(models.c.kind == kind if kind is not None else models.c.kind != MACHINE)
     if cursor:
         query = query.where(models.c.id > paging.decode(cursor))
@@ -56,7 +57,7 @@ def page(connection: Connection, kind: str | None, cursor: str | None, limit: in
 
 def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
     """All versions of a model, newest first."""
-    query = select(models.c.kind, *_DESCRIPTION).join_from(models, model_versions).where(models.c.id == model)
+    query = select(*_DESCRIPTION).join_from(models, model_versions).where(models.c.id == model)
     rows = connection.execute(query.order_by(model_versions.c.number.desc())).all()
     if not rows:
         raise NotFound(f"model {model!r}: there is none of this name; GET /models lists them")
@@ -65,7 +66,9 @@ def versions(connection: Connection, model: str) -> Sequence[ModelVersion]:
 
 def content(connection: Connection, model: str, number: int | None) -> bytes:
     """The content of one version (default: the newest)."""
-    query = select(model_versions.c.content).where(model_versions.c.model_id == model)
+    query = select(model_versions.c.content, model_versions.c.number, model_versions.c.checksum).where(
+        model_versions.c.model_id == model
+    )
     if number is not None:
         query = query.where(model_versions.c.number == number)
     row = connection.execute(query.order_by(model_versions.c.number.desc()).limit(1)).first()
@@ -74,10 +77,18 @@ def content(connection: Connection, model: str, number: int | None) -> bytes:
             f"model {model!r}: "
             + ("there is none of this name; GET /models lists them" if number is None else f"has no version {number}")
         )
+    if hashlib.sha256(row.content).hexdigest() != row.checksum:
+        raise StorageUnavailable(
+            f"model {model!r}, version {row.number}: its content differs from its checksum; restore a backup"
+        )
     return bytes(row.content)
 
 
 def _version(row: Row[Any]) -> ModelVersion:
+    if row_checksums.differs(model_versions, row._mapping):
+        raise row_checksums.refuse(f"model {row.model_id!r}, version {row.number}")
+    if row_checksums.differs(models, row_checksums.of_labelled(models, row)):
+        raise row_checksums.refuse(f"model {row.model_id!r}")
     return ModelVersion(
-        row.model_id, row.kind, row.number, row.created_at, row.created_by, row.note, row.size_bytes, row.checksum
+        row.model_id, row.models_kind, row.number, row.created_at, row.created_by, row.note, row.size_bytes, row.checksum
     )

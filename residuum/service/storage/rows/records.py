@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, delete, insert, select
 
 from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
-from residuum.service.storage.rows import paging
+from residuum.service.storage.rows import paging, row_checksums
 from residuum.service.storage.tables import records
 from residuum.service.store import NotFound, Page, StoredRecord
 
@@ -28,7 +28,8 @@ def add(connection: Connection, name: str, record: Record, block: BlockReference
         "block_checksum": block.checksum,
         "size_bytes": block.size_bytes,
     }
-    number: int = connection.execute(insert(records).values(row).returning(records.c.id)).scalar_one()
+    sealed = row_checksums.sealed(records, row)
+    number: int = connection.execute(insert(records).values(sealed).returning(records.c.id)).scalar_one()
     return number
 
 
@@ -37,6 +38,12 @@ def row_of(connection: Connection, record: int) -> Row[Any]:
     row = connection.execute(select(records).where(records.c.id == record)).first()
     if row is None:
         raise NotFound(f"record {record}: there is none of this number")
+    return _whole(row)
+
+
+def _whole(row: Row[Any]) -> Row[Any]:
+    if row_checksums.differs(records, row._mapping):
+        raise row_checksums.refuse(f"record {row.id}")
     return row
 
 
@@ -61,4 +68,5 @@ def page(connection: Connection, cursor: str | None, limit: int) -> Page[StoredR
 
 
 def _record(row: Row[Any]) -> StoredRecord:
+    row = _whole(row)
     return StoredRecord(row.id, row.name, row.created_at, row.t0, row.sample_time, row.n, row.units, row.notes, row.size_bytes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +13,18 @@ from sqlalchemy import Connection, func, select
 
 from residuum.diagnosis.finding import Verdict
 from residuum.service.alarms.alarm_states import AlarmState
-from residuum.service.storage.rows.row_checksums import finding_differs, window_differs
-from residuum.service.storage.tables import alarm_journal, alarms, assets, findings, model_versions, models, windows
+from residuum.service.storage.rows.row_checksums import differs, finding_differs, window_differs
+from residuum.service.storage.tables import (
+    alarm_journal,
+    alarms,
+    assets,
+    finding_hours,
+    findings,
+    model_versions,
+    models,
+    records,
+    windows,
+)
 
 _AT_ONCE = 1000
 _DOCUMENTS = ("indicators", "thresholds", "units", "evidence")
@@ -27,8 +38,8 @@ class RowCheck:
     wrong: list[str]
 
 
-def check_rows(connection: Connection) -> RowCheck:
-    """Look at every window, finding, alarm and model; nothing is changed.
+def check_rows(connection: Connection, pause: float = 0.0) -> RowCheck:
+    """Look at every window, finding, alarm, record and model; nothing is changed. `pause` [s] after every thousand of them.
 
     Only what holds for all of them at any moment is asked: each window has its finding and plausible numbers, each finding can be
     read and is of its window's asset, each asset points to its newest finding, each alarm's state is that of its newest entry in
@@ -36,9 +47,11 @@ def check_rows(connection: Connection) -> RowCheck:
     """
     wrong: list[str] = []
     rows = 0
-    for look in (_windows, _findings, _assets, _alarms, _models):
+    for look in (_windows, _findings, _assets, _alarms, _models, _sealed):
         for seen, says in look(connection):
             rows += seen
+            if seen and rows % _AT_ONCE == 0:
+                time.sleep(pause)
             if says is not None:
                 wrong.append(says)
     return RowCheck(rows, wrong)
@@ -85,6 +98,8 @@ def _assets(connection: Connection) -> Seen:
             yield 0, f"asset {row.id!r}: its latest finding is said to be {row.last_finding_id} and is {row.newest}"
         if row.windows < row.held:
             yield 0, f"asset {row.id!r}: counts {row.windows} windows and has {row.held}"
+        if differs(assets, row._mapping):
+            yield 0, f"asset {row.id!r}: its row differs from its checksum"
 
 
 def _alarms(connection: Connection) -> Seen:
@@ -99,10 +114,14 @@ def _alarms(connection: Connection) -> Seen:
             yield 0, f"alarm {row.id} of {row.asset_id!r}: its state is {row.state!r}"
         elif row.written is not None and row.written != row.state:
             yield 0, f"alarm {row.id} of {row.asset_id!r}: is {row.state}, and its journal ends with {row.written}"
+        if differs(alarms, row._mapping):
+            yield 0, f"alarm {row.id} of {row.asset_id!r}: its row differs from its checksum"
 
 
 def _models(connection: Connection) -> Seen:
     for model in connection.execute(select(models)).all():
+        if differs(models, model._mapping):
+            yield 0, f"model {model.id!r}: its row differs from its checksum"
         numbers = []
         query = select(model_versions).where(model_versions.c.model_id == model.id).order_by(model_versions.c.number)
         for row in connection.execute(query.execution_options(yield_per=1)):
@@ -110,8 +129,23 @@ def _models(connection: Connection) -> Seen:
             numbers.append(row.number)
             if len(row.content) != row.size_bytes or hashlib.sha256(row.content).hexdigest() != row.checksum:
                 yield 0, f"model {model.id!r}, version {row.number}: its content differs from its checksum"
+            if differs(model_versions, row._mapping):
+                yield 0, f"model {model.id!r}, version {row.number}: its row differs from its checksum"
         if numbers != list(range(1, model.last_number + 1)):
             yield 0, f"model {model.id!r}: has {len(numbers)} versions and counts {model.last_number}"
+
+
+def _sealed(connection: Connection) -> Seen:
+    for what, table in (
+        ("entry {} of alarms' journal", alarm_journal),
+        ("record {}", records),
+        ("hour {1} of {0!r}", finding_hours),
+    ):
+        for row in _all(connection, select(table)):
+            says = (
+                f"{what.format(*(row._mapping[column.name] for column in table.primary_key))}: its row differs from its checksum"
+            )
+            yield 1, says if differs(table, row._mapping) else None
 
 
 def _all(connection: Connection, query: Any) -> Iterator[Any]:

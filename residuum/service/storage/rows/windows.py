@@ -11,7 +11,7 @@ from residuum.identification.record import Record
 from residuum.service.storage.blocks import BlockReference
 from residuum.service.storage.rows import assets, paging, row_checksums
 from residuum.service.storage.tables import windows
-from residuum.service.store import Conflict, NotFound, Page, StorageUnavailable, StoredWindow
+from residuum.service.store import Conflict, NotFound, Page, StoredWindow
 
 
 def add(
@@ -46,9 +46,7 @@ def add(
 
 def _refuse_broken(row: Row[Any]) -> None:
     if row_checksums.window_differs(row._mapping):
-        raise StorageUnavailable(
-            f"database: the row of window {row.id} differs from its checksum, so its file is damaged; ask `residuum doctor`"
-        )
+        raise row_checksums.refuse(f"window {row.id}")
 
 
 def with_key(connection: Connection, asset: str, idempotency_key: str, digest: str | None) -> int | None:
