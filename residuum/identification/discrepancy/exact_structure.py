@@ -82,6 +82,11 @@ def is_structured(found: Search, records: Sequence[Record], mapping: Mapping[str
     return not (found.accepted or found.drifting) and compare(found.best.model, records, mapping).present
 
 
+def names_nothing(exact: Exact) -> bool:
+    """Whether neither an effect was found nor a fixed value that is doubted."""
+    return not (exact.found.accepted or exact.doubted)
+
+
 def leaves_more_than_noise(exact: Exact) -> bool:
     """Whether a search for an exact structure ended without one: what is left stands above the noise of its own fast part, or far
     above that of the sensors.

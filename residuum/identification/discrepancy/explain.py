@@ -12,6 +12,7 @@ from residuum.identification.discrepancy.exact_structure import (
     is_far_from_noise,
     is_structured,
     leaves_more_than_noise,
+    names_nothing,
     nothing_found,
 )
 from residuum.identification.discrepancy.explanation import Explanation
@@ -117,7 +118,7 @@ def explained(
         if found is None or not is_inexact(found):
             exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
             structured = exact is not None and is_structured(exact.found, records, mapping)
-            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and not exact.found.accepted)
+            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and names_nothing(exact))
             if inexact and not far:
                 found = search_on_blocks(model, records, mapping, wanted, left(), late)
         if found is not None and inexact and (far or exact is None or does_better(found, exact.found.best.model)):
