@@ -111,18 +111,12 @@ def explained(
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
-        first = experiments_and_base(model, records, mapping)
-        far = is_far_from_noise(first, records)
-        found = search_on_blocks(model, records, mapping, wanted, left(), early) if far else None
-        exact, structured, inexact = None, False, True
-        if found is None or not is_inexact(found):
-            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
-            structured = exact is not None and is_structured(exact.found, records, mapping)
-            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and names_nothing(exact))
-            if inexact and not far:
-                found = search_on_blocks(model, records, mapping, wanted, left(), late)
-        if found is not None and inexact and (far or exact is None or does_better(found, exact.found.best.model)):
+        found = search_on_blocks(model, records, mapping, wanted, left(), part_of(tell, 0.0, 0.9))
+        if found is not None:
             return answer_on_blocks(found, wanted, records, mapping, began)
+        first = experiments_and_base(model, records, mapping)
+        exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late)
+        structured = exact is not None and is_structured(exact.found, records, mapping)
         tell(0.9, "drawing what no effect explains")
         known = exact or nothing_found(model, records, mapping, wanted.effects)
         return answer_of(known, model, searched=exact is not None, structured=structured, began=began)
