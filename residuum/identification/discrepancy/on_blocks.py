@@ -1,4 +1,4 @@
-"""The answer where no structure of the catalogue is exact: what takes away most on blocks that no fit has seen."""
+"""The answer: what takes away most on blocks that no fit has seen."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
@@ -19,15 +18,19 @@ from residuum.identification.unseen_blocks.advice import next_experiments, undet
 from residuum.identification.unseen_blocks.at_its_timing import searched
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
-from residuum.identification.unseen_blocks.comparing import is_nothing
+from residuum.identification.unseen_blocks.coarser import coarser
+from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT, MOST_LEFT, TIE, UNKNOWN_LEADS, WORTH
+from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.structure import Structure, at_start
+from residuum.identification.unseen_blocks.search import begun
+from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out
+from residuum.identification.work import begun as work_so_far
 
 
 def search_on_blocks(
@@ -37,38 +40,22 @@ def search_on_blocks(
     wanted: Wanted,
     seconds: float | None,
     tell: Tell,
-) -> Search | None:
-    """The search; None where the records are too short for blocks, the model diverges on them, or the work is over before
-    anything is known.
+) -> Search:
+    """The search; the model as it is alone where the work is over before anything else is known.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model, records too short for blocks.
+    NotIdentifiable
+        The model diverges on a record.
     """
-    tell(0.0, "what takes away most on blocks kept aside")
     try:
         with at_most(MOST_EFFORT, seconds):
             return searched(model, records, mapping, wanted, tell)
-    except (BadRecord, NotIdentifiable):
-        return None
     except OutOfWork:
-        left_out("what takes away most on blocks kept aside")
-        return None
-
-
-def does_better(found: Search, model: PhysicalModel) -> bool:
-    """Whether something was found that leaves really less on unseen blocks than another model does."""
-    if not found.best.keys:
-        return False
-    other, scale = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5), found.court.scale
-    return other is None or other.cost - found.best.cost > (TIE if scale.nats else WORTH * (other.cost - scale.floor))
-
-
-def is_inexact(found: Search) -> bool:
-    """Whether what was found takes away most of the first error, and leaves neither noise nor next to nothing beside it, nor what
-    follows time best: no structure of the catalogue is exact then, also beside a load that drifts.
-    """
-    best, base, scale = found.best, found.base, found.court.scale
-    if not best.keys or scale.nats or is_nothing(best, base, scale) or best.cost > MOST_LEFT * base.cost:
-        return False
-    rest = free_terms(best, found.court)
-    return not (rest and rest[0].axis == "time")
+        left_out("everything beside the model as it is")
+        return begun(climb(coarser(matched(model, records, mapping))))
 
 
 def answer_on_blocks(
@@ -97,9 +84,9 @@ def answer_on_blocks(
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),
         blocks=_block_errors(found, verdict.candidates),
-        work=begun(),
+        work=work_so_far(),
         seconds=time.perf_counter() - began,
-        on_blocks=found,
+        found=found,
     )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -10,17 +12,24 @@ from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.unseen_blocks.coarser import coarser, turned
-from residuum.identification.unseen_blocks.data import matched
+from residuum.identification.unseen_blocks.data import Data, matched
 from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.structure import fitted
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.work import OutOfWork, Tell, left_out, untold
 
 
+class Seek(Protocol):
+    """A search on data, at their likelier input timing or, where it may not be `turned`, at the one that they have."""
+
+    def __call__(self, data: Data, *, turn: bool = True) -> Search:
+        """What it found; NotIdentifiable where the model diverges."""
+
+
 def searched(
     model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted, tell: Tell = untold
 ) -> Search:
-    """The search, at the input timing that suits what it found.
+    """The search for what records show that a model lacks, `at_suitable_timing`.
 
     Raises
     ------
@@ -29,21 +38,32 @@ def searched(
     NotIdentifiable
         The model diverges on a record.
     """
-    found = search(coarser(matched(model, records, mapping)), wanted, tell)
+    return at_suitable_timing(matched(model, records, mapping), partial(search, wanted=wanted, tell=tell))
+
+
+def at_suitable_timing(data: Data, seek: Seek) -> Search:
+    """The search on the data at a lower rate that loses nothing, and at the input timing that suits what it found.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    found = seek(coarser(data))
     if found.court.scale.nats and (finer := found.court.data.finer) is not None:  # in noise every sample counts
         try:
-            found = search(finer, wanted, tell)
+            found = seek(finer)
         except OutOfWork:
             left_out("the samples between those of a lower rate")
             return found
     try:
-        return _at_its_timing(found, wanted, tell)
+        return _at_its_timing(found, seek)
     except OutOfWork:
         left_out("the other input timing")
         return found
 
 
-def _at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
+def _at_its_timing(found: Search, seek: Seek) -> Search:
     """The search at the other input timing, where what was found fits better there: the timing was chosen without it."""
     court, best = found.court, found.best
     if not best.keys:
@@ -55,4 +75,4 @@ def _at_its_timing(found: Search, wanted: Wanted, tell: Tell) -> Search:
     here = innovations_of(np.split(best.errors, court.last.starts[1:-1]))
     if there is None or innovations_of(there.residuals) >= here:
         return found
-    return search(other, wanted, tell, turn=False)
+    return seek(other, turn=False)

@@ -53,7 +53,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
-                beam, depth = _settled(found, ranked), depth + 1
+                beam, depth = settled(found, ranked), depth + 1
                 if len(found.best.keys) >= EXCHANGED:
                     beam = _exchanged(found, beam, wanted, kept)
             elif found.best.keys and (longer := _lengthened(found)):
@@ -77,8 +77,8 @@ def begun(climbed: Climbed) -> Search:
     first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
     court = Court(data, last, climbed.middle, scale)
     found = Search(court, first, first, None, {(): first})
-    if (settled := settle(first, court)) is not None:
-        court, first = settled
+    if (turned := settle(first, court)) is not None:
+        court, first = turned
         found = Search(court, first, first, None, {(): first})
     return found
 
@@ -200,7 +200,7 @@ def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
     return True
 
 
-def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
+def settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     """The beam for the next level; where the unit of the error turned, its structures judged anew."""
     turned = None if found.court.scale.nats else settle(found.best, found.court)
     if turned is None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.improving.ends_kept_aside import steps_that_hold
+from residuum.identification.discrepancy.ends_kept_aside import steps_that_hold
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched

@@ -11,7 +11,7 @@ from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
 
 ROOM = Path(discrepancy.__file__).parent
 ON_BLOCKS = Path(unseen_blocks.__file__).parent
-POLICY = [*sorted(Path(policy.__file__).parent.glob("*.py")), ON_BLOCKS / "policy.py"]
+POLICY = [Path(policy.__file__), ON_BLOCKS / "policy.py"]
 SEARCH = [file for file in [*sorted(ROOM.rglob("*.py")), *sorted(ON_BLOCKS.rglob("*.py"))] if file not in POLICY]
 MOST_LINES = 300
 

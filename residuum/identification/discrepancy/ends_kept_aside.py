@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.improving.held_out import Split, rmse_aside, split
-from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
+from residuum.identification.discrepancy.kept_aside import Split, rmse_aside, split
+from residuum.identification.discrepancy.policy import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
