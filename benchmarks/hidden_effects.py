@@ -195,8 +195,9 @@ def _explained(case: Case) -> dict[str, Any]:
 
 
 def chi_square(case: Case, explanation: Explanation) -> float | None:
-    """Twice the log-likelihood that the hidden effect gains on unseen blocks over the refitted base: how much of it the record can
-    show. None where what is left is not its own noise.
+    """Twice the log-likelihood that the hidden effect gains on unseen blocks: how much of it the record can show.
+
+    None where what is left is not its own noise.
     """
     found, id = explanation.found, case.hidden[0][0]
     if not found.court.scale.nats:

@@ -95,7 +95,7 @@ def _in_order(found: Search, keys: Sequence[Key]) -> list[tuple[Key, Judged, Jud
 def _before(found: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
     """The model with values held that the base has free, judged like that, and the base once a value."""
     names = [name for name, p in was.parameters.items() if p.fixed and not found.base.model.parameters[name].fixed]
-    held = found.base.model.parameters | {name: was.parameters[name] for name in names}
+    held = {**found.base.model.parameters, **{name: was.parameters[name] for name in names}}
     base = found.base.structure
     before = found.court.judge(
         Structure((), replace(base.model, parameters=held), base.states, base.steps), steps=15, tolerance=1e-5
