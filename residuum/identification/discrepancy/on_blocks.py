@@ -80,6 +80,7 @@ def answer_on_blocks(
     adequate = not compare(best.model, records, mapping).present
     verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
+    named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}
     return Explanation(
         verdict=verdict.verdict,
         candidates=verdict.candidates,
@@ -87,7 +88,7 @@ def answer_on_blocks(
         probability_unknown=verdict.unknown,
         unexplained_share=_unexplained(found, rest),
         free=next(iter(rest), None),
-        undetectable=undetectable(found, wanted, found.along),
+        undetectable=undetectable(found, wanted, found.along, named),
         next_experiment=next_experiments(found, verdict.candidates),
         accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
         timing=tuple(s.key for s in steps if is_timing(s.key, found)),
