@@ -84,6 +84,10 @@ KNOTS_BY_AXIS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9
 
 UNKNOWN_LEADS = 0.5
 """Probability of something without a name from which on the verdict is that."""
+PLAINLY_A_PART = 0.7
+"""[of what stood above the noise] Below which what effects take away is a part, where something structured is left. Chosen."""
+DOUBTED = 0.3
+"""Probability of something without a name beside effects that took a part, or act when nobody recorded. Chosen."""
 MOST_RIVALS, LISTED = 40, 6
 """Structures, the best ones, among which a draw is decided, and candidates of a step that are told. Chosen."""
 DRAWS = 400
