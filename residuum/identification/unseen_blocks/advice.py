@@ -41,7 +41,8 @@ def noise_of(one: Judged, found: Search) -> Scale:
 def undetectable(found: Search, wanted: Wanted, along: Track | None, named: Collection[Key]) -> tuple[Undetectable, ...]:
     """For every effect with a size that is not `named`: the size s whose ½·I·s² nats would be enough.
 
-    `named` are those that joined and what does the same in their place. I is the information on the size beside the free parameters, in the noise that the best structure leaves.
+    `named` are those that joined and what does the same in their place. I is the information on the size beside the free
+    parameters, in the noise that the best structure leaves.
     """
     if along is None:
         return ()
@@ -71,8 +72,8 @@ def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -
 
 
 def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -> float:
-    """On one parameter, the free ones of the best structure projected out; none where they do all that it does, or its slopes grow
-    without bounds.
+    """On one parameter, the free ones of the best structure projected out; none where they do all that it does, or its slopes
+    grow without bounds.
     """
     last, simulator = found.court.last, Simulator(model)
     states = found.best.structure.states[last.windows]

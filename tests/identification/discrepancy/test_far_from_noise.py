@@ -33,7 +33,7 @@ def let_go(noise, samples=600, h=0.005):
     return Record({"position": seen}, {"position": "m"}, h)
 
 
-@pytest.mark.parametrize(("noise", "samples", "far"), [(0.03, 600, False), (1e-7, 600, True), (1e-7, 90, False)])
+@pytest.mark.parametrize(("noise", "samples", "far"), [(0.03, 600, False), (1e-7, 600, True), (1e-7, 39, False)])
 def test_not_near_noise_nor_where_blocks_cannot_judge(noise, samples, far):
     records = [let_go(noise, samples)]
     first = experiments_and_base(read_model(CART), records, None)

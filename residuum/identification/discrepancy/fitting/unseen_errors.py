@@ -20,9 +20,9 @@ from residuum.identification.discrepancy.fitting.structures import Structure, in
 from residuum.identification.physics import Experiment
 from residuum.identification.physics.estimation.least_squares import solve_scaled
 from residuum.identification.unseen_blocks.comparing import share
-from residuum.identification.unseen_blocks.data import FEWEST_TO_CUT, folds_of
+from residuum.identification.unseen_blocks.data import folds_of
 from residuum.identification.unseen_blocks.judged import moved
-from residuum.identification.unseen_blocks.policy import FOLDS
+from residuum.identification.unseen_blocks.policy import FOLDS, WINDOW_SAMPLES
 from residuum.identification.unseen_blocks.remaining import Remaining
 
 FloatArray = npt.NDArray[np.float64]
@@ -46,9 +46,10 @@ def blocks_of(experiments: Sequence[Experiment]) -> Blocks | None:
     """The blocks; None where the records are too short for any."""
     lengths = [len(e.means(e.Y)) for e in experiments]
     windows, samples = len(lengths), sum(lengths)
-    each, fold = folds_of(windows)
-    if samples < FEWEST_TO_CUT * windows:  # windows so short are blocks themselves
-        if windows < FOLDS or samples < FEWEST_TO_CUT:
+    each, fold = folds_of(windows, min(lengths))
+    fewest = FOLDS * WINDOW_SAMPLES
+    if samples < fewest * windows:  # windows so short are blocks themselves
+        if windows < FOLDS or samples < fewest:
             return None
         each, fold = 1, np.arange(windows) % FOLDS
     row = np.concatenate([np.arange(n) * each // n + k * each for k, n in enumerate(lengths)])
