@@ -20,7 +20,7 @@ from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.asked import with_asked
-from residuum.identification.unseen_blocks.at_its_timing import at_suitable_timing
+from residuum.identification.unseen_blocks.at_its_rate import at_its_rate
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.held_value import HELD, freed
 from residuum.identification.unseen_blocks.proposals import without_idle
@@ -108,7 +108,7 @@ def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str
     knowing = _with_columns_of(model, records, ids)
     keys = [_resolved(knowing, id) for id in ids]
     data = matched(freed(knowing, how.free), _training(records), how.mapping)
-    found = at_suitable_timing(data, partial(with_asked, keys=keys, tell=part_of(tell, 0.0, 0.9)))
+    found = at_its_rate(data, partial(with_asked, keys=keys, tell=part_of(tell, 0.0, 0.9)))
     tell(0.9, "estimating on everything")
     joined = joined_of(found, records, how.mapping, asked=keys, was=model if how.free else None)
     improvement = _improvement(model, records, joined, None)

@@ -15,7 +15,7 @@ from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
-from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.coarser import coarser
@@ -67,6 +67,7 @@ def answer_on_blocks(
     adequate = not compare(best.model, records, mapping).present
     verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
+    named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}
     return Explanation(
         verdict=verdict.verdict,
         candidates=verdict.candidates,
@@ -74,7 +75,7 @@ def answer_on_blocks(
         probability_unknown=verdict.unknown,
         unexplained_share=_unexplained(found, rest),
         free=next(iter(rest), None),
-        undetectable=undetectable(found, wanted, found.along),
+        undetectable=undetectable(found, wanted, found.along, named),
         next_experiment=next_experiments(found, verdict.candidates),
         accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
         timing=tuple(s.key for s in steps if is_timing(s.key, found)),

@@ -13,6 +13,7 @@ from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelie
 from residuum.identification.unseen_blocks.looks import followed_on, glance, look
 from residuum.identification.unseen_blocks.search import begun, settled
 from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search
 from residuum.identification.work import Tell, untold
 
@@ -35,6 +36,8 @@ def with_asked(data: Data, keys: Sequence[Key], tell: Tell = untold, *, turn: bo
         if after is None:
             raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it; {_OTHERWISE}")
         found.best, found.every[after.keys] = after, after
+        if turn and (other := at_the_timing_it_suits(found)) is not None:
+            return with_asked(other, keys, tell, turn=False)
         settled(found, [after])
     return found
 

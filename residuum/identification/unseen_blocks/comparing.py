@@ -14,6 +14,7 @@ from residuum.identification.unseen_blocks.policy import (
     DRAWS,
     EVERYWHERE,
     MERITLESS,
+    PIECES,
     REAL,
     SMALL,
     TIE,
@@ -83,7 +84,8 @@ def corrected(new: Judged, old: Judged) -> float:
     rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * len(e))) ** 2)[: max(len(e) // 20, 2)]
     rho = rho / max(float(rho[0]), 1e-300)
     until = int(np.argmax(rho < 0.05)) or len(rho)
-    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), WINDOW_SAMPLES, max(len(e) // 20, WINDOW_SAMPLES)))
+    shortest = min(WINDOW_SAMPLES, max(len(e) // PIECES, 1))
+    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), shortest, max(len(e) // 20, shortest)))
     s = np.add.reduceat(rows, np.arange(0, len(rows), length))
     return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
 

@@ -12,6 +12,8 @@ RUNG_ERROR = 0.1
 """[of the outputs' variance] Error up to which a rung of the ladder is followed. Chosen."""
 BLOCKS, FOLDS = 20, 4
 """Blocks of all records, and of how many one is left out at a time. Chosen."""
+BLOCK_SAMPLES, FEWEST_TO_JUDGE = 5, 40
+"""[samples] Of a block at least, and of all records, eight blocks: with fewer an effect may follow every sample. Chosen."""
 DAMPING = 0.003
 """[of the curvature] Of the step to the values without the blocks left out: nearly undetermined values would go anywhere. Fitted
 to refits with masked blocks."""
@@ -76,14 +78,19 @@ TIE = 3.0
 ONE_PHYSICS = 0.9
 """[of what the general effect takes away] From which on its special case is told beside it: a loss with and without a bend is one
 loss. Chosen."""
-EVERYWHERE = 2.0
-"""[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
+EVERYWHERE, PIECES = 2.0, 8
+"""[standard errors] By which corrections go along with the errors over pieces: not in one place alone; and the fewest pieces, for
+of four the largest number of standard errors is two. Chosen."""
 
 KNOTS_BY_AXIS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
 """Axes of the free term, and how many hat functions stand on each. Chosen."""
 
 UNKNOWN_LEADS = 0.5
 """Probability of something without a name from which on the verdict is that."""
+PLAINLY_A_PART = 0.7
+"""[of what stood above the noise] Below which what effects take away is a part, where something structured is left. Chosen."""
+DOUBTED = 0.3
+"""Probability of something without a name beside effects that took a part, or act when nobody recorded. Chosen."""
 MOST_RIVALS, LISTED = 40, 6
 """Structures, the best ones, among which a draw is decided, and candidates of a step that are told. Chosen."""
 DRAWS = 400

@@ -28,12 +28,16 @@ from residuum.identification.unseen_blocks.proposals import grown, proposed, spe
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 
 def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
     """Which effects are missing in the data's model, at the likelier input timing where it may be turned.
+
+    The timing is chosen before anything is found, and asked again with each effect that joins: at the wrong one, the next effect
+    would be the half sample.
 
     Raises
     ------
@@ -53,6 +57,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
             if ranked and _joins(found, ranked):
+                if turn and (other := at_the_timing_it_suits(found)) is not None:
+                    return search(other, wanted, tell, turn=False)
                 beam, depth = settled(found, ranked), depth + 1
                 if len(found.best.keys) >= EXCHANGED:
                     beam = _exchanged(found, beam, wanted, kept)
