@@ -16,6 +16,7 @@ from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
 from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.coarser import coarser
@@ -25,7 +26,6 @@ from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
 from residuum.identification.unseen_blocks.ladder import climb
 from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.search import begun
 from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on

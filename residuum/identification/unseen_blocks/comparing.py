@@ -96,7 +96,9 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
     if scale.nats:
         return gain > np.log(max(tried, 1)) + TIE and corrected(new, old) > EVERYWHERE
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
-    return gain > WORTH * (1.0 + rarer) * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
+    least = 0.0 if is_nothing(old, base, scale) else SMALL * (base.cost - scale.floor)
+    worth = max(WORTH * (1.0 + rarer) * left, least)
+    return gain > worth and ahead(new, old, scale) > REAL
 
 
 def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:

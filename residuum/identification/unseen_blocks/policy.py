@@ -41,8 +41,10 @@ CURVE_KNOTS, MOST_CURVES = 9, 3
 
 BEAM, DEEPEST = 3, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
-EXCHANGED = 3
-"""Effects from which on each is tried to be exchanged for another: of two, each was looked at alone. Chosen."""
+TURNS = 2
+"""Of the input timing, where what was found suits the other one: the first may have been turned by a wrong effect. Chosen."""
+EXCHANGED, EXCHANGED_IN_NOISE = 3, 2
+"""Effects from which on each is tried to be exchanged for another: of two, each was looked at alone, but not in nats. Chosen."""
 FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000
@@ -64,8 +66,8 @@ MERITLESS = 0.02
 SMALL, WORTH = 0.0004, 0.1
 """Shares of the first error's power that are nothing (2 % of its RMS: beside a first model far off, more is little), and of
 what is left that an effect has to take away. Chosen."""
-MOST_LEFT = 0.1
-"""[of the first error's power] That effects may leave that take away most. Chosen."""
+NEAR_NOISE = 100.0
+"""[of the noise's power] Up to which of next to nothing that is left more is sought: all of it may be noise. Chosen."""
 REAL = 2.5
 """[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
 

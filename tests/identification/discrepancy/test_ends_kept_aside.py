@@ -5,9 +5,9 @@ import numpy as np
 from residuum.identification.discrepancy.ends_kept_aside import steps_that_hold
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.search import begun
 
 CART = """
 name: cart
