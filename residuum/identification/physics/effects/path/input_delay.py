@@ -15,7 +15,6 @@ class InputDelay(Effect):
     equation = "u(t − T_d)"
     reference = "O. J. M. Smith, Chem. Eng. Progress 53 (1957) 217"
     acts_on = ("input",)
-    every_sample = True
     shifts = "delay"
     sizes = ("delay",)
 
