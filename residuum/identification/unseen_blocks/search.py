@@ -24,12 +24,13 @@ from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
 from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGED, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
-from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
+from residuum.identification.unseen_blocks.unseen_states import with_unseen_states
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 
@@ -81,7 +82,7 @@ def begun(climbed: Climbed) -> Search:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
     scale = of_power(climbed.scale, data, first.power)
     first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
-    court = Court(data, last, climbed.middle, scale)
+    court = Court(data, last, climbed.middle, scale, climbed.there)
     found = Search(court, first, first, None, {(): first})
     if (settled := settle(first, court)) is not None:
         court, first = settled
@@ -101,12 +102,13 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
         if along is None:
             continue
         found.along = along if found.along is None else found.along
+        begins = with_unseen_states(parent.structure, along, found.court)
         given = None if parent.keys else followed(found.court.data.model, found.court.data)
         for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
             keys = tuple(sorted((*parent.keys, key)))
             if key not in parent.keys and keys not in seen and keys not in found.every and (kept is None or key in kept):
                 seen.add(keys)
-                tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
+                tasks.append(partial(_glanced, begins, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
     return {one.keys: one for one in each if one is not None}
 
@@ -164,12 +166,12 @@ def _looked(seen: Glance, court: Court) -> Judged | None:
 def _related(
     found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
 ) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does. From nothing they may not be reached, or end on the way.
+    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
+    special cases from where the general one does. From nothing they may not be reached, or end on the way.
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, special_of(seen.key))]
+        general = [seen for seen in glances.values() if _is_for(seen, one, generalised(seen.key))]
         special = [
             seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
         ]
