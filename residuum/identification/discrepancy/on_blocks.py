@@ -14,6 +14,7 @@ from residuum.identification.physics.simulate.coloured_covariance import coloure
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
+from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
 from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.beginning import begun
@@ -64,7 +65,9 @@ def answer_on_blocks(
     """The answer by errors on unseen blocks."""
     best, stds, steps = found.best, doubts_of(found), steps_of(found)
     free = free_terms(found.base, found.court)
-    adequate = not compare(best.model, records, mapping).present
+    left = _left(found)
+    slow = any(times > SLOW for _, _, times in left.values())  # few answers to few steps look like a walk at random
+    adequate = not slow and not compare(best.model, records, mapping).present
     verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
     named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}
@@ -80,7 +83,7 @@ def answer_on_blocks(
         accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
         timing=tuple(s.key for s in steps if is_timing(s.key, found)),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
-        left=_left(found),
+        left=left,
         values=estimated_values(found.court.data.model, best.model, stds),
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),

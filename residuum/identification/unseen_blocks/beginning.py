@@ -23,7 +23,7 @@ def begun(climbed: Climbed) -> Search:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
     scale = of_power(climbed.scale, data, first.power)
     first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
-    court = Court(data, last, climbed.middle, scale)
+    court = Court(data, last, climbed.middle, scale, climbed.there)
     if (turned := settle(first, court)) is not None:
         court, first = turned
     return Search(court, first, first, None, {(): first})

@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.physics.model import find_effect
+from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
@@ -113,13 +115,36 @@ def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
 
 
 def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
-    """The fewest parameters among those that the best does not stand before."""
+    """The fewest parameters among those that the best does not stand before; of what noise cannot tell apart the physics of a
+    balance before the path of an input.
+    """
     lead = min(ranked, key=lambda one: one.cost)
     if scale.nats:
         near = [one for one in ranked if one.cost < lead.cost + TIE]
     else:
         near = [one for one in ranked if one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
-    return min(near, key=lambda one: (one.parameters, one.cost))
+    chosen = min(near, key=lambda one: (one.parameters, one.cost))
+    return _physics_first(chosen, ranked, scale) if scale.nats else chosen
+
+
+def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Judged:
+    """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one on an input.
+
+    A power law of a heater and of the command that it follows are one equation: nothing but a parameter's price would choose.
+    """
+    least = chosen.cost - scale.price * chosen.parameters + TIE
+    same = [
+        one
+        for one in ranked
+        if one.cost - scale.price * one.parameters < least
+        and one.rarity <= chosen.rarity
+        and len(one.keys) == len(chosen.keys) == len({*one.keys, *chosen.keys}) - 1
+    ]
+    return min([chosen, *same], key=lambda one: (_on_inputs(one), one.parameters, one.cost))
+
+
+def _on_inputs(one: Judged) -> int:
+    return sum(key.effect != HELD and find_effect(key.effect).place == "input" for key in one.keys)
 
 
 def _beside(one: Judged, lead: Judged, scale: Scale) -> bool:

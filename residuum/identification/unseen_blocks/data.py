@@ -13,7 +13,15 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.physics.estimation.gauss_newton import Cells
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.policy import BLOCK_SAMPLES, BLOCKS, FEWEST_TO_JUDGE, FOLDS, LADDER, WINDOW_SAMPLES
+from residuum.identification.unseen_blocks.policy import (
+    BLIND,
+    BLOCK_SAMPLES,
+    BLOCKS,
+    FEWEST_TO_JUDGE,
+    FOLDS,
+    LADDER,
+    WINDOW_SAMPLES,
+)
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -38,11 +46,16 @@ class Rung:
         """The rows of each window in each block."""
         return Cells.of(self.parts, self.block)
 
-    def thinned(self, samples: int) -> tuple[Rung, slice]:
-        """Evenly so many samples of the parts, and which parts those are."""
-        every = slice(None, None, max(1, round(sum(part.n for part in self.parts) / samples)))
-        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), np.arange(len(self.parts))[every])
-        return Rung(self.windows, self.parts[every], self.block[rows], self.experiment[every]), every
+    def thinned(self, samples: int, errors: Array | None = None) -> tuple[Rung, list[int]]:
+        """About so many samples of the parts, and which parts those are: evenly, or, where these hold next to nothing of the
+        errors (parts,), those that hold most.
+        """
+        every = np.arange(len(self.parts))[:: max(1, round(sum(part.n for part in self.parts) / samples))]
+        if errors is not None and errors[every].mean() < BLIND * errors.mean():
+            every = np.sort(np.argsort(-errors)[: len(every)])
+        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
+        parts = [self.parts[k] for k in every]
+        return Rung(self.windows, parts, self.block[rows], self.experiment[every]), every.tolist()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
@@ -24,22 +25,26 @@ from residuum.identification.unseen_blocks.proposals import beginnings, conditio
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
 
+Array = npt.NDArray[np.float64]
 SHORT, LONG = "short", "long"
 
 
 @dataclass(frozen=True, eq=False)
 class Court:
-    """What all structures of a level are judged by: the data, the rung of the judgement, the rung of short looks, the scale."""
+    """What all structures of a level are judged by: the data, the rung of the judgement, the rung of short looks, the scale, and
+    what the model as it is leaves in each window of that rung (`there`, mean squares; None: not known).
+    """
 
     data: Data
     last: Rung
     middle: Rung
     scale: Scale
+    there: Array | None = None
 
     @cached_property
-    def short(self) -> tuple[Rung, slice]:
+    def short(self) -> tuple[Rung, Sequence[int]]:
         """What a look at short windows sees, and which of the windows those are."""
-        return self.middle.thinned(GLANCED)
+        return self.middle.thinned(GLANCED, self.there)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -97,8 +102,8 @@ def glance(parent: Structure, key: Key, along: Track, court: Court, given: Track
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
     seen: dict[str, Sequence[Fit]] = {}
     for kind in court.kinds:
-        rung, which = (court.last, slice(None)) if kind == LONG else court.short
-        states, steps = parent.states[rung.windows][which], parent.steps[rung.windows][which]
+        rung, which = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
+        states, steps = ([of[rung.windows][k] for k in which] for of in (parent.states, parent.steps))
         begun = [one for model in first if (one := at_start(model, rung, states, court.scale, steps)) is not None]
         begun.sort(key=lambda one: one.cost - one.promised(*one.step(damping=PROMISING)))
         if each := [one.descended(1, 0.0) for one in begun[:FOLLOWED_STARTS]]:

@@ -49,6 +49,9 @@ FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000
 """[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
+BLIND = 0.1
+"""[of the mean error of all short windows] Mean error of some of them below which a look at these sees nothing of it: a machine
+meets a stop in few. Chosen."""
 KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0

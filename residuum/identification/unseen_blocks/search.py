@@ -36,12 +36,13 @@ from residuum.identification.unseen_blocks.policy import (
     RUNG_ERROR,
     TURNS,
 )
-from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
+from residuum.identification.unseen_blocks.unseen_states import with_unseen_states
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 
@@ -106,12 +107,13 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
         if along is None:
             continue
         found.along = along if found.along is None else found.along
+        begins = with_unseen_states(parent.structure, along, found.court)
         given = None if parent.keys else followed(found.court.data.model, found.court.data)
         for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
             keys = tuple(sorted((*parent.keys, key)))
             if key not in parent.keys and keys not in seen and keys not in found.every and (kept is None or key in kept):
                 seen.add(keys)
-                tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
+                tasks.append(partial(_glanced, begins, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
     return {one.keys: one for one in each if one is not None}
 
@@ -169,12 +171,12 @@ def _looked(seen: Glance, court: Court) -> Judged | None:
 def _related(
     found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
 ) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does. From nothing they may not be reached, or end on the way.
+    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
+    special cases from where the general one does. From nothing they may not be reached, or end on the way.
     """
     tasks = []
     for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, special_of(seen.key))]
+        general = [seen for seen in glances.values() if _is_for(seen, one, generalised(seen.key))]
         special = [
             seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
         ]
