@@ -22,9 +22,10 @@ from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, followed_on, glance, look, shows
 from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGED, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
-from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.proposals import proposed
+from residuum.identification.unseen_blocks.relatives import related
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
@@ -110,6 +111,7 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
                 seen.add(keys)
                 tasks.append(partial(_glanced, begins, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
+    found.proposed |= {one.key for one in each if one is not None}
     return {one.keys: one for one in each if one is not None}
 
 
@@ -141,7 +143,7 @@ def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judge
     near = {one.keys: one for one in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))}
     each = each_beside(lambda seen: _looked(seen, found.court), _best_of_each(near.values(), FULLY_FITTED))
     here = {one.keys: one for one in each if one is not None}
-    here |= _related(found, here, glances)
+    here |= related(found, here, glances)
     found.every |= here
     return sorted(here.values(), key=lambda one: one.cost)
 
@@ -161,40 +163,6 @@ def _looked(seen: Glance, court: Court) -> Judged | None:
     except OutOfWork:
         left_out(f"{seen.key.effect}@{seen.key.target}, followed to its end")
         return None
-
-
-def _related(
-    found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
-) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
-    special cases from where the general one does. From nothing they may not be reached, or end on the way.
-    """
-    tasks = []
-    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, generalised(seen.key))]
-        special = [
-            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
-        ]
-        if not (general or special):
-            continue
-        along = followed(one.model, found.court.data, one.errors, found.court.last)
-        if along is not None:
-            each = [(seen, grown(seen.key, along)) for seen in general] + [
-                (seen, specialised(seen.key, along)) for seen in special
-            ]
-            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
-    led = each_beside(lambda task: task(), tasks)
-    better: dict[tuple[Key, ...], Judged] = {}
-    for end in led:
-        known = None if end is None else better.get(end.keys, here.get(end.keys))
-        if end is not None and (known is None or end.seen < known.seen):
-            better[end.keys] = end
-    return better
-
-
-def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
-    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
-    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
 
 
 def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
