@@ -27,7 +27,7 @@ from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGE
 from residuum.identification.unseen_blocks.proposals import proposed
 from residuum.identification.unseen_blocks.relatives import related
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
-from residuum.identification.unseen_blocks.settling import settle
+from residuum.identification.unseen_blocks.settling import accurate, settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
@@ -70,6 +70,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
                 beam, depth = going_on(ranked, found.court.scale), depth + 1
             else:
                 break
+        if found.court.scale.nats and found.best.keys:
+            found.best = found.every[found.best.keys] = accurate(found.best, found.court)
     except OutOfWork:
         left_out(f"effects {_beside(found.best.keys)}")
     return found
