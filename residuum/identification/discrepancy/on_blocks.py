@@ -30,7 +30,7 @@ from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising
 from residuum.identification.work import begun as work_so_far
 
 
@@ -53,7 +53,7 @@ def search_on_blocks(
     """
     try:
         with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, tell)
+            return searched(model, records, mapping, wanted, rising(tell))
     except OutOfWork:
         left_out("everything beside the model as it is")
         return begun(climb(coarser(matched(model, records, mapping))))

@@ -23,7 +23,7 @@ from residuum.identification.unseen_blocks.following import Track, followed
 from residuum.identification.unseen_blocks.joining import joins, without_needless
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, followed_on, glance, look, shows
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
     DEEPEST,
@@ -36,9 +36,10 @@ from residuum.identification.unseen_blocks.policy import (
     RUNG_ERROR,
     TURNS,
 )
-from residuum.identification.unseen_blocks.proposals import generalised, grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.proposals import proposed
+from residuum.identification.unseen_blocks.relatives import related
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
-from residuum.identification.unseen_blocks.settling import settle
+from residuum.identification.unseen_blocks.settling import accurate, settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
 from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
@@ -90,6 +91,8 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
                 beam, depth = going_on(ranked, found.court.scale), depth + 1
             else:
                 break
+        if found.court.scale.nats and found.best.keys:
+            found.best = found.every[found.best.keys] = accurate(found.best, found.court)
     except OutOfWork:
         left_out(f"effects {_beside(found.best.keys)}")
     return found if enough is None or found.court.scale.nats else enough
@@ -115,6 +118,7 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
                 seen.add(keys)
                 tasks.append(partial(_glanced, begins, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
+    found.proposed |= {one.key for one in each if one is not None}
     return {one.keys: one for one in each if one is not None}
 
 
@@ -146,7 +150,7 @@ def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judge
     near = {one.keys: one for one in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))}
     each = each_beside(lambda seen: _looked(seen, found.court), _best_of_each(near.values(), FULLY_FITTED))
     here = {one.keys: one for one in each if one is not None}
-    here |= _related(found, here, glances)
+    here |= related(found, here, glances)
     found.every |= here
     return sorted(here.values(), key=lambda one: one.cost)
 
@@ -166,40 +170,6 @@ def _looked(seen: Glance, court: Court) -> Judged | None:
     except OutOfWork:
         left_out(f"{seen.key.effect}@{seen.key.target}, followed to its end")
         return None
-
-
-def _related(
-    found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
-) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, or are it with many minima side by side, followed from where that one fits, and
-    special cases from where the general one does. From nothing they may not be reached, or end on the way.
-    """
-    tasks = []
-    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, generalised(seen.key))]
-        special = [
-            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
-        ]
-        if not (general or special):
-            continue
-        along = followed(one.model, found.court.data, one.errors, found.court.last)
-        if along is not None:
-            each = [(seen, grown(seen.key, along)) for seen in general] + [
-                (seen, specialised(seen.key, along)) for seen in special
-            ]
-            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
-    led = each_beside(lambda task: task(), tasks)
-    better: dict[tuple[Key, ...], Judged] = {}
-    for end in led:
-        known = None if end is None else better.get(end.keys, here.get(end.keys))
-        if end is not None and (known is None or end.seen < known.seen):
-            better[end.keys] = end
-    return better
-
-
-def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
-    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
-    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
 
 
 def settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:

@@ -276,6 +276,14 @@ def test_friction_in_one_direction_alone_is_one_effect():
     assert found.candidates[0].parameters["tau_minus"].value < 5e-4
 
 
+def test_what_was_more_alone_is_the_plain_one_beside_another():
+    """Alone, a friction of two directions stood for the load, too; beside the load both directions are alike."""
+    found = explain(
+        load_model("gate-drive"), [drive({"viscous-friction": "medium", "constant-load": "medium"}, profile="rich", seed=2)]
+    )
+    assert {key.effect for key in found.accepted} == {"viscous-friction", "constant-load"}
+
+
 @pytest.mark.parametrize("samples", [2, 7, 39])
 def test_too_few_samples_name_nothing(rubbing, samples):
     for judge in (explain, improve):
