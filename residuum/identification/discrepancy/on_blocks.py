@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -134,7 +135,11 @@ def _left(found: Search) -> dict[str, tuple[float, str, float]]:
 
 
 def _held(step: Step, found: Search, stds: Mapping[str, float]) -> HeldValue:
-    name = step.key.target
-    before, now = found.court.data.model.parameters[name], found.best.model.parameters[name]
-    alike = [k.target for one in step.group for k in one.keys if k.effect == HELD and k.target != name]
-    return HeldValue(name, before.value, now.value, float(stds.get(name, 0.0)), now.unit, tuple(dict.fromkeys(alike)))
+    """The fixed value that is doubted; of several that do as much the first of the model."""
+    model, tied = found.court.data.model, {step.key.target: found}
+    for one in step.group:
+        tied |= {k.target: replace(found, best=one) for k in one.keys if k.effect == HELD and k not in found.best.keys}
+    first, *alike = sorted(tied, key=list(model.parameters).index)
+    doubt = stds if tied[first] is found else doubts_of(tied[first])
+    before, now = model.parameters[first], tied[first].best.model.parameters[first]
+    return HeldValue(first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike))

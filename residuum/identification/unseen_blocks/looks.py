@@ -50,7 +50,7 @@ class Court:
     def kinds(self) -> tuple[str, ...]:
         """The looks that there are: long records are looked at in short windows alone."""
         many = self.last.starts[-1] > LONG_LOOK
-        if self.middle is self.last or (self.scale.nats and not many):
+        if self.middle is self.last:
             return (LONG,)
         return (SHORT,) if many else (LONG, SHORT)
 
@@ -132,7 +132,7 @@ def look(seen: Glance, court: Court) -> Judged | None:
     found: list[Fit] = []
     for kind, fits in seen.seen.items():
         for one in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
-            here = one if kind == LONG else _on_the_last_rung(one.model, seen.parent, court)
+            here = one if kind == LONG else _on_the_last_rung(descended(one, steps=15, tolerance=1e-4).model, seen.parent, court)
             found += [] if here is None else [here]
     return _lowest(found, Structure(seen.keys, seen.parent.model, seen.parent.states, seen.parent.steps), seen, court)
 

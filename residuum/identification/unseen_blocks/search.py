@@ -238,7 +238,7 @@ def _on_next_windows(found: Search) -> list[Judged]:
     tasks = [found.best, *sorted(like, key=lambda one: one.cost)[: 2 * BEAM]]
     there = each_beside(lambda one: _on_longer_windows(one, rung, flat, scale, found), tasks)
     ranked = sorted((one for one in there if one is not None), key=lambda one: one.cost)
-    if not any(one.keys == found.best.keys for one in ranked):
+    if not ranked:
         return []
     first = replace(first, cost=scale.cost(first.power, first.parameters))
     found.court, found.base, found.best = replace(court, last=rung, scale=scale), first, simplest(ranked, scale)

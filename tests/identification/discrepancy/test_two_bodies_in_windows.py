@@ -13,6 +13,8 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
+from residuum.identification.unseen_blocks.scale import plain
+from residuum.identification.unseen_blocks.structure import Structure
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5
@@ -40,10 +42,10 @@ def axis(play, k=4.0e4, d=60.0, seed=2, n=6000):
 
 
 def fitted(record, *effect):
-    found = begun(climb_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None)))
-    assert found.court.last.windows > 1
-    model = found.base.model.with_effect(*effect)
-    return found.court.judge(replace(found.base.structure, keys=(Key(*effect[:2]),), model=model), steps=40, tolerance=1e-7)
+    climbed = climb_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None))
+    court = replace(begun(climbed).court, last=climbed.data.rung(9), scale=plain(climbed.data))
+    model = climbed.found.model.with_effect(*effect)
+    return court.judge(Structure((Key(*effect[:2]),), model, climbed.structure.states, {}), steps=40, tolerance=1e-7)
 
 
 def test_the_far_body_swings_on_where_a_window_begins():
