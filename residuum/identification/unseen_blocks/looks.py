@@ -103,7 +103,8 @@ def glance(parent: Structure, key: Key, along: Track, court: Court, given: Track
     seen: dict[str, Sequence[Fit]] = {}
     for kind in court.kinds:
         rung, which = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
-        states, steps = ([of[rung.windows][k] for k in which] for of in (parent.states, parent.steps))
+        states = [parent.states[rung.windows][k] for k in which]
+        steps = [parent.steps[rung.windows][k] for k in which]
         begun = [one for model in first if (one := at_start(model, rung, states, court.scale, steps)) is not None]
         begun.sort(key=lambda one: one.cost - one.promised(*one.step(damping=PROMISING)))
         if each := [one.descended(1, 0.0) for one in begun[:FOLLOWED_STARTS]]:
