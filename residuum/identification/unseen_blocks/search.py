@@ -76,6 +76,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
             if depth < DEEPEST and (not nothing or found.best.cost < NEAR_NOISE * found.court.scale.floor):
                 glances = _glances(found, beam, wanted, kept)
                 kept = _kept(glances) if kept is None else kept
+                tell(0.1 + 0.6 * (depth + 0.5) / DEEPEST, _beside(found.best.keys))
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
             if ranked and joins(found, ranked):
