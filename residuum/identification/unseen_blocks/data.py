@@ -47,11 +47,12 @@ class Rung:
         return Cells.of(self.parts, self.block)
 
     def thinned(self, samples: int, errors: Array | None = None) -> tuple[Rung, list[int]]:
-        """About so many samples of the parts, and which parts those are: evenly, or, where these hold next to nothing of the
+        """About so many samples of the parts, and which parts those are: evenly, or, where these hold little of the
         errors (parts,), those that hold most.
         """
         every = np.arange(len(self.parts))[:: max(1, round(sum(part.n for part in self.parts) / samples))]
-        if errors is not None and errors[every].mean() < BLIND * errors.mean():
+        more = None if errors is None else errors - errors.min()
+        if errors is not None and more is not None and more[every].mean() < BLIND * more.mean():
             every = np.sort(np.argsort(-errors)[: len(every)])
         rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
         parts = [self.parts[k] for k in every]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from residuum.identification.physics import Key
-from residuum.identification.unseen_blocks.comparing import is_alike, is_real, real_ones, simplest
+from residuum.identification.unseen_blocks.comparing import corrected, is_alike, is_real, real_ones, simplest
 from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import TIE, TWICE
 from residuum.identification.unseen_blocks.settling import settle
 from residuum.identification.unseen_blocks.tried import Search, with_only
 
@@ -31,7 +34,9 @@ def _leaving_noise(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
         return []
     court, here = turned
     before = court.judge(found.best.structure, steps=15, tolerance=1e-6)
-    return [chosen] if before is not None and is_real(here, before, before, court.scale, found.tried) else []
+    if before is None or before.cost - here.cost < np.log(max(found.tried, 1)) + TIE or corrected(here, before) < TWICE:
+        return []
+    return [chosen]
 
 
 def without_needless(found: Search) -> None:

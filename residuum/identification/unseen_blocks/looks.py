@@ -133,8 +133,9 @@ def look(seen: Glance, court: Court) -> Judged | None:
     found: list[Fit] = []
     for kind, fits in seen.seen.items():
         for one in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
-            here = one if kind == LONG else _on_the_last_rung(descended(one, steps=15, tolerance=1e-4).model, seen.parent, court)
-            found += [] if here is None else [here]
+            ends = [one, descended(one, steps=15, tolerance=1e-4)] if court.scale.nats and kind == SHORT else [one]
+            each = ends if kind == LONG else [_on_the_last_rung(end.model, seen.parent, court) for end in ends]
+            found += [here for here in each if here is not None]
     return _lowest(found, Structure(seen.keys, seen.parent.model, seen.parent.states, seen.parent.steps), seen, court)
 
 

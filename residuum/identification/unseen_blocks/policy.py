@@ -49,9 +49,8 @@ FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000
 """[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
-BLIND = 0.1
-"""[of the mean error of all short windows] Mean error of some of them below which a look at these sees nothing of it: a machine
-meets a stop in few. Chosen."""
+BLIND = 0.5
+"""[of the mean over all windows] Of their errors above the least, below which windows chosen evenly are looked at no more. Chosen."""
 KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0
@@ -83,6 +82,8 @@ TIE = 3.0
 ONE_PHYSICS = 0.9
 """[of what the general effect takes away] From which on its special case is told beside it: a loss with and without a bend is one
 loss. Chosen."""
+TWICE = 1.4
+"""[standard errors] The same as the next where noise alone is left: an effect may show in two places. Chosen."""
 EVERYWHERE, PIECES = 2.0, 8
 """[standard errors] By which corrections go along with the errors over pieces: not in one place alone; and the fewest pieces, for
 of four the largest number of standard errors is two. Chosen."""
