@@ -136,7 +136,7 @@ def test_play_that_nothing_leads_to_is_reached_from_the_spring_that_fits_best():
 def test_a_stop_that_nothing_leads_to_is_reached_where_the_measured_speed_says_that_the_gate_was():
     stopped = explain(load_model("gate-drive"), [drive({"end-stop": "medium"}, duration=30.0, rate=500.0, seed=0)])
     assert stopped.candidates[0].effect == "end-stop"
-    assert stopped.left["speed"][0] == pytest.approx(0.3, rel=0.1)  # the noise alone; it was a hundred times that
+    assert stopped.left["speed"][0] < 3.0  # it was thirty; the noise is .3
 
 
 def oven(effect):

@@ -59,10 +59,12 @@ def test_two_effects_that_only_together_lower_the_error_of_a_van_that_coasts():
 
 
 def test_the_slope_and_the_drag_of_a_van_are_found():
+    """A van that never rolls backwards does not tell a slope from dry friction."""
     found = improve(read_model(VAN), driving_and_coasting(9))
-    assert sorted(use.id for use in found.added) == ["constant-load", "quadratic-drag"]
+    load, drag = sorted(found.added, key=lambda use: use.id)
+    assert load.id in ("constant-load", "coulomb-friction") and drag.id == "quadratic-drag"
     assert found.model.values["quadratic-drag@body.c"] == pytest.approx(0.75, rel=0.05)
-    assert found.model.values["constant-load@body.tau_0"] == pytest.approx(420.0, rel=0.1)
+    assert next(iter(load.parameters.values())).value == pytest.approx(420.0, rel=0.1)
     assert found.history[-1].error < 0.12
 
 
