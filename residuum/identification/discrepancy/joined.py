@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.ends_kept_aside import steps_that_hold
+from residuum.identification.discrepancy.ends_kept_aside import first_that_holds
 from residuum.identification.discrepancy.improvement import Step
 from residuum.identification.discrepancy.kept_aside import rmse_aside, split
 from residuum.identification.discrepancy.on_blocks import doubts_of
@@ -28,6 +28,8 @@ from residuum.identification.unseen_blocks.tried import Search, with_only
 
 ASIDE = "every block in turn"
 """What is kept aside, in words, where no user says which part."""
+
+_Step = tuple[Key, Judged, Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +60,10 @@ def joined_of(
 
     `was` is the model before values of it were set free.
     """
-    steps = chain(found, [key for key in found.best.keys if key.effect != HELD]) if asked is None else _in_order(found, asked)
-    each = [found.base, *(after for _, _, after in steps)]
-    kept = len(steps) if asked is not None else steps_that_hold([one.model for one in each], found, records, mapping)
-    told = [(None, found.base), *((key.effect, after) for key, _, after in steps[:kept])]
+    every = chain(found, [key for key in found.best.keys if key.effect != HELD]) if asked is None else _in_order(found, asked)
+    steps = every if asked is not None else _that_hold(every, found, records, mapping)
+    told = [(None, found.base), *((key.effect, after) for key, _, after in steps)]
+    final = steps[-1][2] if steps else found.base
     if was is not None:
         told = [*_before(found, was), *told[1:]]
     noted, o = is_noted(records), _told(found)
@@ -70,9 +72,22 @@ def joined_of(
         Step(name, float(error), remaining(told[0][1], one, found.court)) for (name, one), error in zip(told, errors, strict=True)
     ]
     data = _every_sample(found, records, mapping) if noted else found.court.data.finer or found.court.data
-    model, std = _final(found, each[kept], data, noted=noted)
+    model, std = _final(found, final, data, noted=noted)
+    refused = [key.effect for key, _, _ in every if key not in {kept for kept, _, _ in steps}]
     aside = split(records).aside if noted else ASIDE
-    return Joined(model, history, [key.effect for key, _, _ in steps[kept:]], std, list(found.best.model.outputs)[o], aside)
+    return Joined(model, history, refused, std, list(found.best.model.outputs)[o], aside)
+
+
+def _that_hold(
+    steps: Sequence[_Step], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Sequence[_Step]:
+    """All steps where they hold at the ends kept aside; else all but one effect, or the first of them."""
+    keys = [key for key, _, _ in steps]
+    tried = [keys, *([k for k in keys if k != out] for out in reversed(keys)), *(keys[:n] for n in range(len(keys) - 2, 0, -1))]
+    tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
+    models = [(some, one.model) for some in tried if (one := with_only(found, some)) is not None]
+    kept = first_that_holds(found.base.model, [model for _, model in models], found, records, mapping)
+    return [] if kept is None else chain(found, models[kept][0])
 
 
 def is_noted(records: Sequence[Record]) -> bool:

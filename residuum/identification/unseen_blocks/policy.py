@@ -50,7 +50,7 @@ FOLLOWED, FULLY_FITTED = 14, 8
 GLANCED, LONG_LOOK = 2000, 6000
 """[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
 BLIND = 0.5
-"""[of the mean over all windows] Of their errors above the least, below which evenly chosen windows are looked at no more. Chosen."""
+"""[of the mean over all windows] Of their errors above the least, below which windows chosen evenly are not looked at. Chosen."""
 KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0
