@@ -25,8 +25,6 @@ from residuum.service.storage.durable_folder import make_folder
 from residuum.service.storage.rows.row_checksums import seal_rows_of_old
 from residuum.service.store import StorageUnavailable
 
-_SEALED = "0010"
-"""The revision from which on each row has its checksum."""
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _PATIENCE = 10.0
 """How long a writer waits for another process's lock [s]."""
@@ -152,8 +150,8 @@ class Database:
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
             (command.downgrade if down else command.upgrade)(config, revision)
-            if revision == "head" and found is not None and found < _SEALED:
-                seal_rows_of_old(connection)
+            if revision == "head" and found is not None:
+                seal_rows_of_old(connection, found)
 
     def revision(self) -> str | None:
         """The schema's revision; None when there are no tables yet."""
