@@ -29,7 +29,7 @@ import orjson
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, IllegalTransition
-from residuum.service.storage import DiskStore
+from residuum.service.storage import DiskStore, outbox
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database
 from residuum.service.storage.retention import Retention
@@ -103,6 +103,7 @@ def questions(store: DiskStore) -> dict[str, Question]:
         "records": lambda: listed(store.records(limit=500)),
         "models": lambda: listed(store.models(limit=500)),
         "audit": lambda: listed(store.audit(limit=500)),
+        "notices": lambda: list(notices(store)),
     }
     for asset in [each.id for each in store.assets().items]:
         asked |= {
@@ -137,6 +138,15 @@ def questions(store: DiskStore) -> dict[str, Question]:
             store.model_content(model).hex(),
         ]
     return asked
+
+
+def notices(store: DiskStore) -> Iterator[Any]:
+    """What a receiver that knows nothing yet is told of alarms."""
+    with store._database.read() as connection:
+        notice = outbox.after(connection, 0)
+        while notice is not None:
+            yield [notice.number, notice.alarm or TELLS]
+            notice = outbox.after(connection, notice.number)
 
 
 def listed(page: Any) -> Any:

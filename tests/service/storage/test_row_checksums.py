@@ -163,6 +163,9 @@ def test_other_tables_tell_too(store, url, alarm):
     assert "differs from its checksum" in store.assets().items[0].last_finding.finding.reason
     changed(url, "records", "name", "two", f"id = {record}")
     changed(url, "model_versions", "note", "a vote", "number = 1")
+    assert "notice 2 of an alarm: its row differs from its checksum" in changed(
+        url, "alarm_notices", "alarm", '{"state": "normal"}', "number = 2"
+    )
     changed(url, "audit", "subject", "alarm 2", "number = 1")
     for asked in (
         store.records,

@@ -13,6 +13,7 @@ from sqlalchemy import Column, Connection, Label, LargeBinary, Row, Table, selec
 
 from residuum.service.storage.tables import (
     alarm_journal,
+    alarm_notices,
     alarms,
     assets,
     finding_hours,
@@ -39,6 +40,7 @@ SEALED: Mapping[Table, tuple[str, str]] = {
     alarm_journal: ("0010", "entry {id} of alarms' journal"),
     records: ("0010", "record {id}"),
     finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
+    alarm_notices: ("0011", "notice {number} of an alarm"),
 }
 """The tables whose rows have a checksum: since which revision of the schema, and what a row of theirs is called."""
 
