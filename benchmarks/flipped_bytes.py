@@ -221,7 +221,7 @@ def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tup
 def looked_through(store: DiskStore) -> bool:
     """Whether a start, or what looks at the rows beside the service that has started, notices it."""
     try:
-        return store.look_for_damage() is not None
+        return (store._database.damage() or store.look_for_damage()) is not None
     except (StorageUnavailable, ValueError):
         return True
 

@@ -33,8 +33,8 @@ _MOST_WRITERS = 16
 _POOL_PATIENCE = 10.0
 """Seconds for which a connection of the pool is waited for."""
 
-LOOKED_THROUGH = 64 * 2**20
-"""Bytes of a SQLite file that are looked through before a start, in a fraction of a second; larger ones beside the service."""
+_SMALL = 64 * 2**20
+"""Bytes of a SQLite file whose structure is looked through in a fraction of a second."""
 
 
 SILENCE, LONG = 8.0, 600.0
@@ -157,6 +157,11 @@ class Database:
         """The schema's revision; None when there are no tables yet."""
         with self.read() as connection:
             return MigrationContext.configure(connection).get_current_revision()
+
+    def looked_through_first(self) -> bool:
+        """Whether a start looks through the structure before anything else, rather than beside the service: of small files."""
+        file = Path(self.url.database or "")
+        return self.url.get_backend_name() == "sqlite" and file.is_file() and file.stat().st_size <= _SMALL
 
     def damage(self) -> str | None:
         """What is wrong with the structure of a SQLite file, as SQLite says; None where nothing is, and for other databases."""

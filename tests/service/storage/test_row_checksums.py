@@ -14,6 +14,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import DiskStore
+from residuum.service.storage import database as database_module
 from residuum.service.storage.database import Database
 from residuum.service.storage.retention import Retention
 from residuum.service.storage.rows.row_checks import check_rows
@@ -184,3 +185,17 @@ def test_other_tables_tell_too(store, url, alarm):
 def test_flipped_bytes_are_told_or_harmless():
     found, where = campaign(pages=6, blocks=200, seed=1)
     assert not where and found["signal blocks"]["told"] > 150 and not found["signal blocks"]["another value"]
+
+
+@pytest.mark.parametrize(("small", "looks"), [(2**30, 0), (0, 1)])
+def test_beside_the_service_rows_are_looked_at_and_the_structure_only_of_a_large_file(tmp_path, monkeypatch, small, looks):
+    url, looked = f"sqlite:///{tmp_path / 'store.db'}", []
+    store = DiskStore(tmp_path, url)
+    add(store, HEALTHY)
+    monkeypatch.setattr(database_module, "_SMALL", small)
+    monkeypatch.setattr(Database, "damage", lambda _: looked.append(1))
+    assert store.look_for_damage() is None and store.troubles() == {} and len(looked) == looks
+    changed(url, "findings", "verdict", "faulty", "id = 1")
+    assert "finding 1 of 'press': its row differs from its checksum" in store.look_for_damage()
+    assert store.troubles()["database"] == store.damage
+    store.close()
