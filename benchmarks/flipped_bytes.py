@@ -3,10 +3,10 @@
     python -m benchmarks.flipped_bytes --pages 10000 --blocks 90000
 
 A data folder with windows, findings, alarms and what operators did with them, records, models, a history by hours and an audit
-trail is written once; then one byte at a time is changed, everything is asked for, and the byte is put back. Told: each answer
-that differs is a refusal, or names the damage. Noticed at the start: an answer lacks a row, because rows are found by what
-flipped, and the look through all indexes and rows, with which a start begins, names it. Another value: an answer differs and
-nothing tells. Harmless: every answer is what it was. The exit status is 1 when there is another value.
+trail is written once; then one byte at a time is changed, everything is asked for that reads its page, and the byte is put back.
+Told: each answer that differs is a refusal, or names the damage. Noticed at the start: an answer lacks a row, because rows are
+found by what flipped, and the look through all indexes and rows, with which a start begins, names it. Another value: an answer
+differs and nothing tells. Harmless: every answer is what it was. The exit status is 1 when there is another value.
 """
 
 from __future__ import annotations
@@ -171,13 +171,13 @@ def answer(question: Question) -> str:
 
 
 @contextmanager
-def flipped(file: Path, place: int, with_: int) -> Iterator[None]:
-    """With one byte changed."""
+def flipped(file: Path, place: int, with_: int, count: int = 1) -> Iterator[None]:
+    """With so many bytes changed."""
     with open(file, "r+b") as opened:
         opened.seek(place)
-        whole = opened.read(1)
+        whole = opened.read(count)
         opened.seek(place)
-        opened.write(bytes([whole[0] ^ with_]))
+        opened.write(bytes(each ^ with_ for each in whole))
         opened.flush()
         yield
         opened.seek(place)
@@ -187,8 +187,18 @@ def flipped(file: Path, place: int, with_: int) -> Iterator[None]:
 def compared(before: dict[str, str], asked: dict[str, Question]) -> list[str]:
     """Names of the questions that are answered with another value; `told` alone where all that differ tell."""
     after = {name: answer(question) for name, question in asked.items()}
-    differ = [name for name in before if after[name] != before[name]]
+    differ = [name for name in after if after[name] != before[name]]
     return [name for name in differ if TELLS not in after[name]] or (["told"] if differ else [])
+
+
+def readers(store: DiskStore, file: Path, before: dict[str, str], asked: dict[str, Question]) -> list[dict[str, Question]]:
+    """Of each page the questions that read it: all of its bytes are changed, so that it is no page, and they are not answered."""
+    size, found = int.from_bytes(file.read_bytes()[16:18], "big"), []
+    for place in range(0, file.stat().st_size, size):
+        store._database.engine.dispose()
+        with flipped(file, place, 0xFF, size):
+            found.append({name: question for name, question in asked.items() if answer(question) != before[name]})
+    return found
 
 
 def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tuple[Counter[str], Counter[str]]:
@@ -198,11 +208,12 @@ def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tup
     file = folder / "residuum.db"
     before = {name: answer(question) for name, question in asked.items()}
     size, found, where = file.stat().st_size, Counter[str](), Counter[str]()
+    reads = readers(store, file, before, asked)
     for _ in range(count):
         place = chance.randrange(size)
         store._database.engine.dispose()  # what was read before is kept by a connection
         with flipped(file, place, chance.choice([1 << chance.randrange(8), chance.randrange(1, 256)])):
-            wrong = compared(before, asked)
+            wrong = compared(before, reads[place * len(reads) // size])
             noticed = bool(wrong) and wrong != ["told"] and looked_through(store)
             store._database.engine.dispose()
         if not wrong:
