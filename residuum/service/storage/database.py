@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -214,7 +215,8 @@ def _engine(url: URL) -> Engine:
         return _server_engine(url)
     if url.database and url.database != ":memory:":
         make_folder(Path(url.database).parent)
-    engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
+    connecting = {"timeout": _PATIENCE, "check_same_thread": False}
+    engine = create_engine(url, connect_args=connecting, json_deserializer=_document)
 
     opened: list[Path] = []
 
@@ -238,6 +240,14 @@ def _engine(url: URL) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     return engine
+
+
+def _document(content: str) -> Any:
+    """A document in SQLite's file. One that is no JSON any more comes as its text: its row is then told as damaged, by name."""
+    try:
+        return json.loads(content)
+    except ValueError:
+        return content
 
 
 def _server_engine(url: URL) -> Engine:

@@ -58,15 +58,12 @@ def add(connection: Connection, alarm: Alarm) -> None:
 
 def after(connection: Connection, told: int) -> Notice | None:
     """The notice that follows one that was told."""
-    number = connection.scalar(select(func.min(alarm_notices.c.number)).where(alarm_notices.c.number > told))
-    if number is None:
+    query = select(alarm_notices).where(alarm_notices.c.number > told).order_by(alarm_notices.c.number).limit(1)
+    row = connection.execute(query).first()
+    if row is None:
         return None
-    try:
-        row = connection.execute(select(alarm_notices).where(alarm_notices.c.number == number)).one()
-        alarm = None if row_checksums.differs(alarm_notices, row._mapping) else row.alarm
-    except ValueError:  # no JSON any more
-        alarm = None
-    return Notice(number, alarm, number - told - 1)
+    alarm = None if row_checksums.differs(alarm_notices, row._mapping) else row.alarm
+    return Notice(row.number, alarm, row.number - told - 1)
 
 
 class Outbox:

@@ -83,6 +83,21 @@ def test_a_findings_value_that_changed_is_told_and_the_list_goes_on(store, url, 
     assert store.indicators("press", 10).indicators["rms"] == ([0.5, 1.5, 2.5] if in_history else [0.5, 2.5])
 
 
+@pytest.mark.parametrize("url", ["sqlite"], indirect=True)
+@pytest.mark.parametrize("column", ["indicators", "evidence"])
+def test_a_document_that_is_no_json_any_more_is_its_rows_damage_alone(store, url, column):
+    waiting = store.outbox.register("mqtt://broker", findings=True)
+    add(store, HEALTHY)
+    add(store, HEALTHY)
+    assert f"finding 4 of 'press': its {column} are no object of names to values" in changed(
+        url, "findings", column, '{"rms": 0.5', "id = 4"
+    )
+    newest, damaged, *_ = store.findings("press").items
+    assert newest.finding.indicators == {"rms": 0.5} and "its row differs from its checksum" in damaged.finding.reason
+    told = store.outbox.findings(waiting).findings
+    assert [finding.finding.verdict for finding in told] == ["not-assessable", "healthy"]
+
+
 @pytest.mark.parametrize(
     ("column", "value"), [("t0", 7.0), ("n", 4), ("sample_time", 0.2), ("source", "can1"), ("checksum", None)]
 )
