@@ -120,18 +120,18 @@ def seal_rows_of_old(connection: Connection, revision: str) -> None:
             connection.execute(update(table).where(*here).values({own: of_row(table, row._mapping)}))
 
 
-def _crc(values: Sequence[Any]) -> str:
-    return f"{zlib.crc32(orjson.dumps(_plain(values), option=orjson.OPT_SORT_KEYS)):08x}"
-
-
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The value as either database gives it back: a document of PostgreSQL tells 1.0 and 1 alike, and 0.0 and −0.0."""
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
     if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
+        return {str(name): plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [plain(each) for each in value]
     return value
+
+
+def _crc(values: Sequence[Any]) -> str:
+    return f"{zlib.crc32(orjson.dumps(plain(values), option=orjson.OPT_SORT_KEYS)):08x}"
