@@ -3,10 +3,10 @@
     python -m benchmarks.flipped_bytes --pages 10000 --blocks 90000
 
 A data folder with windows, findings, alarms and what operators did with them, records, models, a history by hours and an audit
-trail is written once; then one byte at a time is changed, everything is asked for, and the byte is put back. Told: each answer
-that differs is a refusal, or names the damage. Noticed at the start: an answer lacks a row, because rows are found by what
-flipped, and the look through all indexes and rows, with which a start begins, names it. Another value: an answer differs and
-nothing tells. Harmless: every answer is what it was. The exit status is 1 when there is another value.
+trail is written once; then one byte at a time is changed, everything is asked for that reads its page, and the byte is put back.
+Told: each answer that differs is a refusal, or names the damage. Noticed at the start: an answer lacks a row, because rows are
+found by what flipped, and the look through all indexes and rows, with which a start begins, names it. Another value: an answer
+differs and nothing tells. Harmless: every answer is what it was. The exit status is 1 when there is another value.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ import orjson
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent, IllegalTransition
-from residuum.service.storage import DiskStore
+from residuum.service.storage import DiskStore, outbox
 from residuum.service.storage.blocks import Blocks, BrokenBlock
 from residuum.service.storage.database import Database
 from residuum.service.storage.retention import Retention
+from residuum.service.storage.rows import row_checksums
 from residuum.service.store import StorageUnavailable
 
 TELLS = "differs from its checksum"
@@ -103,6 +104,7 @@ def questions(store: DiskStore) -> dict[str, Question]:
         "records": lambda: listed(store.records(limit=500)),
         "models": lambda: listed(store.models(limit=500)),
         "audit": lambda: listed(store.audit(limit=500)),
+        "notices": lambda: list(notices(store)),
     }
     for asset in [each.id for each in store.assets().items]:
         asked |= {
@@ -139,6 +141,15 @@ def questions(store: DiskStore) -> dict[str, Question]:
     return asked
 
 
+def notices(store: DiskStore) -> Iterator[Any]:
+    """What a receiver that knows nothing yet is told of alarms."""
+    with store._database.read() as connection:
+        notice = outbox.after(connection, 0)
+        while notice is not None:
+            yield [notice.number, notice.alarm or TELLS]
+            notice = outbox.after(connection, notice.number)
+
+
 def listed(page: Any) -> Any:
     """A page as its route gives it."""
     return {"items": [item.to_json() for item in page.items], "next_cursor": page.next_cursor}
@@ -151,9 +162,10 @@ def said(record: Record) -> Any:
 
 
 def answer(question: Question) -> str:
-    """The answer's text, or how it is refused."""
+    """The answer's text, in which 22 and 22.0 are alike as to every reader of JSON, or how it is refused."""
     try:
-        return orjson.dumps(question(), default=str, option=orjson.OPT_NON_STR_KEYS).decode()
+        said = orjson.loads(orjson.dumps(question(), default=str, option=orjson.OPT_NON_STR_KEYS))
+        return orjson.dumps(row_checksums.plain(said)).decode()
     except (StorageUnavailable, BrokenBlock) as error:
         return f"{TELLS}: {error}"
     except Exception as error:  # an internal error is an answer too, and no other value
@@ -161,13 +173,13 @@ def answer(question: Question) -> str:
 
 
 @contextmanager
-def flipped(file: Path, place: int, with_: int) -> Iterator[None]:
-    """With one byte changed."""
+def flipped(file: Path, place: int, with_: int, count: int = 1) -> Iterator[None]:
+    """With so many bytes changed."""
     with open(file, "r+b") as opened:
         opened.seek(place)
-        whole = opened.read(1)
+        whole = opened.read(count)
         opened.seek(place)
-        opened.write(bytes([whole[0] ^ with_]))
+        opened.write(bytes(each ^ with_ for each in whole))
         opened.flush()
         yield
         opened.seek(place)
@@ -177,8 +189,18 @@ def flipped(file: Path, place: int, with_: int) -> Iterator[None]:
 def compared(before: dict[str, str], asked: dict[str, Question]) -> list[str]:
     """Names of the questions that are answered with another value; `told` alone where all that differ tell."""
     after = {name: answer(question) for name, question in asked.items()}
-    differ = [name for name in before if after[name] != before[name]]
+    differ = [name for name in after if after[name] != before[name]]
     return [name for name in differ if TELLS not in after[name]] or (["told"] if differ else [])
+
+
+def readers(store: DiskStore, file: Path, before: dict[str, str], asked: dict[str, Question]) -> list[dict[str, Question]]:
+    """Of each page the questions that read it: all of its bytes are changed, so that it is no page, and they are not answered."""
+    size, found = int.from_bytes(file.read_bytes()[16:18], "big"), []
+    for place in range(0, file.stat().st_size, size):
+        store._database.engine.dispose()
+        with flipped(file, place, 0xFF, size):
+            found.append({name: question for name, question in asked.items() if answer(question) != before[name]})
+    return found
 
 
 def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tuple[Counter[str], Counter[str]]:
@@ -188,11 +210,12 @@ def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tup
     file = folder / "residuum.db"
     before = {name: answer(question) for name, question in asked.items()}
     size, found, where = file.stat().st_size, Counter[str](), Counter[str]()
+    reads = readers(store, file, before, asked)
     for _ in range(count):
         place = chance.randrange(size)
         store._database.engine.dispose()  # what was read before is kept by a connection
         with flipped(file, place, chance.choice([1 << chance.randrange(8), chance.randrange(1, 256)])):
-            wrong = compared(before, asked)
+            wrong = compared(before, reads[place * len(reads) // size])
             noticed = bool(wrong) and wrong != ["told"] and looked_through(store)
             store._database.engine.dispose()
         if not wrong:
@@ -211,7 +234,7 @@ def flip_pages(folder: Path, url: str, count: int, chance: random.Random) -> tup
 def looked_through(store: DiskStore) -> bool:
     """Whether a start, or what looks at the rows beside the service that has started, notices it."""
     try:
-        return store.look_for_damage() is not None
+        return (store._database.damage() or store.look_for_damage()) is not None
     except (StorageUnavailable, ValueError):
         return True
 

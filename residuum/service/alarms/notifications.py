@@ -92,9 +92,13 @@ class Receiver:
 
     def _tell_of_alarms(self) -> None:
         while not self._stopped.is_set() and (notice := self._outbox.next(self._id)) is not None:
-            if self._attempt("alarm", notice.alarm):
-                self._lost("alarm", notice.passed_over)
-                self._outbox.told(self._id, notice)
+            if notice.alarm is None:
+                self.dropped += 1
+                log.error("a change of an alarm is damaged and told to nobody: see the alarms", receiver=self.name)
+            elif not self._attempt("alarm", notice.alarm):
+                continue
+            self._lost("alarm", notice.passed_over)
+            self._outbox.told(self._id, notice)
 
     def _tell_of_findings(self) -> bool:
         """Tell a batch of what waits; False when more may wait."""

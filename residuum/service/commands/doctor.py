@@ -199,7 +199,7 @@ def _rows(settings: Settings) -> str:
             return "are looked at once the schema is the newest"
         with database.snapshot() as connection:
             found = check_rows(connection)
-    except (ValueError, TypeError) as error:  # a document that is no JSON, a moment that is none
+    except (ValueError, TypeError) as error:  # a moment that is none
         raise Wrong(f"one cannot be read: {error}; restore a backup") from None
     finally:
         database.close()

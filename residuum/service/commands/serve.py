@@ -23,7 +23,7 @@ from residuum.service.commands.settings_file import DatabaseUrl, DataFolder, Set
 from residuum.service.security.http_connections import bounded_connections
 from residuum.service.settings import Settings, is_loopback, load_settings
 from residuum.service.settled_memory import settle_memory
-from residuum.service.storage.database import LOOKED_THROUGH, Database, sqlite_file
+from residuum.service.storage.database import Database
 from residuum.service.storage.identity import claim
 from residuum.service.storage.service_lock import database_lock, folder_lock
 from residuum.service.store import StorageUnavailable
@@ -150,8 +150,8 @@ def _check_certificate(settings: Settings) -> None:
 
 
 def _refuse_damage(database: Database) -> None:
-    """BadInput for a file of which SQLite says that it is damaged; larger ones are looked through while the service runs."""
-    if (damage := database.damage()) is not None:
+    """BadInput for a small file of which SQLite says that it is damaged; the rest is looked through while the service runs."""
+    if database.looked_through_first() and (damage := database.damage()) is not None:
         raise BadInput(f"setting database: {database.url.database}: is damaged: {damage}; restore a backup into a new folder")
 
 
@@ -175,8 +175,7 @@ def _owned(settings: Settings) -> Iterator[None]:
         try:
             database = Database(settings.database_url)
             held.callback(database.close)
-            if (file := sqlite_file(settings.database_url)) and file.is_file() and file.stat().st_size <= LOOKED_THROUGH:
-                _refuse_damage(database)
+            _refuse_damage(database)
             database.migrate()
             held.enter_context(database_lock(database, claim(settings.data, database), _end))
         except StorageUnavailable as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -25,8 +26,6 @@ from residuum.service.storage.durable_folder import make_folder
 from residuum.service.storage.rows.row_checksums import seal_rows_of_old
 from residuum.service.store import StorageUnavailable
 
-_SEALED = "0010"
-"""The revision from which on each row has its checksum."""
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _PATIENCE = 10.0
 """How long a writer waits for another process's lock [s]."""
@@ -35,8 +34,8 @@ _MOST_WRITERS = 16
 _POOL_PATIENCE = 10.0
 """Seconds for which a connection of the pool is waited for."""
 
-LOOKED_THROUGH = 64 * 2**20
-"""Bytes of a SQLite file that are looked through before a start, in a fraction of a second; larger ones beside the service."""
+_SMALL = 64 * 2**20
+"""Bytes of a SQLite file whose structure is looked through in a fraction of a second."""
 
 
 SILENCE, LONG = 8.0, 600.0
@@ -152,13 +151,18 @@ class Database:
             config.attributes["connection"] = connection
             down = revision == "base" or (revision.startswith("-") and revision[1:].isdecimal())
             (command.downgrade if down else command.upgrade)(config, revision)
-            if revision == "head" and found is not None and found < _SEALED:
-                seal_rows_of_old(connection)
+            if revision == "head" and found is not None:
+                seal_rows_of_old(connection, found)
 
     def revision(self) -> str | None:
         """The schema's revision; None when there are no tables yet."""
         with self.read() as connection:
             return MigrationContext.configure(connection).get_current_revision()
+
+    def looked_through_first(self) -> bool:
+        """Whether a start looks through the structure before anything else, rather than beside the service: of small files."""
+        file = Path(self.url.database or "")
+        return self.url.get_backend_name() == "sqlite" and file.is_file() and file.stat().st_size <= _SMALL
 
     def damage(self) -> str | None:
         """What is wrong with the structure of a SQLite file, as SQLite says; None where nothing is, and for other databases."""
@@ -211,7 +215,8 @@ def _engine(url: URL) -> Engine:
         return _server_engine(url)
     if url.database and url.database != ":memory:":
         make_folder(Path(url.database).parent)
-    engine = create_engine(url, connect_args={"timeout": _PATIENCE, "check_same_thread": False})
+    connecting = {"timeout": _PATIENCE, "check_same_thread": False}
+    engine = create_engine(url, connect_args=connecting, json_deserializer=_document)
 
     opened: list[Path] = []
 
@@ -235,6 +240,14 @@ def _engine(url: URL) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
     return engine
+
+
+def _document(content: str) -> Any:
+    """A document in SQLite's file. One that is no JSON any more comes as its text: its row is then told as damaged, by name."""
+    try:
+        return json.loads(content)
+    except ValueError:
+        return content
 
 
 def _server_engine(url: URL) -> Engine:

@@ -506,11 +506,12 @@ class DiskStore:
         return {subject: says for subject, says in told.items() if says is not None}
 
     def look_for_damage(self) -> str | None:
-        """Read the whole of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
+        """Read what a start has not of a SQLite database for damage, which may take minutes; what is found is kept in `damage`.
 
-        Its structure first, then each row: a value that flipped where rows are chosen by it may leave a row out of an answer.
+        The structure of a large file, then each row: a value that flipped where rows are chosen by it may leave a row out of an
+        answer.
         """
-        self.damage = self._database.damage()
+        self.damage = None if self._database.looked_through_first() else self._database.damage()
         if self.damage is None:
             self.damage = self._damaged_rows()
         return self.damage

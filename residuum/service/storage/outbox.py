@@ -19,7 +19,7 @@ from sqlalchemy import ColumnElement, Connection, delete, func, insert, or_, sel
 from sqlalchemy.exc import IntegrityError
 
 from residuum.service.storage.database import Database
-from residuum.service.storage.rows import finding_notices
+from residuum.service.storage.rows import finding_notices, row_checksums
 from residuum.service.storage.tables import alarm_notices, receivers
 from residuum.service.store import Alarm, StoredFinding
 
@@ -33,10 +33,10 @@ HANDED_OUT_AT_ONCE = 100
 
 @dataclass(frozen=True)
 class Notice:
-    """A change of an alarm; `passed_over` are those before it that were let go untold."""
+    """A change of an alarm, None where its row is damaged; `passed_over` are those before it that were let go untold."""
 
     number: int
-    alarm: Mapping[str, Any]
+    alarm: Mapping[str, Any] | None
     passed_over: int
 
 
@@ -51,8 +51,19 @@ class WaitingFindings:
 def add(connection: Connection, alarm: Alarm) -> None:
     """Write a notice, after the entry of the audit trail in the same transaction."""
     number = (connection.scalar(select(func.max(alarm_notices.c.number))) or 0) + 1
-    connection.execute(insert(alarm_notices).values(number=number, alarm=orjson.loads(orjson.dumps(alarm.to_json()))))
+    row = {"number": number, "alarm": orjson.loads(orjson.dumps(alarm.to_json()))}
+    connection.execute(insert(alarm_notices).values(row_checksums.sealed(alarm_notices, row)))
     connection.execute(delete(alarm_notices).where(alarm_notices.c.number <= number - MOST_NOTICES))
+
+
+def after(connection: Connection, told: int) -> Notice | None:
+    """The notice that follows one that was told."""
+    query = select(alarm_notices).where(alarm_notices.c.number > told).order_by(alarm_notices.c.number).limit(1)
+    row = connection.execute(query).first()
+    if row is None:
+        return None
+    alarm = None if row_checksums.differs(alarm_notices, row._mapping) else row.alarm
+    return Notice(row.number, alarm, row.number - told - 1)
 
 
 class Outbox:
@@ -84,13 +95,12 @@ class Outbox:
         here = receivers.c.id == receiver
         with self._database.read() as connection:
             row = connection.execute(select(receivers).where(here)).one()
-            query = select(alarm_notices).where(alarm_notices.c.number > row.told).order_by(alarm_notices.c.number).limit(1)
-            first = connection.execute(query).first()
+            first = after(connection, row.told)
         if first is None:
             return None
         with self._database.write() as connection:
             taken = self._take(connection, here, receivers.c.told == row.told)
-        return Notice(first.number, first.alarm, first.number - row.told - 1) if taken else None
+        return first if taken else None
 
     def _take(self, connection: Connection, *which: ColumnElement[bool]) -> bool:
         """Whether this process may tell a receiver now; it then holds it for a while."""

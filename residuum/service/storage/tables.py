@@ -188,6 +188,7 @@ alarm_notices = Table(
     metadata,
     Column("number", BigInteger, primary_key=True, autoincrement=False),
     Column("alarm", Document, nullable=False),
+    Column("checksum", String(8)),
 )
 
 receivers = Table(

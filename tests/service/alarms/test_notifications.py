@@ -1,9 +1,11 @@
 """Alarms reach webhooks and an MQTT broker, also after either was away; nobody waits for them."""
 
+import contextlib
 import io
 import json
 import os
 import queue
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -16,6 +18,7 @@ import pytest
 
 from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
+from residuum.service.alarms.notifications import Receiver
 from residuum.service.settings import BadSettings, load_settings
 from residuum.service.storage import DiskStore
 from residuum.service.storage.retention import Retention
@@ -149,6 +152,23 @@ def test_notices_are_bounded_and_what_was_let_go_is_counted(tmp_path, monkeypatc
         passed += notice.passed_over
         store.outbox.told(hook, notice)
     assert numbers == [8, 9, 10, 11, 12] and passed == 7
+    store.close()
+
+
+@pytest.mark.parametrize("alarm", ['{"state": "normal"}', '{"state'], ids=["another value", "no JSON"])
+def test_a_notice_whose_row_is_damaged_is_told_to_nobody_and_those_behind_it_are(tmp_path, alarm):
+    store = DiskStore(tmp_path, f"sqlite:///{tmp_path / 'residuum.db'}")
+    told = queue.Queue()
+    receiver = Receiver("hook", "http://hook/", lambda _kind, payload: told.put(payload["state"]), findings=False)
+    store.outbox.register("http://hook/")
+    for verdict in ("faulty", "healthy"):
+        see_in(store, "press", verdict)
+    with contextlib.closing(sqlite3.connect(tmp_path / "residuum.db")) as connection, connection:
+        connection.execute("UPDATE alarm_notices SET alarm = ? WHERE number = 1", (alarm,))
+    receiver.start(store.outbox)
+    assert told.get(timeout=60) == "returned-unacknowledged"
+    receiver.stop()
+    assert receiver.dropped == 1 and told.empty()
     store.close()
 
 

@@ -105,13 +105,13 @@ def test_a_broker_that_is_away_one_that_refuses_and_one_that_lets_us_in(data, ex
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ("UPDATE windows SET n = 0 WHERE id = 2", "window 2 of 'a' has 0 samples"),
+        ("UPDATE windows SET n = 0 WHERE id = 2", "window 2 of 'a': has 0 samples"),
         ("UPDATE windows SET n = 1000000 WHERE id = 2", "window 2 of 'a': .* cannot hold 1000000 samples"),
-        ("DELETE FROM findings WHERE id = 2", "window 2 of 'a' has no finding"),
+        ("DELETE FROM findings WHERE id = 2", "window 2 of 'a': has no finding"),
         ("UPDATE findings SET verdict = 'fine' WHERE id = 1", "finding 1 of 'a': its verdict is 'fine'"),
-        ("UPDATE findings SET evidence = '{' WHERE id = 1", "one cannot be read"),
+        ("UPDATE findings SET evidence = '{' WHERE id = 1", "finding 1 of 'a': its evidence are no object"),
         ("UPDATE findings SET units = '[1]' WHERE id = 1", "finding 1 of 'a': its units are no object"),
-        ("UPDATE findings SET asset_id = 'b' WHERE id = 3", "finding 3 is of 'b', its window 3 of 'a'"),
+        ("UPDATE findings SET asset_id = 'b' WHERE id = 3", "finding 3 of 'b': its window 3 is of 'a'"),
         ("UPDATE assets SET last_finding_id = 1", "its latest finding is said to be 1 and is 3"),
         ("UPDATE assets SET windows = 1", "asset 'a': counts 1 windows and has 3"),
         ("UPDATE alarms SET state = 'normal'", "is normal, and its journal ends with unacknowledged"),

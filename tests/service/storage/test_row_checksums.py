@@ -14,6 +14,7 @@ from residuum.diagnosis.finding import Finding
 from residuum.identification.record import Record
 from residuum.service.alarms.alarm_states import AlarmEvent
 from residuum.service.storage import DiskStore
+from residuum.service.storage import database as database_module
 from residuum.service.storage.database import Database
 from residuum.service.storage.retention import Retention
 from residuum.service.storage.rows.row_checks import check_rows
@@ -80,6 +81,21 @@ def test_a_findings_value_that_changed_is_told_and_the_list_goes_on(store, url, 
     assert damaged.finding.verdict == "not-assessable" and not damaged.finding.indicators
     assert "finding 2: its row differs from its checksum" in damaged.finding.reason
     assert store.indicators("press", 10).indicators["rms"] == ([0.5, 1.5, 2.5] if in_history else [0.5, 2.5])
+
+
+@pytest.mark.parametrize("url", ["sqlite"], indirect=True)
+@pytest.mark.parametrize("column", ["indicators", "evidence"])
+def test_a_document_that_is_no_json_any_more_is_its_rows_damage_alone(store, url, column):
+    waiting = store.outbox.register("mqtt://broker", findings=True)
+    add(store, HEALTHY)
+    add(store, HEALTHY)
+    assert f"finding 4 of 'press': its {column} are no object of names to values" in changed(
+        url, "findings", column, '{"rms": 0.5', "id = 4"
+    )
+    newest, damaged, *_ = store.findings("press").items
+    assert newest.finding.indicators == {"rms": 0.5} and "its row differs from its checksum" in damaged.finding.reason
+    told = store.outbox.findings(waiting).findings
+    assert [finding.finding.verdict for finding in told] == ["not-assessable", "healthy"]
 
 
 @pytest.mark.parametrize(
@@ -163,6 +179,9 @@ def test_other_tables_tell_too(store, url, alarm):
     assert "differs from its checksum" in store.assets().items[0].last_finding.finding.reason
     changed(url, "records", "name", "two", f"id = {record}")
     changed(url, "model_versions", "note", "a vote", "number = 1")
+    assert "notice 2 of an alarm: its row differs from its checksum" in changed(
+        url, "alarm_notices", "alarm", '{"state": "normal"}', "number = 2"
+    )
     changed(url, "audit", "subject", "alarm 2", "number = 1")
     for asked in (
         store.records,
@@ -181,3 +200,17 @@ def test_other_tables_tell_too(store, url, alarm):
 def test_flipped_bytes_are_told_or_harmless():
     found, where = campaign(pages=6, blocks=200, seed=1)
     assert not where and found["signal blocks"]["told"] > 150 and not found["signal blocks"]["another value"]
+
+
+@pytest.mark.parametrize(("small", "looks"), [(2**30, 0), (0, 1)])
+def test_beside_the_service_rows_are_looked_at_and_the_structure_only_of_a_large_file(tmp_path, monkeypatch, small, looks):
+    url, looked = f"sqlite:///{tmp_path / 'store.db'}", []
+    store = DiskStore(tmp_path, url)
+    add(store, HEALTHY)
+    monkeypatch.setattr(database_module, "_SMALL", small)
+    monkeypatch.setattr(Database, "damage", lambda _: looked.append(1))
+    assert store.look_for_damage() is None and store.troubles() == {} and len(looked) == looks
+    changed(url, "findings", "verdict", "faulty", "id = 1")
+    assert "finding 1 of 'press': its row differs from its checksum" in store.look_for_damage()
+    assert store.troubles()["database"] == store.damage
+    store.close()

@@ -95,13 +95,13 @@ def _occurrence(row: Row[Any], entries: Sequence[Row[Any]], cause: Row[Any] | No
         else None
         if cause is None
         else _says(cause),
-        times_threshold=None if cause is None or row_checksums.finding_differs(cause._mapping) else _times_threshold(cause),
+        times_threshold=None if cause is None or row_checksums.differs(findings, cause._mapping) else _times_threshold(cause),
         window=None if cause is None else cause.window_id,
     )
 
 
 def _says(cause: Row[Any]) -> str:
-    if row_checksums.finding_differs(cause._mapping):
+    if row_checksums.differs(findings, cause._mapping):
         return f"its finding: {row_checksums.TELLS}"
     return str(cause.reason or f"{cause.diagnoser}: {cause.fault_class or cause.verdict}")
 

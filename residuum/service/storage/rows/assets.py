@@ -36,8 +36,8 @@ def add_finding(connection: Connection, asset: str, window: int, finding: Findin
     plain = finding.to_json()
     row = {name: plain[name] for name in ("diagnoser", "verdict", "indicators", "thresholds", "units", "evidence", "reason")}
     values = {"asset_id": asset, "window_id": window, "at": now, "fault_class": finding.fault_class, **row}
-    values["checksum"] = row_checksums.of_finding(values)
-    number: int = connection.execute(insert(findings).values(values).returning(findings.c.id)).scalar_one()
+    query = insert(findings).values(row_checksums.sealed(findings, values)).returning(findings.c.id)
+    number: int = connection.execute(query).scalar_one()
     row_checksums.change(connection, assets, asset, lambda row: {"last_finding_id": number, "windows": row["windows"] + 1})
     return number
 
@@ -115,7 +115,7 @@ def indicators(
     newest = select(*columns).where(findings.c.asset_id == asset).order_by(findings.c.id.desc())
     query = newest if span is None else newest.where(findings.c.id.in_(_spread(connection, asset, span, limit)))
     found = paging.by_bytes(connection, query, findings.c.id, documents, limit, _HISTORY)[0][::-1]
-    rows = [row for row in found if not row_checksums.finding_differs(row._mapping)]  # a list of findings tells of them
+    rows = [row for row in found if not row_checksums.differs(findings, row._mapping)]  # a list of findings tells of them
     units: dict[str, str] = {}
     for row in rows:
         units |= row.units
@@ -176,7 +176,7 @@ def _damaged(what: str, diagnoser: str) -> Finding:
 
 def stored_finding(row: Row[Any]) -> StoredFinding:
     """The finding in a row of its table; that it cannot be told, where the row differs from its checksum."""
-    if row_checksums.finding_differs(row._mapping):
+    if row_checksums.differs(findings, row._mapping):
         return StoredFinding(row.id, row.asset_id, row.window_id, row.at, _damaged(f"finding {row.id}", str(row.diagnoser)))
     finding = Finding(
         row.diagnoser,

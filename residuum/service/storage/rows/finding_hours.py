@@ -12,14 +12,14 @@ from sqlalchemy import Connection, Row, delete, insert, select
 
 from residuum.diagnosis.finding import Verdict
 from residuum.service.storage.rows import assets, row_checksums
-from residuum.service.storage.tables import finding_hours
+from residuum.service.storage.tables import finding_hours, findings
 from residuum.service.store import FindingHour
 
 
-def add(connection: Connection, findings: Iterable[Row[Any]]) -> None:
-    """Fold findings into their hours; what an hour holds already is counted with them."""
+def add(connection: Connection, gone: Iterable[Row[Any]]) -> None:
+    """Fold findings whose rows go into their hours; what an hour holds already is counted with them."""
     together: dict[tuple[str, datetime], list[Row[Any]]] = defaultdict(list)
-    for row in findings:
+    for row in gone:
         together[row.asset_id, row.at.replace(minute=0, second=0, microsecond=0)].append(row)
     for (asset, hour), rows in together.items():
         here = (finding_hours.c.asset_id == asset) & (finding_hours.c.hour == hour)
@@ -27,7 +27,7 @@ def add(connection: Connection, findings: Iterable[Row[Any]]) -> None:
         verdicts = dict(known.verdicts) if known else {}
         indicators = dict(known.indicators) if known else {}
         for row in rows:
-            damaged = row_checksums.finding_differs(row._mapping)
+            damaged = row_checksums.differs(findings, row._mapping)
             verdict = Verdict.NOT_ASSESSABLE.value if damaged else row.verdict
             verdicts[verdict] = verdicts.get(verdict, 0) + 1
             for name, value in () if damaged else row.indicators.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from functools import partial
+from functools import cache
 from typing import Any
 
 import orjson
@@ -13,6 +13,7 @@ from sqlalchemy import Column, Connection, Label, LargeBinary, Row, Table, selec
 
 from residuum.service.storage.tables import (
     alarm_journal,
+    alarm_notices,
     alarms,
     assets,
     finding_hours,
@@ -26,44 +27,37 @@ from residuum.service.store import StorageUnavailable
 
 TELLS = "its row differs from its checksum, so the database's file is damaged: `residuum doctor` names all"
 """What is said of a row that cannot be answered with."""
-_SHORT = ("asset_id", "window_id", "at", "diagnoser", "verdict", "fault_class", "indicators", "thresholds", "units")
-_PARTS_OF_FINDING = (_SHORT, ("reason",), ("evidence",))
-_WINDOW = (
-    "asset_id",
-    "received_at",
-    "t0",
-    "sample_time",
-    "n",
-    "units",
-    "source",
-    "block_path",
-    "block_checksum",
-    "size_bytes",
-    "idempotency_key",
-    "digest",
-)
-SHORT_OF_FINDING = _SHORT
+SHORT_OF_FINDING = ("asset_id", "window_id", "at", "diagnoser", "verdict", "fault_class", "indicators", "thresholds", "units")
 """Columns of a finding that the first part of its checksum is of: a history reads no others."""
-
-
-def of_finding(values: Mapping[Any, Any]) -> str:
-    """The checksum of a finding's columns: 8 hexadecimal digits of those that a history needs, of the reason, of the evidence."""
-    return "".join(_crc([values[name] for name in part]) for part in _PARTS_OF_FINDING)
-
-
-def of_window(values: Mapping[Any, Any]) -> str:
-    """The checksum of a window's columns, but for the moment at which its signal is let go."""
-    return _crc([values[name] for name in _WINDOW])
+_PARTS_OF_FINDING = (SHORT_OF_FINDING, ("reason",), ("evidence",))
+SEALED: Mapping[Table, tuple[str, str]] = {
+    windows: ("0010", "window {id} of {asset_id!r}"),
+    findings: ("0010", "finding {id} of {asset_id!r}"),
+    assets: ("0010", "asset {id!r}"),
+    alarms: ("0010", "alarm {id} of {asset_id!r}"),
+    models: ("0010", "model {id!r}"),
+    model_versions: ("0010", "model {model_id!r}, version {number}"),
+    alarm_journal: ("0010", "entry {id} of alarms' journal"),
+    records: ("0010", "record {id}"),
+    finding_hours: ("0010", "hour {hour} of {asset_id!r}"),
+    alarm_notices: ("0011", "notice {number} of an alarm"),
+}
+"""The tables whose rows have a checksum: since which revision of the schema, and what a row of theirs is called."""
 
 
 def of_row(table: Table, values: Mapping[Any, Any]) -> str:
-    """The checksum of a row of another table: of all columns but its number, large content, and the checksum itself."""
-    return _crc([values.get(column.name) for column in table.columns if _counts(table, column)])
+    """The checksum of a row: 8 hexadecimal digits of all columns that it is of; a finding has three of them, a part each."""
+    return "".join(_crc([values.get(name) for name in part]) for part in _parts(table))
 
 
 def differs(table: Table, values: Mapping[Any, Any]) -> bool:
-    """Whether such a row differs from its checksum. One without any does: the end of a row is lost by a flip in its head."""
-    return bool(values[_own(table)] != of_row(table, values))
+    """Whether a row, as far as its parts were read, differs from its checksum.
+
+    One without any does: the end of a row is lost by a flip in its head.
+    """
+    checksum = values[_own(table)] or ""
+    read = ((k, part) for k, part in enumerate(_parts(table)) if part[0] in values)
+    return any(_crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8] for k, part in read)
 
 
 def sealed(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,51 +97,41 @@ def _own(table: Table) -> str:
     return "row_checksum" if "row_checksum" in table.columns else "checksum"
 
 
+@cache
+def _parts(table: Table) -> tuple[tuple[str, ...], ...]:
+    """The columns that the parts of a row's checksum are of."""
+    return _PARTS_OF_FINDING if table is findings else (tuple(c.name for c in table.columns if _counts(table, c)),)
+
+
 def _counts(table: Table, column: Column[Any]) -> bool:
-    """A number is given by the database, and an index of ours or a constraint holds it; a file has a checksum of its own."""
-    return column is not table.autoincrement_column and column.name != _own(table) and not isinstance(column.type, LargeBinary)
+    """Not a number that the database gives, which an index of ours or a constraint holds; nor a file with a checksum of its own;
+    nor the moment at which signals are let go, many at once, by which a window is found."""
+    apart = (_own(table), windows.c.signal_let_go_at.name)
+    return column is not table.autoincrement_column and column.name not in apart and not isinstance(column.type, LargeBinary)
 
 
-def finding_differs(values: Mapping[Any, Any]) -> bool:
-    """Whether a finding's row, as far as it was read, differs from its checksum."""
-    checksum = values["checksum"] or ""
-    return any(
-        _crc([values[name] for name in part]) != checksum[8 * k : 8 * k + 8]
-        for k, part in enumerate(_PARTS_OF_FINDING)
-        if part[0] in values
-    )
-
-
-def window_differs(values: Mapping[Any, Any]) -> bool:
-    """Whether a window's row differs from its checksum."""
-    return bool(values["checksum"] != of_window(values))
-
-
-def seal_rows_of_old(connection: Connection) -> None:
-    """Give each row its checksum that was written before rows had any, as it is now."""
-    for table in (assets, windows, findings, finding_hours, alarms, alarm_journal, records, models, model_versions):
-        own = table.c[_own(table)]
-        of = {"windows": of_window, "findings": of_finding}.get(table.name, partial(of_row, table))
-        numbers = list(table.primary_key)
-        old = connection.execute(select(*numbers).where(own.is_(None))).all()
-        for key in old:
+def seal_rows_of_old(connection: Connection, revision: str) -> None:
+    """Give each row its checksum that a schema of this revision kept without, as it is now."""
+    for table in (table for table, (since, _) in SEALED.items() if revision < since):
+        own, numbers = table.c[_own(table)], list(table.primary_key)
+        for key in connection.execute(select(*numbers).where(own.is_(None))).all():
             here = [column == value for column, value in zip(numbers, key, strict=True)]
             row = connection.execute(select(table).where(*here)).one()
-            connection.execute(update(table).where(*here).values({own: of(row._mapping)}))
+            connection.execute(update(table).where(*here).values({own: of_row(table, row._mapping)}))
 
 
-def _crc(values: Sequence[Any]) -> str:
-    return f"{zlib.crc32(orjson.dumps(_plain(values), option=orjson.OPT_SORT_KEYS)):08x}"
-
-
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The value as either database gives it back: a document of PostgreSQL tells 1.0 and 1 alike, and 0.0 and −0.0."""
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(float(value) + 0.0) if abs(value) < 1e300 else str(value)
     if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
+        return {str(name): plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [plain(each) for each in value]
     return value
+
+
+def _crc(values: Sequence[Any]) -> str:
+    return f"{zlib.crc32(orjson.dumps(plain(values), option=orjson.OPT_SORT_KEYS)):08x}"

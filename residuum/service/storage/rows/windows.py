@@ -39,13 +39,13 @@ def add(
         "idempotency_key": idempotency_key,
         "digest": digest,
     }
-    row["checksum"] = row_checksums.of_window(row)
-    number: int = connection.execute(insert(windows).values(row).returning(windows.c.id)).scalar_one()
+    query = insert(windows).values(row_checksums.sealed(windows, row)).returning(windows.c.id)
+    number: int = connection.execute(query).scalar_one()
     return number
 
 
 def _refuse_broken(row: Row[Any]) -> None:
-    if row_checksums.window_differs(row._mapping):
+    if row_checksums.differs(windows, row._mapping):
         raise row_checksums.refuse(f"window {row.id}")
 
 
