@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks, search_on_blocks
-from residuum.identification.discrepancy.policy import FEWEST_TO_JUDGE
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
+from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE
 from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.work import Tell, at_most, part_of, untold
 

@@ -4,8 +4,6 @@ what set it.
 
 from residuum.identification.physics import Settings
 
-FEWEST_TO_JUDGE = 40
-"""[samples] Of all records together, two in each block; with fewer an effect may follow every one. Chosen."""
 OTHER_VALUE = 2.0
 """[standard errors] From which on a value is another than the file's. Chosen."""
 FORMULA_TERMS = 3
