@@ -27,7 +27,6 @@ from residuum.identification.discrepancy.explain import explain
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.discrepancy.improvement import Improvement
-from residuum.identification.discrepancy.improving.join_effects import added
 from residuum.identification.physics import PhysicalModel, candidates, estimate, load_model, match
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
@@ -196,16 +195,16 @@ def _explained(case: Case) -> dict[str, Any]:
 
 
 def chi_square(case: Case, explanation: Explanation) -> float | None:
-    """Twice the log-likelihood that the hidden effect gains over the refitted base: how much of it the record can show.
+    """Twice the log-likelihood that the hidden effect gains on unseen blocks: how much of it the record can show.
 
-    None where the answer is not that of the search for an exact structure.
+    None where what is left is not its own noise.
     """
-    if explanation.exact is None:
+    found, id = explanation.found, case.hidden[0][0]
+    if not found.court.scale.nats:
         return None
-    search, id = explanation.exact.found, case.hidden[0][0]
-    known = [s for key, s in search.alternatives[0].items() if key[0] == id] if search.alternatives else []
-    fitted = known or [added(search.base, explanation.exact.experiments, key) for key in candidates(search.base.model, [id])]
-    return 2.0 * max((s.log_likelihood - search.base.log_likelihood for s in fitted if s is not None), default=0.0)
+    tried = [one for one in found.every.values() if len(one.keys) == 1 and one.keys[0].effect == id]
+    best = min((one.cost - found.court.scale.price * one.parameters for one in tried), default=np.inf)
+    return max(2.0 * (found.base.cost - best), 0.0) if tried else 0.0
 
 
 def group_probability(explanation: Explanation) -> float:

@@ -12,7 +12,7 @@ from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.on_blocks import answer_on_blocks
 from residuum.identification.physics import PhysicalModel, load_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.simulation import MACHINES
 

@@ -31,6 +31,25 @@ def part_of(tell: Tell, begin: float, end: float) -> Tell:
     return lambda share, doing: tell(begin + (end - begin) * share, doing)
 
 
+def rising(tell: Tell) -> Tell:
+    """Tells a share that never falls, where work begins anew.
+
+    >>> told = rising(lambda share, doing: print(share, doing))
+    >>> told(0.5, "fitting"), told(0.2, "fitting again")
+    0.5 fitting
+    0.5 fitting again
+    (None, None)
+    """
+    told = 0.0
+
+    def forward(share: float, doing: str) -> None:
+        nonlocal told
+        told = max(told, share)
+        tell(told, doing)
+
+    return forward
+
+
 def untold(_share: float, _doing: str) -> None:
     """For those who do not ask how far the work is."""
 

@@ -128,8 +128,6 @@ class Explanation(Result):
     def _by_block(self) -> list[Panel]:
         """The error of each output block by block, on blocks that no fit has seen."""
         blocks = self.found.blocks
-        if blocks is None:
-            return []
         several = max(blocks.records) > 0  # their times begin anew
         at = np.arange(len(blocks.times)) + 0.5 if several else np.array([(begin + end) / 2 for begin, end in blocks.times])
         leading = [c.key for c in self.found.candidates if c.key in blocks.candidates][:_COMPARED]

@@ -33,15 +33,12 @@ def compile_ahead() -> None:
     from residuum.identification.discrepancy.explain import explain  # noqa: PLC0415
     from residuum.identification.physics import block_means, candidates, find_effect, load_model  # noqa: PLC0415
     from residuum.identification.residual_analysis.compare import compare  # noqa: PLC0415
-    from residuum.identification.unseen_blocks.data import matched  # noqa: PLC0415
-    from residuum.identification.unseen_blocks.ladder import climb  # noqa: PLC0415
 
     model = load_model("gate-drive")
     sticks = next(key for key in candidates(model) if find_effect(key.effect).rest > 0.0)
     record = _record(model.with_effect(*sticks, dict.fromkeys(find_effect(sticks.effect).sizes, 0.02)))
     compare(model, [record])
     explain(model, [record])
-    climb(matched(model, [record], None))  # what is exact is not judged on blocks
     block_means(np.zeros((2, 1)), 2)  # so short a record is not averaged
 
 

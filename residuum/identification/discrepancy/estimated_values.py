@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from residuum.identification.discrepancy.policy.answers import OTHER_VALUE
+from residuum.identification.discrepancy.policy import OTHER_VALUE
 from residuum.identification.physics import PhysicalModel
 
 

@@ -6,23 +6,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 
 from residuum.identification.blas_threads import one_thread
-from residuum.identification.discrepancy.exact_answer import answer_of
-from residuum.identification.discrepancy.exact_structure import (
-    exact_in_bounds,
-    is_far_from_noise,
-    is_structured,
-    leaves_more_than_noise,
-    names_nothing,
-    nothing_found,
-)
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.fitting.judged_experiments import experiments_and_base
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks, does_better, is_inexact, search_on_blocks
-from residuum.identification.discrepancy.policy.answers import FEWEST_TO_JUDGE
+from residuum.identification.discrepancy.on_blocks import answer_on_blocks, search_on_blocks
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
+from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE
 from residuum.identification.unseen_blocks.tried import Wanted
 from residuum.identification.work import Tell, at_most, part_of, untold
 
@@ -50,7 +40,7 @@ def explain(
     effects : iterable of effect id
         Consider only these (default: all that fit the model).
     learned : bool
-        Consider curves to be learned over one signal, too, where no structure of the catalogue is exact.
+        Consider curves to be learned over one signal, too.
     seconds : float, optional
         Time after which the search is left as well as after its work; the answer then depends on the machine, and says so.
     tell : callable
@@ -69,10 +59,8 @@ def explain(
 
     Notes
     -----
-    An exact structure is sought first, by the likelihood of what it leaves. Where none leaves noise alone, the effects are named
-    by what they take away on blocks of the records that no fit has seen. These blocks are asked first where the model as it is
-    leaves an error far from noise; an exact structure is sought then only where what they name does not take away most, or leaves
-    noise, a drift or next to nothing.
+    Effects are named by what they take away on blocks of the records that no fit has seen: in power while what is left is not its
+    own noise, in the likelihood of that noise from there on.
 
     Fails where a disturbance is synchronous with the input, and where two effects act alike in this experiment (they are
     then named as a group).
@@ -100,29 +88,11 @@ def explained(
     seconds: float | None,
     tell: Tell,
 ) -> Explanation:
-    """The answer: by an exact structure, else by what takes away most on unseen blocks of the records; where the model as it is
-    leaves an error far from noise, the blocks are asked first.
-    """
-
-    def left() -> float | None:
-        return None if seconds is None else seconds - (time.perf_counter() - began)
-
-    early, late = part_of(tell, 0.0, 0.5), part_of(tell, 0.5, 0.9)
+    """The answer by what takes away most on unseen blocks of the records."""
     with at_most():
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
-        first = experiments_and_base(model, records, mapping)
-        far = is_far_from_noise(first, records)
-        found = search_on_blocks(model, records, mapping, wanted, left(), early) if far else None
-        exact, structured, inexact = None, False, True
-        if found is None or not is_inexact(found):
-            exact = exact_in_bounds(first, model, records, mapping, wanted.effects, left(), late if far else early)
-            structured = exact is not None and is_structured(exact.found, records, mapping)
-            inexact = exact is None or structured or leaves_more_than_noise(exact) or (far and names_nothing(exact))
-            if inexact and not far:
-                found = search_on_blocks(model, records, mapping, wanted, left(), late)
-        if found is not None and inexact and (far or exact is None or does_better(found, exact.found.best.model)):
-            return answer_on_blocks(found, wanted, records, mapping, began)
+        left = None if seconds is None else seconds - (time.perf_counter() - began)
+        found = search_on_blocks(model, records, mapping, wanted, left, part_of(tell, 0.0, 0.9))
         tell(0.9, "drawing what no effect explains")
-        known = exact or nothing_found(model, records, mapping, wanted.effects)
-        return answer_of(known, model, searched=exact is not None, structured=structured, began=began)
+        return answer_on_blocks(found, wanted, records, mapping, began)

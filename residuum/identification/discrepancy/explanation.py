@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
-from residuum.identification.discrepancy.exact_structure import Exact
-from residuum.identification.discrepancy.judging.free_term import FreeTerm
 from residuum.identification.physics import Key
 from residuum.identification.unseen_blocks.advice import Undetectable
 from residuum.identification.unseen_blocks.block_errors import BlockErrors
@@ -34,7 +32,7 @@ class Explanation:
     probability_none, probability_unknown : float
     unexplained_share : float
         Part of what could be explained that no candidate explains.
-    free : FreeTerm or None
+    free : BlockTerm or None
         The smooth term that best explains the rest.
     undetectable, next_experiment
         What this experiment cannot show, and what would.
@@ -49,16 +47,14 @@ class Explanation:
         The model's own free parameters, estimated with the accepted effects, beside the file's.
     held : tuple of HeldValue
         Parameters that the model holds fixed and that were freed, for another value does more than any effect.
-    remaining : Remaining or None
-        What that model leaves on unseen blocks; None where the records are too short for any.
-    blocks : BlockErrors or None
-        Errors block by block before and after, and with each candidate alone; None likewise.
+    remaining : Remaining
+        What that model leaves on unseen blocks.
+    blocks : BlockErrors
+        Errors block by block before and after, and with each candidate alone.
     work : Work
         Samples simulated, fits made, and what was not tried, since the work or the user's seconds were over.
-    exact : Exact or None
-        The search for an exact structure, where that is the answer.
-    on_blocks : Search or None
-        The search by what effects take away on unseen blocks, where that is the answer.
+    found : Search
+        What was tried.
     """
 
     verdict: str
@@ -66,7 +62,7 @@ class Explanation:
     probability_none: float
     probability_unknown: float
     unexplained_share: float
-    free: FreeTerm | BlockTerm | None
+    free: BlockTerm | None
     undetectable: tuple[Undetectable, ...]
     next_experiment: tuple[NextExperiment, ...]
     accepted: tuple[Key, ...]
@@ -75,14 +71,13 @@ class Explanation:
     left: Mapping[str, tuple[float, str, float]]
     values: tuple[EstimatedValue, ...]
     held: tuple[HeldValue, ...]
-    remaining: Remaining | None
-    blocks: BlockErrors | None
+    remaining: Remaining
+    blocks: BlockErrors
     work: Work
     seconds: float
-    exact: Exact | None = None
-    on_blocks: Search | None = None
+    found: Search
 
     @property
     def by_share(self) -> bool:
-        """Whether the effects were named by what they take away on unseen blocks, for no structure of the catalogue is exact."""
-        return self.on_blocks is not None
+        """Whether effects were named by the share that they take away: what they leave is more than its own noise."""
+        return not self.found.court.scale.nats

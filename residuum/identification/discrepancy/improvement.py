@@ -24,13 +24,10 @@ _ERROR_AFTER, _STD = "error_after", "std_"
 class Step:
     """One line of the history. It says what was added (None: the model as it was, `-id`: dropped), the held-out error after
     it, and what remains on unseen blocks then, where it was asked.
-
-    Effects that lower it only `together` share the error that they have together.
     """
 
     added: str | None
     error: float
-    together: bool = False
     remaining: Remaining | None = None
 
 

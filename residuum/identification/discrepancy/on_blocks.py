@@ -1,33 +1,38 @@
-"""The answer where no structure of the catalogue is exact: what takes away most on blocks that no fit has seen."""
+"""The answer: what takes away most on blocks that no fit has seen."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
+from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
-from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.at_its_rate import searched
+from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
-from residuum.identification.unseen_blocks.comparing import is_nothing
+from residuum.identification.unseen_blocks.coarser import coarser
+from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT, MOST_LEFT, TIE, UNKNOWN_LEADS, WORTH
+from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.structure import Structure, at_start
+from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, begun, left_out
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising
+from residuum.identification.work import begun as work_so_far
 
 
 def search_on_blocks(
@@ -37,38 +42,22 @@ def search_on_blocks(
     wanted: Wanted,
     seconds: float | None,
     tell: Tell,
-) -> Search | None:
-    """The search; None where the records are too short for blocks, the model diverges on them, or the work is over before
-    anything is known.
+) -> Search:
+    """The search; the model as it is alone where the work is over before anything else is known.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model, records too short for blocks.
+    NotIdentifiable
+        The model diverges on a record.
     """
-    tell(0.0, "what takes away most on blocks kept aside")
     try:
         with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, tell)
-    except (BadRecord, NotIdentifiable):
-        return None
+            return searched(model, records, mapping, wanted, rising(tell))
     except OutOfWork:
-        left_out("what takes away most on blocks kept aside")
-        return None
-
-
-def does_better(found: Search, model: PhysicalModel) -> bool:
-    """Whether something was found that leaves really less on unseen blocks than another model does."""
-    if not found.best.keys:
-        return False
-    other, scale = found.court.judge(Structure((), model, {}, {}), steps=15, tolerance=1e-5), found.court.scale
-    return other is None or other.cost - found.best.cost > (TIE if scale.nats else WORTH * (other.cost - scale.floor))
-
-
-def is_inexact(found: Search) -> bool:
-    """Whether what was found takes away most of the first error, and leaves neither noise nor next to nothing beside it, nor what
-    follows time best: no structure of the catalogue is exact then, also beside a load that drifts.
-    """
-    best, base, scale = found.best, found.base, found.court.scale
-    if not best.keys or scale.nats or is_nothing(best, base, scale) or best.cost > MOST_LEFT * base.cost:
-        return False
-    rest = free_terms(best, found.court)
-    return not (rest and rest[0].axis == "time")
+        left_out("everything beside the model as it is")
+        return begun(climb(coarser(matched(model, records, mapping))))
 
 
 def answer_on_blocks(
@@ -77,9 +66,12 @@ def answer_on_blocks(
     """The answer by errors on unseen blocks."""
     best, stds, steps = found.best, doubts_of(found), steps_of(found)
     free = free_terms(found.base, found.court)
-    adequate = not compare(best.model, records, mapping).present
+    left = _left(found)
+    slow = any(times > SLOW for _, _, times in left.values())  # few answers to few steps look like a walk at random
+    adequate = not slow and not compare(best.model, records, mapping).present
     verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
+    named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}
     return Explanation(
         verdict=verdict.verdict,
         candidates=verdict.candidates,
@@ -87,19 +79,19 @@ def answer_on_blocks(
         probability_unknown=verdict.unknown,
         unexplained_share=_unexplained(found, rest),
         free=next(iter(rest), None),
-        undetectable=undetectable(found, wanted, found.along),
+        undetectable=undetectable(found, wanted, found.along, named),
         next_experiment=next_experiments(found, verdict.candidates),
         accepted=tuple(s.key for s in steps if s.key.effect != HELD and not is_timing(s.key, found)),
         timing=tuple(s.key for s in steps if is_timing(s.key, found)),
         drifting=verdict.unknown > UNKNOWN_LEADS and bool(free) and free[0].axis == "time",
-        left=_left(found),
+        left=left,
         values=estimated_values(found.court.data.model, best.model, stds),
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),
         blocks=_block_errors(found, verdict.candidates),
-        work=begun(),
+        work=work_so_far(),
         seconds=time.perf_counter() - began,
-        on_blocks=found,
+        found=found,
     )
 
 
@@ -143,7 +135,11 @@ def _left(found: Search) -> dict[str, tuple[float, str, float]]:
 
 
 def _held(step: Step, found: Search, stds: Mapping[str, float]) -> HeldValue:
-    name = step.key.target
-    before, now = found.court.data.model.parameters[name], found.best.model.parameters[name]
-    alike = [k.target for one in step.group for k in one.keys if k.effect == HELD and k.target != name]
-    return HeldValue(name, before.value, now.value, float(stds.get(name, 0.0)), now.unit, tuple(dict.fromkeys(alike)))
+    """The fixed value that is doubted; of several that do as much the first of the model."""
+    model, tied = found.court.data.model, {step.key.target: found}
+    for one in step.group:
+        tied |= {k.target: replace(found, best=one) for k in one.keys if k.effect == HELD and k not in found.best.keys}
+    first, *alike = sorted(tied, key=list(model.parameters).index)
+    doubt = stds if tied[first] is found else doubts_of(tied[first])
+    before, now = model.parameters[first], tied[first].best.model.parameters[first]
+    return HeldValue(first, before.value, now.value, float(doubt.get(first, 0.0)), now.unit, tuple(alike))

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from residuum.identification.errors import BadModel
-from residuum.identification.physics.effects import EFFECTS, STRUCTURAL, UNNAMED
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.identification.physics.effects.base import Effect, Parameter, Site
 from residuum.identification.physics.files.expression import Expression
 from residuum.nearest_names import did_you_mean, known_names
@@ -106,10 +106,8 @@ class EffectUse:
 
     @property
     def effect(self) -> Effect:
-        """The catalogue's entry, an unnamed one, or the one that the model's own file defines."""
-        if self.own is not None:
-            return self.own
-        return UNNAMED[self.id] if self.id in UNNAMED else find_effect(self.id)
+        """The catalogue's entry, or the one that the model's own file defines."""
+        return find_effect(self.id) if self.own is None else self.own
 
     @property
     def place(self) -> str:
@@ -269,10 +267,6 @@ class PhysicalModel:
         own = effect if EFFECTS.is_here(id) else None
         use = EffectUse(id, target, MappingProxyType(declared), instance, dict(provenance or {}), own)
         return replace(self, effects=(*self.effects, use))
-
-    def with_unnamed(self, id: str, target: str) -> PhysicalModel:
-        """The model with an effect at `target` that names no physics and has no parameters; no model file may hold one."""
-        return replace(self, effects=(*self.effects, EffectUse(id, target, MappingProxyType({}))))
 
     def without_effect(self, label: str) -> PhysicalModel:
         """The model without the effect of this label (`id@target`, or the id alone when it occurs once)."""

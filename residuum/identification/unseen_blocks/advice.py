@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,14 +38,16 @@ def noise_of(one: Judged, found: Search) -> Scale:
     return of_noise(np.split(one.errors, last.starts[1:-1]), last, found.court.data.measured)
 
 
-def undetectable(found: Search, wanted: Wanted, along: Track | None) -> tuple[Undetectable, ...]:
-    """For every effect with a size that did not join: the size s whose ½·I·s² nats would be enough.
+def undetectable(found: Search, wanted: Wanted, along: Track | None, named: Collection[Key]) -> tuple[Undetectable, ...]:
+    """For every effect with a size that is not `named`: the size s whose ½·I·s² nats would be enough.
 
-    I is the information on the size beside the free parameters, in the noise that the best structure leaves.
+    `named` are those that joined and what does the same in their place. I is the information on the size beside the free
+    parameters, in the noise that the best structure leaves.
     """
     if along is None:
         return ()
-    keys = [k for k in proposed(found.best.model, wanted.effects, None, learned=False, held=False) if find_effect(k.effect).sizes]
+    keys = [k for k in proposed(found.best.model, wanted.effects, None, learned=False, held=False) if k not in named]
+    keys = [key for key in keys if find_effect(key.effect).sizes]
     scale = noise_of(found.best, found)
     each = side_by_side(lambda key: _smallest(key, found, scale, along, len(keys)), keys)
     return tuple(one for one in each if one is not None)
@@ -70,7 +72,9 @@ def _smallest(key: Key, found: Search, scale: Scale, along: Track, count: int) -
 
 
 def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -> float:
-    """On one parameter, the free ones of the best structure projected out."""
+    """On one parameter, the free ones of the best structure projected out; none where they do all that it does, or its slopes
+    grow without bounds.
+    """
     last, simulator = found.court.last, Simulator(model)
     states = found.best.structure.states[last.windows]
     initial = [simulator.x0({n: v for n, v in s.items() if n in simulator.states}) for s in states]
@@ -79,13 +83,17 @@ def _information(model: PhysicalModel, name: str, found: Search, scale: Scale) -
     runs = simulator.run_each(last.parts, initial, simulator.p(), slopes=columns, substeps=steps)
     if runs.dY is None or not runs.bounded:
         return 0.0
-    J = scale.whitened(runs.dY * scale.weights[:, None], last.starts.tolist())
-    J = J[:, scale.weights > 0.0].reshape(-1, len(columns))
-    size = np.linalg.norm(J[:, 1:], axis=0)
-    Q, R = np.linalg.qr(J[:, 1:][:, size > 0.0] / size[size > 0.0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        J = scale.whitened(runs.dY * scale.weights[:, None], last.starts.tolist())
+        J = J[:, scale.weights > 0.0].reshape(-1, len(columns))
+        size = np.linalg.norm(J, axis=0)
+    if not np.all(np.isfinite(size)):
+        return 0.0
+    Q, R = np.linalg.qr(J[:, 1:][:, size[1:] > 0.0] / size[1:][size[1:] > 0.0])
     Q = Q[:, np.abs(np.diag(R)) > 1e-9]
     rest = J[:, 0] - Q @ (Q.T @ J[:, 0])
-    return float(rest @ rest)
+    own = float(rest @ rest)
+    return own if own > 1e-9 * float(size[0]) ** 2 else 0.0
 
 
 def next_experiments(found: Search, candidates: Sequence[Candidate]) -> tuple[NextExperiment, ...]:

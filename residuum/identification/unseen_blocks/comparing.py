@@ -8,12 +8,15 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.physics.model import find_effect
+from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
     DRAWS,
     EVERYWHERE,
     MERITLESS,
+    PIECES,
     REAL,
     SMALL,
     TIE,
@@ -83,7 +86,8 @@ def corrected(new: Judged, old: Judged) -> float:
     rho = np.fft.irfft(np.abs(np.fft.rfft(e, 2 * len(e))) ** 2)[: max(len(e) // 20, 2)]
     rho = rho / max(float(rho[0]), 1e-300)
     until = int(np.argmax(rho < 0.05)) or len(rho)
-    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), WINDOW_SAMPLES, max(len(e) // 20, WINDOW_SAMPLES)))
+    shortest = min(WINDOW_SAMPLES, max(len(e) // PIECES, 1))
+    length = int(np.clip(10 * (1 + 2 * rho[1:until].sum()), shortest, max(len(e) // 20, shortest)))
     s = np.add.reduceat(rows, np.arange(0, len(rows), length))
     return float(s.sum() / max(float(np.sqrt((s**2).sum())), 1e-300))
 
@@ -94,7 +98,9 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
     if scale.nats:
         return gain > np.log(max(tried, 1)) + TIE and corrected(new, old) > EVERYWHERE
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
-    return gain > WORTH * (1.0 + rarer) * left and gain > SMALL * (base.cost - scale.floor) and ahead(new, old, scale) > REAL
+    least = 0.0 if is_nothing(old, base, scale) else SMALL * (base.cost - scale.floor)
+    worth = max(WORTH * (1.0 + rarer) * left, least)
+    return gain > worth and ahead(new, old, scale) > REAL
 
 
 def real_ones(ranked: Sequence[Judged], old: Judged, base: Judged, scale: Scale, tried: int) -> list[Judged]:
@@ -109,13 +115,36 @@ def is_nothing(left: Judged, base: Judged, scale: Scale) -> bool:
 
 
 def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
-    """The fewest parameters among those that the best does not stand before."""
+    """The fewest parameters among those that the best does not stand before; of what noise cannot tell apart the physics of a
+    balance before the path of an input.
+    """
     lead = min(ranked, key=lambda one: one.cost)
     if scale.nats:
         near = [one for one in ranked if one.cost < lead.cost + TIE]
     else:
         near = [one for one in ranked if one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
-    return min(near, key=lambda one: (one.parameters, one.cost))
+    chosen = min(near, key=lambda one: (one.parameters, one.cost))
+    return _physics_first(chosen, ranked, scale) if scale.nats else chosen
+
+
+def _physics_first(chosen: Judged, ranked: Sequence[Judged], scale: Scale) -> Judged:
+    """What is as likely as the chosen one, no rarer, and has a balance's effect in the place of one on an input.
+
+    A power law of a heater and of the command that it follows are one equation: nothing but a parameter's price would choose.
+    """
+    least = chosen.cost - scale.price * chosen.parameters + TIE
+    same = [
+        one
+        for one in ranked
+        if one.cost - scale.price * one.parameters < least
+        and one.rarity <= chosen.rarity
+        and len(one.keys) == len(chosen.keys) == len({*one.keys, *chosen.keys}) - 1
+    ]
+    return min([chosen, *same], key=lambda one: (_on_inputs(one), one.parameters, one.cost))
+
+
+def _on_inputs(one: Judged) -> int:
+    return sum(key.effect != HELD and find_effect(key.effect).place == "input" for key in one.keys)
 
 
 def _beside(one: Judged, lead: Judged, scale: Scale) -> bool:

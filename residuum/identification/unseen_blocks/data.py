@@ -13,14 +13,18 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.physics.estimation.gauss_newton import Cells
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.policy import BLOCKS, FOLDS, LADDER, WINDOW_SAMPLES
+from residuum.identification.unseen_blocks.policy import (
+    BLIND,
+    BLOCK_SAMPLES,
+    BLOCKS,
+    FEWEST_TO_JUDGE,
+    FOLDS,
+    LADDER,
+    WINDOW_SAMPLES,
+)
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-FEWEST_TO_CUT = FOLDS * WINDOW_SAMPLES
-"""[samples] Of a record of which parts can be kept aside."""
-FEWEST_OF_A_RUN = WINDOW_SAMPLES
-"""[samples] Of a run that is kept aside whole, one of many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +46,17 @@ class Rung:
         """The rows of each window in each block."""
         return Cells.of(self.parts, self.block)
 
-    def thinned(self, samples: int) -> tuple[Rung, slice]:
-        """Evenly so many samples of the parts, and which parts those are."""
-        every = slice(None, None, max(1, round(sum(part.n for part in self.parts) / samples)))
-        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), np.arange(len(self.parts))[every])
-        return Rung(self.windows, self.parts[every], self.block[rows], self.experiment[every]), every
+    def thinned(self, samples: int, errors: Array | None = None) -> tuple[Rung, list[int]]:
+        """About so many samples of the parts, and which parts those are: evenly, or, where these hold little of the
+        errors (parts,), those that hold most.
+        """
+        every = np.arange(len(self.parts))[:: max(1, round(sum(part.n for part in self.parts) / samples))]
+        more = None if errors is None else errors - errors.min()
+        if errors is not None and more is not None and more[every].mean() < BLIND * more.mean():
+            every = np.sort(np.argsort(-errors)[: len(every)])
+        rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
+        parts = [self.parts[k] for k in every]
+        return Rung(self.windows, parts, self.block[rows], self.experiment[every]), every.tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +124,14 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
     check_moves(experiments)
     if not long_enough([e.n for e in experiments]):
         e = min(experiments, key=lambda e: e.n)
-        least = f"at least {FEWEST_TO_CUT} are needed, or {FOLDS} runs of {FEWEST_OF_A_RUN} and more"
+        least = f"at least {FEWEST_TO_JUDGE} in all and {FOLDS} in each record are needed"
         raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
     return data_of(model, experiments)
 
 
 def long_enough(samples: Sequence[int]) -> bool:
-    """Whether parts of records with so many samples can be kept aside: of each, or of many short runs whole ones."""
-    runs = len(samples) >= FOLDS and sum(samples) >= FEWEST_TO_CUT
-    return min(samples) >= (FEWEST_OF_A_RUN if runs else FEWEST_TO_CUT)
+    """Whether parts of records with so many samples can be kept aside."""
+    return sum(samples) >= FEWEST_TO_JUDGE and min(samples) >= FOLDS
 
 
 def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
@@ -132,15 +141,18 @@ def data_of(model: PhysicalModel, experiments: list[Experiment]) -> Data:
     spread = np.ones(Y.shape[1])
     spread[measured] = np.nanstd(Y[:, measured], axis=0)
     spread[~(spread > 0.0)] = 1.0
-    each, fold = folds_of(len(experiments))
     shortest = min(e.n for e in experiments)
+    each, fold = folds_of(len(experiments), shortest)
     rungs = tuple(_rung(experiments, k, each) for k in LADDER if shortest // k >= WINDOW_SAMPLES or k == LADDER[-1])
     return Data(model, experiments, measured, spread, rungs, fold)
 
 
-def folds_of(count: int) -> tuple[int, Integers]:
-    """How many blocks each of so many experiments has, and which blocks are left out together (blocks,)."""
-    each = BLOCKS if count == 1 else max(FOLDS, FOLDS * -(-BLOCKS // (FOLDS * count)))
+def folds_of(count: int, shortest: int) -> tuple[int, Integers]:
+    """How many blocks each of so many experiments has, the shortest with so many samples, and which blocks are left out together
+    (blocks,).
+    """
+    each = BLOCKS if count == 1 else FOLDS * -(-BLOCKS // (FOLDS * count))
+    each = max(FOLDS, min(each, FOLDS * (shortest // (FOLDS * BLOCK_SAMPLES))))
     block = np.arange(each * count)
     return each, (block // each if count >= FOLDS - 1 else block) % FOLDS  # whole records where there are several
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import PhysicalModel
@@ -23,10 +24,14 @@ from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, fitted
 
+Array = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class Climbed:
-    """The model fitted on the `last` rung, where it was found, and the rung `middle` of short looks."""
+    """The model fitted on the `last` rung, where it was found, and the rung `middle` of short looks, with what the model leaves
+    in each of its windows: `there`, mean squares.
+    """
 
     data: Data
     structure: Structure
@@ -34,6 +39,7 @@ class Climbed:
     last: Rung
     middle: Rung
     scale: Scale
+    there: Array
 
 
 def climb(data: Data) -> Climbed:
@@ -46,17 +52,20 @@ def climb(data: Data) -> Climbed:
     """
     scale = plain(data)
     structure, last, found = Structure((), data.model, {}, {}), None, None
+    each: dict[int, Array] = {}
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
         if here is None or (last is not None and here.mean > RUNG_ERROR and not _forgets(here, rung)):
             continue
         structure, last, found = structure.at(rung, here), rung, here
+        each[rung.windows] = np.array([np.nanmean((r * scale.weights) ** 2) for r in here.residuals])
     if last is None or found is None:
         raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records, also in short windows; {MAY_DIVERGE}")
     ordered = [rung for rung in data.rungs if rung.windows in structure.states]
     scale = clipped(scale, found.residuals, last)
     found = found.in_unit(scale).descended(6, 1e-4)
-    return Climbed(data, structure.at(last, found), found, last, ordered[min(1, len(ordered) - 1)], scale)
+    middle = ordered[min(1, len(ordered) - 1)]
+    return Climbed(data, structure.at(last, found), found, last, middle, scale, each[middle.windows])
 
 
 def _fitted(structure: Structure, first: PhysicalModel, rung: Rung, last: Rung | None, scale: Scale) -> Fit | None:

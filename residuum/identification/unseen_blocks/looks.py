@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
@@ -24,28 +25,32 @@ from residuum.identification.unseen_blocks.proposals import beginnings, conditio
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
 
+Array = npt.NDArray[np.float64]
 SHORT, LONG = "short", "long"
 
 
 @dataclass(frozen=True, eq=False)
 class Court:
-    """What all structures of a level are judged by: the data, the rung of the judgement, the rung of short looks, the scale."""
+    """What all structures of a level are judged by: the data, the rung of the judgement, the rung of short looks, the scale, and
+    what the model as it is leaves in each window of that rung (`there`, mean squares; None: not known).
+    """
 
     data: Data
     last: Rung
     middle: Rung
     scale: Scale
+    there: Array | None = None
 
     @cached_property
-    def short(self) -> tuple[Rung, slice]:
+    def short(self) -> tuple[Rung, Sequence[int]]:
         """What a look at short windows sees, and which of the windows those are."""
-        return self.middle.thinned(GLANCED)
+        return self.middle.thinned(GLANCED, self.there)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """The looks that there are: long records are looked at in short windows alone."""
         many = self.last.starts[-1] > LONG_LOOK
-        if self.middle is self.last or (self.scale.nats and not many):
+        if self.middle is self.last:
             return (LONG,)
         return (SHORT,) if many else (LONG, SHORT)
 
@@ -97,8 +102,9 @@ def glance(parent: Structure, key: Key, along: Track, court: Court, given: Track
     first = beginnings(key, along) + ([] if given is None else beginnings(key, given))
     seen: dict[str, Sequence[Fit]] = {}
     for kind in court.kinds:
-        rung, which = (court.last, slice(None)) if kind == LONG else court.short
-        states, steps = parent.states[rung.windows][which], parent.steps[rung.windows][which]
+        rung, which = (court.last, range(len(court.last.parts))) if kind == LONG else court.short
+        states = [parent.states[rung.windows][k] for k in which]
+        steps = [parent.steps[rung.windows][k] for k in which]
         begun = [one for model in first if (one := at_start(model, rung, states, court.scale, steps)) is not None]
         begun.sort(key=lambda one: one.cost - one.promised(*one.step(damping=PROMISING)))
         if each := [one.descended(1, 0.0) for one in begun[:FOLLOWED_STARTS]]:
@@ -127,8 +133,9 @@ def look(seen: Glance, court: Court) -> Judged | None:
     found: list[Fit] = []
     for kind, fits in seen.seen.items():
         for one in fits[: FOLLOWED_STARTS if court.scale.nats else 1]:  # small effects of the wrong shape mislead
-            here = one if kind == LONG else _on_the_last_rung(one.model, seen.parent, court)
-            found += [] if here is None else [here]
+            ends = [one, descended(one, steps=15, tolerance=1e-4)] if court.scale.nats and kind == SHORT else [one]
+            each = ends if kind == LONG else [_on_the_last_rung(end.model, seen.parent, court) for end in ends]
+            found += [here for here in each if here is not None]
     return _lowest(found, Structure(seen.keys, seen.parent.model, seen.parent.states, seen.parent.steps), seen, court)
 
 

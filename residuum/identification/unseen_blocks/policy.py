@@ -12,6 +12,8 @@ RUNG_ERROR = 0.1
 """[of the outputs' variance] Error up to which a rung of the ladder is followed. Chosen."""
 BLOCKS, FOLDS = 20, 4
 """Blocks of all records, and of how many one is left out at a time. Chosen."""
+BLOCK_SAMPLES, FEWEST_TO_JUDGE = 5, 40
+"""[samples] Of a block at least, and of all records, eight blocks: with fewer an effect may follow every sample. Chosen."""
 DAMPING = 0.003
 """[of the curvature] Of the step to the values without the blocks left out: nearly undetermined values would go anywhere. Fitted
 to refits with masked blocks."""
@@ -39,12 +41,16 @@ CURVE_KNOTS, MOST_CURVES = 9, 3
 
 BEAM, DEEPEST = 3, 4
 """Structures that go on to the next level, and effects at most. Chosen."""
-EXCHANGED = 3
-"""Effects from which on each is tried to be exchanged for another: of two, each was looked at alone. Chosen."""
+TURNS = 2
+"""Of the input timing, where what was found suits the other one: the first may have been turned by a wrong effect. Chosen."""
+EXCHANGED, EXCHANGED_IN_NOISE = 3, 2
+"""Effects from which on each is tried to be exchanged for another: of two, each was looked at alone, but not in nats. Chosen."""
 FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000
 """[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
+BLIND = 0.5
+"""[of the mean over all windows] Of their errors above the least, below which windows chosen evenly are not looked at. Chosen."""
 KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0
@@ -62,8 +68,8 @@ MERITLESS = 0.02
 SMALL, WORTH = 0.0004, 0.1
 """Shares of the first error's power that are nothing (2 % of its RMS: beside a first model far off, more is little), and of
 what is left that an effect has to take away. Chosen."""
-MOST_LEFT = 0.1
-"""[of the first error's power] That effects may leave that take away most. Chosen."""
+NEAR_NOISE = 100.0
+"""[of the noise's power] Up to which of next to nothing that is left more is sought: all of it may be noise. Chosen."""
 REAL = 2.5
 """[standard errors over blocks] By which what an effect takes away stands above chance. Calibrated on complete machines."""
 
@@ -76,14 +82,21 @@ TIE = 3.0
 ONE_PHYSICS = 0.9
 """[of what the general effect takes away] From which on its special case is told beside it: a loss with and without a bend is one
 loss. Chosen."""
-EVERYWHERE = 2.0
-"""[standard errors] By which corrections go along with the errors over pieces: not in one place alone. Chosen."""
+TWICE = 1.4
+"""[standard errors] The same as the next where noise alone is left: an effect may show in two places. Chosen."""
+EVERYWHERE, PIECES = 2.0, 8
+"""[standard errors] By which corrections go along with the errors over pieces: not in one place alone; and the fewest pieces, for
+of four the largest number of standard errors is two. Chosen."""
 
 KNOTS_BY_AXIS: Mapping[str, int] = {"velocity": 17, "position": 17, "current": 9, "temperature": 9, "level": 9, "time": 17}
 """Axes of the free term, and how many hat functions stand on each. Chosen."""
 
 UNKNOWN_LEADS = 0.5
 """Probability of something without a name from which on the verdict is that."""
+PLAINLY_A_PART = 0.7
+"""[of what stood above the noise] Below which what effects take away is a part, where something structured is left. Chosen."""
+DOUBTED = 0.3
+"""Probability of something without a name beside effects that took a part, or act when nobody recorded. Chosen."""
 MOST_RIVALS, LISTED = 40, 6
 """Structures, the best ones, among which a draw is decided, and candidates of a step that are told. Chosen."""
 DRAWS = 400

@@ -108,10 +108,16 @@ def specialised(key: Key, general: Track) -> list[PhysicalModel]:
     return found
 
 
-def special_of(key: Key) -> Key | None:
-    """The effect that a proposed one generalises, at its place."""
+def generalised(key: Key) -> Key | None:
+    """The effect that a proposed one is grown from, at its place; itself, where its error has many minima side by side."""
     special = "" if key.effect == HELD else find_effect(key.effect).generalises
-    return Key(special, key.target) if special and special != key.effect else None
+    return Key(special, key.target) if special else None
+
+
+def special_of(key: Key) -> Key | None:
+    """The other effect that a proposed one generalises, at its place."""
+    special = generalised(key)
+    return None if special == key else special
 
 
 def starts(key: Key, along: Track) -> list[Mapping[str, float]]:

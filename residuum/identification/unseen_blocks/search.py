@@ -14,26 +14,46 @@ from functools import partial
 
 import numpy as np
 
-from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Key
 from residuum.identification.side_by_side import each_beside
-from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, real_ones, simplest
+from residuum.identification.unseen_blocks.beginning import begun
+from residuum.identification.unseen_blocks.comparing import going_on, is_alike, is_nothing, simplest
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track, followed
+from residuum.identification.unseen_blocks.joining import joins, without_needless
 from residuum.identification.unseen_blocks.judged import Judged, judged
-from residuum.identification.unseen_blocks.ladder import Climbed, climb, climb_at_likelier_timing
-from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, follow, followed_on, glance, look, shows
-from residuum.identification.unseen_blocks.policy import BEAM, DEEPEST, EXCHANGED, FOLLOWED, FULLY_FITTED, KEPT, RUNG_ERROR
-from residuum.identification.unseen_blocks.proposals import grown, proposed, special_of, specialised
+from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
+from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.policy import (
+    BEAM,
+    DEEPEST,
+    EXCHANGED,
+    EXCHANGED_IN_NOISE,
+    FOLLOWED,
+    FULLY_FITTED,
+    KEPT,
+    NEAR_NOISE,
+    RUNG_ERROR,
+    TURNS,
+)
+from residuum.identification.unseen_blocks.proposals import proposed
+from residuum.identification.unseen_blocks.relatives import related
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_power, plain
-from residuum.identification.unseen_blocks.settling import settle
+from residuum.identification.unseen_blocks.settling import accurate, settle
 from residuum.identification.unseen_blocks.structure import Structure, fitted
+from residuum.identification.unseen_blocks.suited_timing import at_the_timing_it_suits
 from residuum.identification.unseen_blocks.tried import Search, Wanted, with_only
+from residuum.identification.unseen_blocks.unseen_states import with_unseen_states
 from residuum.identification.work import OutOfWork, Tell, go_on, left_out, untold
 
 
-def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True) -> Search:
-    """Which effects are missing in the data's model, at the likelier input timing where it may be turned.
+def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURNS) -> Search:
+    """Which effects are missing in the data's model, at the input timing that suits them, which is turned so often at most.
+
+    Where next to nothing of the first error is left, further effects join only if they leave nothing but noise.
+
+    The timing is chosen before anything is found, and asked again with each effect that joins: at the wrong one, the next effect
+    would be the half sample.
 
     Raises
     ------
@@ -41,46 +61,42 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turn: bool = True
         The model diverges on the records.
     """
     tell(0.0, "estimating the model as it is")
-    found = begun(climb_at_likelier_timing(data) if turn else climb(data))
-    beam, kept, depth = [found.best], None, 0
+    found = begun(climb_at_likelier_timing(data) if turns == TURNS else climb(data))
+    beam, kept, depth, enough = [found.best], None, 0, None
     try:
         while True:
             tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
             ranked: list[Judged] = []
-            if depth < DEEPEST and not is_nothing(found.best, found.base, found.court.scale):
+            nothing = is_nothing(found.best, found.base, found.court.scale)
+            if nothing and found.best.keys and (longer := _lengthened(found)):
+                beam = longer
+                continue
+            if nothing and enough is None:
+                enough = replace(found, every=dict(found.every), group=list(found.group))
+            if depth < DEEPEST and (not nothing or found.best.cost < NEAR_NOISE * found.court.scale.floor):
                 glances = _glances(found, beam, wanted, kept)
                 kept = _kept(glances) if kept is None else kept
+                tell(0.1 + 0.6 * (depth + 0.5) / DEEPEST, _beside(found.best.keys))
                 ranked = _fitted(found, glances)
                 found.tried = len(glances) or found.tried
-            if ranked and _joins(found, ranked):
-                beam, depth = _settled(found, ranked), depth + 1
-                if len(found.best.keys) >= EXCHANGED:
+            if ranked and joins(found, ranked):
+                without_needless(found)
+                if turns and (other := at_the_timing_it_suits(found)) is not None:
+                    return search(other, wanted, tell, turns=turns - 1)
+                beam, depth = settled(found, ranked), depth + 1
+                if len(found.best.keys) >= (EXCHANGED_IN_NOISE if found.court.scale.nats else EXCHANGED):
                     beam = _exchanged(found, beam, wanted, kept)
-            elif found.best.keys and (longer := _lengthened(found)):
+            elif found.best.keys and not nothing and (longer := _lengthened(found)):
                 beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
                 beam, depth = going_on(ranked, found.court.scale), depth + 1
             else:
                 break
+        if found.court.scale.nats and found.best.keys:
+            found.best = found.every[found.best.keys] = accurate(found.best, found.court)
     except OutOfWork:
         left_out(f"effects {_beside(found.best.keys)}")
-    return found
-
-
-def begun(climbed: Climbed) -> Search:
-    """The model as it is, judged; in nats where all it leaves is noise."""
-    data, last = climbed.data, climbed.last
-    first = judged(climbed.structure, climbed.found, last, data, climbed.scale)
-    if first is None:
-        raise NotIdentifiable(f"model {data.model.name!r}: diverges on the records; {MAY_DIVERGE}")
-    scale = of_power(climbed.scale, data, first.power)
-    first = replace(first, cost=scale.cost(first.power, first.parameters), seen=np.inf)
-    court = Court(data, last, climbed.middle, scale)
-    found = Search(court, first, first, None, {(): first})
-    if (settled := settle(first, court)) is not None:
-        court, first = settled
-        found = Search(court, first, first, None, {(): first})
-    return found
+    return found if enough is None or found.court.scale.nats else enough
 
 
 def _beside(keys: Sequence[Key]) -> str:
@@ -95,13 +111,15 @@ def _glances(found: Search, beam: Sequence[Judged], wanted: Wanted, kept: set[Ke
         if along is None:
             continue
         found.along = along if found.along is None else found.along
+        begins = with_unseen_states(parent.structure, along, found.court)
         given = None if parent.keys else followed(found.court.data.model, found.court.data)
         for key in proposed(parent.model, wanted.effects, along, learned=wanted.learned, held=wanted.held):
             keys = tuple(sorted((*parent.keys, key)))
             if key not in parent.keys and keys not in seen and keys not in found.every and (kept is None or key in kept):
                 seen.add(keys)
-                tasks.append(partial(_glanced, parent.structure, key, along, found.court, given))
+                tasks.append(partial(_glanced, begins, key, along, found.court, given))
     each = each_beside(lambda task: task(), tasks)
+    found.proposed |= {one.key for one in each if one is not None}
     return {one.keys: one for one in each if one is not None}
 
 
@@ -133,7 +151,7 @@ def _fitted(found: Search, glances: dict[tuple[Key, ...], Glance]) -> list[Judge
     near = {one.keys: one for one in each_beside(followed_on, _best_of_each(glances.values(), FOLLOWED))}
     each = each_beside(lambda seen: _looked(seen, found.court), _best_of_each(near.values(), FULLY_FITTED))
     here = {one.keys: one for one in each if one is not None}
-    here |= _related(found, here, glances)
+    here |= related(found, here, glances)
     found.every |= here
     return sorted(here.values(), key=lambda one: one.cost)
 
@@ -155,52 +173,7 @@ def _looked(seen: Glance, court: Court) -> Judged | None:
         return None
 
 
-def _related(
-    found: Search, here: dict[tuple[Key, ...], Judged], glances: dict[tuple[Key, ...], Glance]
-) -> dict[tuple[Key, ...], Judged]:
-    """Effects that generalise one of the best, followed from where that one fits, and special cases from where the general one
-    does. From nothing they may not be reached, or end on the way.
-    """
-    tasks = []
-    for one in sorted(here.values(), key=lambda one: one.cost)[:BEAM]:
-        general = [seen for seen in glances.values() if _is_for(seen, one, special_of(seen.key))]
-        special = [
-            seen for seen in glances.values() if any(special_of(k) == seen.key and _is_for(seen, one, k) for k in one.keys)
-        ]
-        if not (general or special):
-            continue
-        along = followed(one.model, found.court.data, one.errors, found.court.last)
-        if along is not None:
-            each = [(seen, grown(seen.key, along)) for seen in general] + [
-                (seen, specialised(seen.key, along)) for seen in special
-            ]
-            tasks += [partial(follow, models, seen, one.structure, found.court) for seen, models in each if models]
-    led = each_beside(lambda task: task(), tasks)
-    better: dict[tuple[Key, ...], Judged] = {}
-    for end in led:
-        known = None if end is None else better.get(end.keys, here.get(end.keys))
-        if end is not None and (known is None or end.seen < known.seen):
-            better[end.keys] = end
-    return better
-
-
-def _is_for(seen: Glance, one: Judged, other: Key | None) -> bool:
-    """Whether a structure holds what was glanced at, but for another effect in the place of the new one."""
-    return other in one.keys and set(one.keys) - {other} == set(seen.keys) - {seen.key}
-
-
-def _joins(found: Search, ranked: Sequence[Judged]) -> bool:
-    """Whether any is real; the simplest of the best that are is the best from now on."""
-    scale, before = found.court.scale, found.best
-    real = real_ones(ranked, before, found.base, scale, found.tried)
-    if not real:
-        return False
-    found.best = chosen = simplest(real, scale)
-    found.group = [one for one in ranked if one is not chosen and is_alike(one, chosen, before, scale)]
-    return True
-
-
-def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
+def settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     """The beam for the next level; where the unit of the error turned, its structures judged anew."""
     turned = None if found.court.scale.nats else settle(found.best, found.court)
     if turned is None:
@@ -213,7 +186,8 @@ def _settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     chosen = simplest(fits, court.scale)
     found.court, found.best, found.base = court, chosen, base
     found.every = {one.keys: one for one in [*fits, base]}
-    found.group = [one for one in fits if one is not chosen and is_alike(one, chosen, None, court.scale)]
+    others = [one for one in fits if not set(one.keys) >= set(chosen.keys)]
+    found.group = [one for one in others if is_alike(one, chosen, None, court.scale)]
     return [chosen, *found.group][:BEAM]
 
 

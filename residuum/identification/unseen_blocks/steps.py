@@ -29,13 +29,13 @@ def chain(found: Search, keys: Iterable[Key]) -> list[tuple[Key, Judged, Judged]
 
 def in_place_of(found: Search, key: Key, rest: Sequence[Key]) -> list[Judged]:
     """What does the same in the place of one of the best structure's effects, the others kept; each as it is beside `rest`."""
-    best, kept = found.best, set(found.best.keys) - {key}
+    best, kept, scale = found.best, set(found.best.keys) - {key}, found.court.scale
     without = found.every.get(tuple(sorted(kept)))
     there = [o for o in found.every.values() if o.keys != best.keys and len(o.keys) == len(best.keys) and set(o.keys) > kept]
     same = []
     for one in there:
         other = next(iter(set(one.keys) - kept))
-        if is_alike(one, best, without, found.court.scale) or _are_one_physics(one, best, without, (other, key)):
+        if is_alike(one, best, without, scale) or (not scale.nats and _are_one_physics(one, best, without, (other, key))):
             same.append(with_only(found, (*rest, other), one))
     return [one for one in same if one is not None]
 

@@ -26,7 +26,8 @@ class Search:
     """What was tried.
 
     `base` is the model as it is, `best` with what joined, both judged by `court`; `every` structure that was judged there by
-    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had.
+    its keys; `group` those that cannot be told from the best; `tried` how many proposals the last level had; `proposed` what was
+    looked at.
     """
 
     court: Court
@@ -36,6 +37,7 @@ class Search:
     every: dict[tuple[Key, ...], Judged] = field(default_factory=dict)
     group: list[Judged] = field(default_factory=list)
     tried: int = 1
+    proposed: set[Key] = field(default_factory=set)
 
 
 def with_only(found: Search, keys: Iterable[Key], whole: Judged | None = None) -> Judged | None:

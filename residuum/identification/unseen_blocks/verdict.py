@@ -1,7 +1,8 @@
 """From what was tried to names: groups, probabilities that were counted, and the verdict.
 
 Blocks are drawn again with replacement; in every draw the structure wins that would have been chosen on those blocks. What a
-group, "none" and "unknown" win is their probability.
+group, "none" and "unknown" win is their probability. A name that took a part, or that acts when nobody recorded, shares what it
+wins with "unknown": no draw of blocks shows what else would have done the same.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ from residuum.identification.unseen_blocks.comparing import evidence, is_alike, 
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
-from residuum.identification.unseen_blocks.policy import DRAWS, LISTED, MOST_RIVALS, SMALL, TIE, UNKNOWN_LEADS, WORTH
+from residuum.identification.unseen_blocks.policy import (
+    DOUBTED,
+    DRAWS,
+    LISTED,
+    MOST_RIVALS,
+    PLAINLY_A_PART,
+    SMALL,
+    TIE,
+    UNKNOWN_LEADS,
+    WORTH,
+)
 from residuum.identification.unseen_blocks.steps import chain, in_place_of
 from residuum.identification.unseen_blocks.tried import Search
 
@@ -97,6 +108,8 @@ def verdict_on(
     timing = {step.key for step in joined if is_timing(step.key, found)}
     wins = _named(counted(found, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
     steps = [step for step in joined if step.key not in timing]
+    if steps and (not _recorded(steps) or (not adequate and _took_a_part(found))):
+        wins = _doubted(wins)
     listed: list[Candidate] = []
     for number, step in enumerate(step for step in steps if step.key.effect != HELD):
         listed += _candidates(step, number, wins, stds, found)
@@ -127,6 +140,24 @@ def _named(wins: Mapping[tuple[Key, ...] | str, float], timing: set[Key], nothin
         name = keys if physics else nothing
         named[name] = named.get(name, 0.0) + won
     return named
+
+
+def _recorded(steps: Sequence[Step]) -> bool:
+    """Whether the records say when the effects that joined act: a load that came and went once may have been anything."""
+    return all(step.key.effect == HELD or step.after.model.records(step.key) for step in steps)
+
+
+def _took_a_part(found: Search) -> bool:
+    """Whether plainly more than noise is left of the error: the nearest shape in the catalogue to something else does that."""
+    scale, base = found.court.scale, found.base
+    return not scale.nats and base.cost - found.best.cost < PLAINLY_A_PART * (base.cost - scale.floor)
+
+
+def _doubted(wins: Mapping[tuple[Key, ...] | str, float]) -> dict[tuple[Key, ...] | str, float]:
+    """What was counted, where a name that wins may stand for something that has none."""
+    named = sum(won for keys, won in wins.items() if not isinstance(keys, str))
+    less = {keys: won if isinstance(keys, str) else (1.0 - DOUBTED) * won for keys, won in wins.items()}
+    return {**less, UNKNOWN: less.get(UNKNOWN, 0.0) + DOUBTED * named}
 
 
 def _scaled(candidate: Candidate, factor: float) -> Candidate:

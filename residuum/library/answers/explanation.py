@@ -9,8 +9,7 @@ from typing import Any
 
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.judging.free_term import FreeTerm
-from residuum.identification.discrepancy.judging.suggestion import suggestion
+from residuum.identification.discrepancy.suggestion import nearest_formula
 from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.block_errors import Array, BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate
@@ -61,8 +60,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "timing": [{"effect": effect, "at": target} for effect, target in explanation.timing],
         "drifting": explanation.drifting,
         "by_share": explanation.by_share,
-        "remaining": None if explanation.remaining is None else remaining_json(explanation.remaining),
-        "blocks": None if explanation.blocks is None else _blocks_json(explanation.blocks),
+        "remaining": remaining_json(explanation.remaining),
+        "blocks": _blocks_json(explanation.blocks),
         "work": work_json(explanation.work),
         "seconds": explanation.seconds,
     }
@@ -109,9 +108,9 @@ def work_text(work: Work) -> list[str]:
     return [f"  not tried, for {why}: {', '.join(told)}" + (f" and {more} more (--json names them)" if more > 0 else "")]
 
 
-def free_term_json(free: FreeTerm | BlockTerm) -> dict[str, Any]:
+def free_term_json(free: BlockTerm) -> dict[str, Any]:
     """The shape of what the catalogue leaves unexplained."""
-    formula = suggestion(free)
+    formula = nearest_formula(free.at, free.value)
     return {
         "suggestion": None if formula is None else asdict(formula),
         "balance": free.balance,
@@ -198,7 +197,7 @@ def _free_term_text(explanation: Explanation) -> list[str]:
         f"  a term outside the catalogue in balance {free.balance}, a function of {free.axis}, explains "
         f"{100 * explanation.unexplained_share:.0f} % of what can be explained"
     ]
-    if (formula := suggestion(free)) is not None:
+    if (formula := nearest_formula(free.at, free.value)) is not None:
         lines.append(f"    it looks like {formula.formula} {free.unit}, z = {free.axis} / {formula.largest:.3g}")
     return lines
 

@@ -18,7 +18,6 @@ def improvement_json(improvement: Improvement, file: str | None) -> dict[str, An
     return {
         "history": [
             {"added": step.added, "error": step.error}
-            | ({"together": True} if step.together else {})
             | {"remaining": None if step.remaining is None else remaining_json(step.remaining)}
             for step in improvement.history
         ],
@@ -51,9 +50,7 @@ def improvement_text(improvement: Improvement, file: str | None) -> str:
     """The short human report."""
     lines = [f"error of {improvement.output} on held-out data ({improvement.aside}; explained and estimated on the rest):"]
     lines += [
-        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}"
-        + (" (together, each alone raises it)" if step.together else "")
-        for step in improvement.history
+        f"  {step.added or 'the model as it was'}: {step.error:.4g} {improvement.error_unit}" for step in improvement.history
     ]
     lines += [_effect_text(use, improvement) for use in improvement.added]
     lines += [] if improvement.explanation is None else map(held_text, improvement.explanation.held)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.discrepancy.judging.suggestion import nearest_formula
+from residuum.identification.discrepancy.suggestion import nearest_formula
 from residuum.identification.physics.model import place_of, tied_to
 from residuum.identification.unseen_blocks.candidate import Quantity
 

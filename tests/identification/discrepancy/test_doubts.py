@@ -1,4 +1,4 @@
-"""The standard deviations of what a structure estimated are those of its estimates over many records."""
+"""The standard deviations of what was estimated are those of its estimates over many records."""
 
 from dataclasses import replace
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from residuum.identification.discrepancy.fitting.structure_fits import fit_structure
-from residuum.identification.physics import Experiment, load_model
+from residuum.identification.physics import Experiment, estimate, load_model, with_coloured_noise
 
 RECORDS, N, SAMPLE_TIME = 200, 4000, 0.005
 M, B, K, D = 1.0, 3.0, 400.0, 6.0
@@ -30,7 +29,8 @@ def test_doubts_are_as_large_as_the_estimates_scatter(freedom, rho):
     for _ in range(RECORDS):
         e = rng.standard_normal(N) if freedom is None else rng.standard_t(freedom, N)
         noise = lfilter([1.0], [1.0, -rho], 0.05 * np.std(experiment.Y) * e)
-        found = fit_structure(model, [replace(experiment, Y=experiment.Y + noise[:, None])], [np.zeros(2)], second_start=False)
+        records = [replace(experiment, Y=experiment.Y + noise[:, None])]
+        found = with_coloured_noise(estimate(model, records, initial=[np.zeros(2)]), records)
         scores.append([(found.model.values[n] - known[n]) / s for n, s in zip(found.parameters, found.std, strict=True)])
     scores = np.array(scores)
     assert np.sqrt(np.mean(scores**2)) == pytest.approx(1.0, abs=0.1)

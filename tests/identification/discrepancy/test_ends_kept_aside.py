@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from residuum.identification.discrepancy.improving.ends_kept_aside import steps_that_hold
+from residuum.identification.discrepancy.ends_kept_aside import first_that_holds
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.search import begun
 
 CART = """
 name: cart
@@ -34,15 +34,15 @@ def kept(load):
     model, record = read_model(CART), cart_record(load)
     found = begun(climb(matched(model, [record], None)))
     models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
-    return steps_that_hold(models, found, [record], None)
+    return first_that_holds(models[0], models[1:], found, [record], None)
 
 
 def test_a_load_that_stays_is_kept():
-    assert kept(np.full(1500, 1.5)) == 1
+    assert kept(np.full(1500, 1.5)) == 0
 
 
 def test_a_load_that_is_gone_at_the_end_is_not():
-    assert kept(np.where(np.arange(1500) < 1000, 1.5, 0.0)) == 0
+    assert kept(np.where(np.arange(1500) < 1000, 1.5, 0.0)) is None
 
 
 def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
@@ -52,5 +52,5 @@ def test_a_load_that_the_most_different_record_does_not_have_is_not_kept():
     records = [cart_record(load if k else -load, 600, 6.0 if k else 12.0, seed=k) for k in range(4)]
     found = begun(climb(matched(model, records, None)))
     models = [found.base.model, found.base.model.with_effect("constant-load", "body", {"tau_0": 1.0})]
-    assert steps_that_hold(models, found, records[1:], None) == 1
-    assert steps_that_hold(models, found, records, None) == 0
+    assert first_that_holds(models[0], models[1:], found, records[1:], None) == 0
+    assert first_that_holds(models[0], models[1:], found, records, None) is None

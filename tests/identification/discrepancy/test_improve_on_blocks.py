@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.identification.discrepancy.improving.improve_on_blocks import joined_of
-from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.discrepancy.joined import joined_of
+from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.tried import Wanted
 
 RIG = Path(__file__).parents[3] / "docs" / "tutorials" / "fan_rig"

@@ -52,7 +52,7 @@ def test_a_delay_is_not_half_a_sample_off_because_the_timing_was_chosen_without_
     record = Record({"force": force, "speed": speed + 3e-4 * rng.normal(size=n)}, {"force": "N", "speed": "m/s"}, h)
     found = explain(read_model(MASS), [record])
     assert list(found.accepted) == [("input-delay", "force")]
-    assert found.exact.experiments[0].hold[0] == (0.0 if held else 1.0)
+    assert found.found.court.data.experiments[0].hold[0] == (0.0 if held else 1.0)
     assert abs(found.candidates[0].parameters["delay"].value - delay) < 2e-4
     improved = improve(read_model(MASS), [record])
     assert abs(improved.model.values["input-delay@force.delay"] - delay) < 2e-4

@@ -11,11 +11,8 @@ from residuum.simulation import MACHINES
 
 CUT = """
 import sys
-from importlib import import_module
-for name in ("exact_structure", "on_blocks"):
-    for bound in ("EXACT_WORK", "MOST_EFFORT"):
-        if hasattr(module := import_module(f"residuum.identification.discrepancy.{name}"), bound):
-            setattr(module, bound, 2_000_000)
+from residuum.identification.discrepancy import on_blocks
+on_blocks.MOST_EFFORT = 2_000_000
 from residuum.service.cli import main
 sys.exit(main())
 """

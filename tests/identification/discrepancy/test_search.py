@@ -1,19 +1,11 @@
 """The search for missing effects where the model has gone astray; the machines are integrated here, in fine Euler steps."""
 
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from residuum.identification.discrepancy.explain import explain
-from residuum.identification.discrepancy.fitting.structure_fits import base_structure, refit
-from residuum.identification.discrepancy.searching.evidence import preferred
-from residuum.identification.discrepancy.searching.growth import _climbed_without, _leave_to_the_noise, winner
-from residuum.identification.discrepancy.searching.search_state import Search
-from residuum.identification.discrepancy.searching.special_cases import that_say_more
-from residuum.identification.physics import Key, load_model, match, read_model
+from residuum.identification.physics import load_model, read_model
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES
 
@@ -95,8 +87,6 @@ def test_two_effects_for_which_a_third_could_stand_are_both_found():
     assert list(accepted) in (["quadratic-drag", "coulomb-friction"], ["coulomb-friction", "quadratic-drag"])
     drag = next(c for c in found.candidates if c.effect == "quadratic-drag").parameters["c"]
     assert abs(drag.value - 1.1) < 4 * drag.std
-    tried = [doing for doing in told if doing.startswith("trying")]
-    assert len(tried) == len(set(tried)) > 2  # nothing is tried twice beside the same effects
 
 
 def test_where_the_likeliest_effect_does_not_hold_up_the_search_begins_with_what_lowers_the_error_most():
@@ -114,7 +104,7 @@ def test_where_the_likeliest_effect_does_not_hold_up_the_search_begins_with_what
     record = Record(channels, {"torque": "N*m", "speed": "rad/s"}, 0.02)
     found = explain(read_model(FAN), [record])
     assert {id for id, _ in found.accepted} == {"quadratic-drag", "output-lag"}
-    assert abs(found.exact.found.best.model.values["output-lag@speed.tau"] - 0.15) < 0.01
+    assert abs(found.found.best.model.values["output-lag@speed.tau"] - 0.15) < 0.01
 
 
 def test_a_position_that_is_not_recorded_is_no_free_force_of_every_window():
@@ -153,78 +143,6 @@ def test_cogs_that_hold_an_axis_are_found_with_their_pitch():
     assert abs(np.hypot(values["a"].value, values["b"].value) - 30.0) < 0.5
 
 
-def test_a_quantisation_that_lowers_no_error_is_a_part_of_the_noise():
-    """However likely the steps make it: a complete model read in steps smaller than its noise is complete."""
-    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
-    base = base_structure(model, experiments)
-    key, parameters = ("output-quantisation", "speed"), (*base.parameters, "output-quantisation@speed.q")
-    slopes = [np.concatenate([J, np.ones((*J.shape[:2], 1))], axis=2) for J in base.by_parameters]
-    stepped = replace(
-        base,
-        model=model.with_effect(*key),
-        parameters=parameters,
-        std=np.append(base.std, 0.1),
-        by_parameters=slopes,
-        pointwise=base.pointwise + 1.0,
-    )
-    for factor, kept in ((1.02, False), (0.99, False), (0.6, True)):
-        refitted = {key: replace(stepped, rmse=factor * base.rmse)}
-        _leave_to_the_noise(refitted, base)
-        assert (key in refitted) == kept
-
-
-def test_an_effect_that_few_moments_prefer_does_not_keep_out_one_that_all_of_them_want():
-    """Two candidates that few moments tell apart: the one with fewer parameters is preferred, but only a lump wants it."""
-
-    def structure(pointwise, parameters):
-        free = tuple(f"p{k}" for k in range(parameters))
-        none = SimpleNamespace(
-            pointwise=pointwise, parameters=free, at_bound=(), by_parameters=[], log_likelihood=pointwise.sum()
-        )
-        none.penalty = lambda base: 3.5 * (parameters - len(base.parameters))
-        return none
-
-    n = 1000
-    before = structure(np.zeros(n), 2)
-    steady, lump = structure(np.full(n, 0.088), 5), structure(np.where(np.arange(n) // 10 == 7, 5.7, 0.0), 4)
-    found = {("position-load", "shaft"): steady, ("resistance-heating", "winding"): lump}
-    assert preferred(found, before) == ("resistance-heating", "winding")
-    assert winner(found, before, 6.4) == (("position-load", "shaft"), True)
-    assert winner(found, before, 90.0) == (("resistance-heating", "winding"), False)
-
-
-def test_an_effect_that_only_leads_to_a_higher_top_is_not_missing():
-    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
-    top, key = base_structure(model, experiments), ("constant-load", "chassis")
-    with_it = refit(top, model.with_effect(*key), experiments)
-    lower = replace(top, pointwise=top.pointwise - 20.0 / top.samples)
-    lowest = replace(top, pointwise=top.pointwise - 500.0 / top.samples)
-
-    def climbed(before, accepted=()):
-        return _climbed_without(with_it, key, Search(before, before, 1, accepted=list(accepted)), experiments)
-
-    assert abs(climbed(lower).log_likelihood - top.log_likelihood) < 1.0
-    assert climbed(top) is None
-    assert climbed(lowest) is None  # a first effect that gains so much is believed
-    assert abs(climbed(lowest, [("quadratic-drag", "chassis")]).log_likelihood - top.log_likelihood) < 1.0
-
-
-def test_an_effect_whose_first_parameter_no_output_feels_is_no_answer():
-    """However open that parameter is otherwise: the phase of a ripple, or a stiffness beside a mass that is not known either."""
-    model, experiments = match(read_model(VAN), [van(0.0, 0.0, n=800)])
-    base, key = base_structure(model, experiments), ("backlash", "chassis")
-    with_it = model.with_effect(*key)
-    own = [name for name in with_it.free if name.startswith("backlash")]
-    names, std = (*base.parameters, *own), np.append(base.std, np.full(len(own), np.inf))
-    found = replace(base, model=with_it, parameters=names, std=std, pointwise=base.pointwise + 1.0)
-    for felt in (True, False):
-        own_slopes = [np.ones((len(J), J.shape[1], len(own))) for J in base.by_parameters]
-        for slopes in own_slopes:
-            slopes[:, :, 0] = felt
-        joined = [np.concatenate(parts, axis=2) for parts in zip(base.by_parameters, own_slopes, strict=True)]
-        assert preferred({key: replace(found, by_parameters=joined)}, base) == (key if felt else None)
-
-
 def test_not_play_that_is_never_taken_up_but_the_inertia_that_is_wrong_is_the_answer():
     """A mass without what lies beyond an endless play is a smaller mass; the model holds its own five per cent too large."""
     rng = np.random.default_rng(12)
@@ -248,19 +166,6 @@ def test_a_limit_that_acts_seldom_is_looked_at_though_no_first_order_test_can_se
     found = explain(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
     assert list(found.accepted) == [("input-saturation", "voltage")]
     assert abs(found.candidates[0].parameters["u_max"].value - 20.0) < 0.01
-
-
-@pytest.mark.parametrize(
-    ("asymmetry", "kept"), [(0.0, {"coulomb-friction"}), (0.004, {"coulomb-friction", "directional-friction"})]
-)
-def test_friction_in_two_directions_that_are_equal_is_friction(asymmetry, kept):
-    truth = {"directional-friction": {"tau_c": 0.02, "asymmetry": asymmetry}}
-    signals = MACHINES["gate-drive"](seed=4, effects=truth, profile="rich", rate=200.0).simulate(20.0)
-    model, experiments = match(load_model("gate-drive"), [Record(signals.channels, signals.units, signals.sample_time)])
-    base = base_structure(model, experiments)
-    starts = {"coulomb-friction": {"tau_c": 0.02}, "directional-friction": {"tau_plus": 0.02, "tau_minus": 0.021}}
-    fitted = {Key(id, "shaft"): refit(base, model.with_effect(id, "shaft", values), experiments) for id, values in starts.items()}
-    assert {id for id, _ in that_say_more(fitted)} == kept
 
 
 def test_friction_whose_directions_a_spring_at_rest_anywhere_leaves_open_is_told_with_the_one_that_stands_for_it():
@@ -292,21 +197,3 @@ def test_play_with_a_soft_contact_is_found_over_windows():
     found = explain(read_model(BELT), [record], effects=["backlash", "elastic-transmission", "coulomb-friction"])
     assert list(found.accepted) == [("backlash", "belt")]
     assert abs(found.candidates[0].parameters["gap"].value - 0.022) < 1e-3
-
-
-def test_a_bound_of_another_effect_whose_name_begins_alike_rules_nothing_out():
-    """A spring at `arm2` on its bound says nothing of the spring at `arm`; a second spring at `arm` does."""
-
-    def structure(*at_bound):
-        found = SimpleNamespace(
-            pointwise=np.full(1000, 0.1), parameters=("p",), at_bound=at_bound, by_parameters=[], log_likelihood=100.0
-        )
-        found.penalty = lambda base: 3.5
-        return found
-
-    base = SimpleNamespace(pointwise=np.zeros(1000), parameters=(), at_bound=(), by_parameters=[], log_likelihood=0.0)
-    base.penalty = lambda before: 0.0
-    key = ("spring", "arm")
-    assert preferred({key: structure("spring@arm2.k")}, base) == key
-    assert preferred({key: structure("spring@arm.k")}, base) is None
-    assert preferred({key: structure("spring@arm#2.k")}, base) is None

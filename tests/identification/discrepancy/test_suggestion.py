@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.judging.free_term import FreeTerm
-from residuum.identification.discrepancy.judging.suggestion import suggestion
-
-
-def term(at, value):
-    return FreeTerm("shaft", "velocity", "N*m", at, value, rest=0.0, gain=10.0, evidence=10.0)
+from residuum.identification.discrepancy.suggestion import nearest_formula
 
 
 def test_the_functions_that_made_the_curve_are_found():
     at = np.linspace(-200.0, 200.0, 25)
     noise = 2e-4 * np.random.default_rng(0).standard_normal(25)
-    found = suggestion(term(at, -0.02 * np.sign(at) - 3e-4 * at + noise))
+    found = nearest_formula(at, -0.02 * np.sign(at) - 3e-4 * at + noise)
     assert "sign(z)" in found.formula
     assert found.largest == 200.0
     assert found.share > 0.99
@@ -24,4 +19,4 @@ def test_the_functions_that_made_the_curve_are_found():
 
 
 def test_a_flat_curve_has_no_formula():
-    assert suggestion(term(np.linspace(-1.0, 1.0, 9), np.full(9, 0.3))) is None
+    assert nearest_formula(np.linspace(-1.0, 1.0, 9), np.full(9, 0.3)) is None

@@ -1,16 +1,20 @@
 """Elasticity and play of a controlled axis, which is judged in windows; the machine is integrated here, in fine Euler steps."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.fitting.structure_fits import base_structure, fit_structure
-from residuum.identification.physics import Simulator, match, read_model
+from residuum.identification.physics import Key, read_model
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
 from residuum.identification.record import Record
-from residuum.identification.residual_analysis.prediction_windows import in_windows
+from residuum.identification.unseen_blocks.beginning import begun
+from residuum.identification.unseen_blocks.data import matched
+from residuum.identification.unseen_blocks.ladder import climb_at_likelier_timing
+from residuum.identification.unseen_blocks.scale import plain
+from residuum.identification.unseen_blocks.structure import Structure
 
 AXIS = Path(__file__).with_name("axis.yaml").read_text()
 SAMPLE_TIME, FINE, NOISE = 0.002, 80, 2e-5
@@ -37,37 +41,27 @@ def axis(play, k=4.0e4, d=60.0, seed=2, n=6000):
     return Record({"force": F, "position": Q}, {"force": "N", "position": "m"}, SAMPLE_TIME)
 
 
-def windows(record):
-    model, experiments = match(read_model(AXIS, "axis.yaml"), [record], hold="zero-order")
-    parts = in_windows(model, experiments)
-    assert len(parts) > 1
-    return base_structure(model, parts), parts
+def fitted(record, *effect):
+    climbed = climb_at_likelier_timing(matched(read_model(AXIS, "axis.yaml"), [record], None))
+    court = replace(begun(climbed).court, last=climbed.data.rung(9), scale=plain(climbed.data))
+    model = climbed.found.model.with_effect(*effect)
+    return court.judge(Structure((Key(*effect[:2]),), model, climbed.structure.states, {}), steps=40, tolerance=1e-7)
 
 
 def test_the_far_body_swings_on_where_a_window_begins():
     """Settled at the beginning of every window, it would be estimated many standard deviations off, the noise never reached."""
-    base, parts = windows(axis(0.0))
-    model = base.model.with_effect("elastic-transmission", "slide", {"k": 3.0e4, "d": 50.0, "share": 0.4})
-    found = fit_structure(model, parts, base.initial)
+    found = fitted(axis(0.0), "elastic-transmission", "slide", {"k": 3.0e4, "d": 50.0, "share": 0.4})
     values = {n.partition(".")[2]: v for n, v in found.model.values.items() if "@" in n}
     assert values == {
         "k": pytest.approx(4.0e4, rel=0.01),
         "d": pytest.approx(60.0, rel=0.1),
         "share": pytest.approx(0.5, rel=0.01),
     }
-    assert found.rmse[0] < 1.2 * NOISE
+    assert found.rms[0] < 1.2 * NOISE
 
 
-def test_steps_that_only_exactness_asks_for_make_no_contact_too_fast_to_be_seen():
-    """Where a contact closes the integration errs; that is no mode beyond the sampling rate, and may be so in one window."""
-    base, parts = windows(axis(2e-3))
-    model = base.model.with_effect("backlash", "slide", {"gap": 1e-3, "k": 2.5e5, "d": 500.0, "share": 0.6})
-    simulator, p = Simulator(model), Simulator(model).p()
-    starts = [np.concatenate([x, np.zeros(2)]) for x in base.initial]
-    followed = max(simulator.modal_substeps(parts, starts, p))
-    assert followed < max(simulator.substeps_each(parts, starts, p))
-    found = fit_structure(model, parts, base.initial, most_substeps=followed)
-    assert found is not None
+def test_play_whose_contact_is_begun_too_stiff_is_found():
+    found = fitted(axis(2e-3), "backlash", "slide", {"gap": 1e-3, "k": 2.5e5, "d": 500.0, "share": 0.6})
     assert found.model.values["backlash@slide.gap"] == pytest.approx(2e-3, rel=0.05)
 
 

@@ -70,7 +70,7 @@ def test_an_effect_of_ones_own_is_named_sized_and_carried_by_the_model_file(tmp_
         EFFECTS.use_here(effect)
         found = explain(read_model(AXIS), [slowed()], effects=["sine-drag", "viscous-friction", "coulomb-friction"])
         assert found.candidates[0].effect == "sine-drag"
-        return write_model(found.exact.found.best.model)
+        return write_model(found.found.best.model)
 
     text = here(story)
     assert "sine-drag" not in EFFECTS

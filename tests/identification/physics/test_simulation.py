@@ -23,8 +23,7 @@ def stiff_drive(noise, n=3000, sample_time=0.002, seed=5):
 
 def test_steps_are_so_fine_that_their_error_hides_in_the_noise():
     simulator, x0, exact, spread, experiment = stiff_drive(noise=0.003)
-    X = simulator.run_vectors(experiment, x0, simulator.p(), substeps=8).X
-    coarse = simulator.substeps_along_each([experiment], [X], simulator.p())[0]
+    coarse = simulator.modal_substeps([experiment], [x0], simulator.p())[0]
     chosen = simulator.substeps(experiment, x0, simulator.p())
 
     def error(steps):
@@ -37,8 +36,9 @@ def test_steps_are_so_fine_that_their_error_hides_in_the_noise():
 
 def test_steps_are_no_finer_than_a_noisy_record_can_tell():
     simulator, x0, _, _, experiment = stiff_drive(noise=3.0)
-    X = simulator.run_vectors(experiment, x0, simulator.p(), substeps=8).X
-    assert [simulator.substeps(experiment, x0, simulator.p())] == simulator.substeps_along_each([experiment], [X], simulator.p())
+    assert [simulator.substeps(experiment, x0, simulator.p())] == list(
+        simulator.modal_substeps([experiment], [x0], simulator.p())
+    )
 
 
 def test_experiments_together_are_simulated_as_each_alone():

@@ -24,6 +24,7 @@ class One:
     parameters: int = 1
     scale: Scale = POWER
     rarity: float = 0.0
+    keys: tuple[Key, ...] = ()
 
     @property
     def cost(self):
@@ -70,6 +71,14 @@ def test_the_fewest_parameters_among_those_that_the_best_does_not_stand_before()
     plain, rich, poor = one(0.30 * EVEN, 1), one(0.29 * EVEN, 3), one(0.8 * EVEN, 0)
     assert simplest([rich, plain, poor], POWER) is plain
     assert simplest([rich, one(0.6 * EVEN, 1), poor], POWER) is rich
+
+
+@pytest.mark.parametrize(("more", "rare", "told"), [(0.0, 0.0, "balance"), (0.5, 0.0, "input"), (0.0, 0.5, "input")])
+def test_of_one_equation_at_two_places_the_balance_is_told_and_not_what_costs_a_parameter_less(more, rare, told):
+    """Unless noise tells them apart, or the balance's effect is rarer."""
+    path = replace(one(EVEN, 4, NATS), keys=(Key("input-power", "duty"),))
+    balance = replace(one((1.0 + more) * EVEN, 5, NATS), keys=(Key("heater-nonlinearity", "chamber"),), rarity=rare)
+    assert simplest([path, balance], NATS) is {"input": path, "balance": balance}[told]
 
 
 def test_alike_is_what_no_pairs_of_blocks_tell_apart():

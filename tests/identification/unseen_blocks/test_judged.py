@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from residuum.identification.discrepancy.fitting.structure_fits import base_structure
-from residuum.identification.discrepancy.fitting.unseen_errors import blocks_of, unseen
-from residuum.identification.physics import estimate, match, read_model
+from residuum.identification.physics import estimate, read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.comparing import share
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.judged import judged
 from residuum.identification.unseen_blocks.ladder import climb
@@ -55,32 +52,3 @@ def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     assert one.power.sum() == pytest.approx(left.sum(), rel=0.01)
     assert one.power.sum() - seen == pytest.approx(left.sum() - seen, rel=0.1)
     assert np.corrcoef(np.log(one.power[:, 0]), np.log(left))[0, 1] > 0.999
-
-
-def test_a_model_in_which_nothing_is_free_leaves_what_it_leaves():
-    fixed = (
-        CART.replace("lower: 0.1}", "fixed: true}")
-        .replace("lower: 0.01}", "fixed: true}")
-        .replace("lower: -5, upper: 5}", "fixed: true}")
-    )
-    model, experiments = match(read_model(fixed), [cart_record()])
-    lacking = base_structure(model, experiments)
-    assert lacking.parameters == ()
-    left = unseen(lacking, blocks_of(experiments))
-    assert left.sum() == pytest.approx(np.sum(lacking.residuals[0] ** 2))
-
-
-def test_a_structure_of_the_exact_search_is_judged_on_blocks_alike():
-    _, experiments = match(read_model(CART), [cart_record(friction=1.5)])
-    model = read_model(CART)
-    lacking, complete = (
-        base_structure(m, experiments) for m in (model, model.with_effect("coulomb-friction", "body", {"tau_c": 1.0}))
-    )
-    blocks = blocks_of(experiments)
-    before, after = unseen(lacking, blocks), unseen(complete, blocks)
-    value, std = share(before, after)
-    truth = 1.0 - np.sum(complete.residuals[0] ** 2) / np.sum(lacking.residuals[0] ** 2)
-    assert value == pytest.approx(truth, abs=0.01) and std > 0.0
-    seen = float(np.sum(complete.residuals[0] ** 2))
-    values = len(complete.parameters)  # each of which fits as much of the noise as it then misses on what it has not seen
-    assert 1.0 + 0.5 * 2 * values / complete.residuals[0].size < after.sum() / seen < 1.05

@@ -36,7 +36,7 @@ def test_the_better_of_two_on_longer_windows_is_the_best_from_then_on():
     data = matched(read_model(CART), [_pulled_by_a_spring()], None)
     shortest = data.rungs[0]
     short = climb(type(data)(data.model, data.experiments, data.measured, data.spread, (shortest,), data.fold))
-    found = begun(Climbed(data, short.structure, short.found, shortest, shortest, short.scale))
+    found = begun(Climbed(data, short.structure, short.found, shortest, shortest, short.scale, short.there))
     start = found.base.structure
     for id in ("constant-load", "linear-spring"):
         key = Key(id, "body")

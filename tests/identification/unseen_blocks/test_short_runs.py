@@ -1,4 +1,4 @@
-"""Many short runs are one experiment: whole ones are kept aside."""
+"""Short records, and many short runs, which are one experiment: whole ones are kept aside."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Simulator, match, read_model
 from residuum.identification.record import Record
-from residuum.identification.unseen_blocks.at_its_timing import searched
+from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.next_experiment import distinguishing, power_of_test
 from residuum.identification.unseen_blocks.policy import POWER_WANTED
@@ -18,6 +18,13 @@ states: {q: {unit: m, rate: v}, v: {unit: m/s}}
 parameters: {M: {value: 2, unit: kg, fixed: true}, k: {value: 30, unit: N/m, lower: 0}}
 balances: {axis: {kind: force, storage: M * der(v), terms: {spring: -k * q}, position: q, velocity: v}}
 outputs: {position: {value: q, unit: m}}
+"""
+FAN = """name: fan
+inputs: {torque: N*m}
+states: {w: {unit: rad/s}}
+parameters: {J: {value: 0.06, unit: kg*m**2, lower: 1e-4}, d: {value: 0.025, unit: N*m*s/rad, lower: 0}}
+balances: {shaft: {kind: torque, storage: J * der(w), terms: {drive: torque, bearing: -d * w}, velocity: w}}
+outputs: {speed: {value: w, unit: rad/s}}
 """
 LEADS = """name: leads
 inputs: {u: V}
@@ -53,9 +60,30 @@ def test_runs_of_sixty_samples_name_the_friction():
     assert len(set(found.court.data.fold)) == 4  # whole runs are kept aside
 
 
-def test_few_short_runs_are_refused_with_what_would_do():
-    with pytest.raises(BadRecord, match="at least 100 are needed, or 4 runs of 25 and more"):
-        matched(read_model(CART), let_go(2, 60), None)
+def test_few_samples_are_refused_with_what_would_do():
+    with pytest.raises(BadRecord, match="at least 40 in all and 4 in each record are needed"):
+        matched(read_model(CART), let_go(2, 19), None)
+
+
+def rubbing(torque, samples=60, seed=0):
+    """One short record of a fan with dry friction, its torque changed every six samples."""
+    rng, h = np.random.default_rng(seed), 0.2
+    driven, w, speed = np.repeat(rng.uniform(-1.0, 1.0, samples // 6), 6), 0.0, []
+    for t in driven:
+        speed.append(w)
+        for _ in range(20):
+            pushed = w + h / 20 * (t - 0.0265 * w) / 0.057
+            w = np.sign(pushed) * max(abs(pushed) - h / 20 * torque / 0.057, 0.0)
+    noisy = np.array(speed) + 0.2 * rng.standard_normal(samples)
+    return Record({"torque": driven, "speed": noisy}, {"torque": "N*m", "speed": "rad/s"}, h)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_record_of_sixty_samples_names_the_friction_and_nothing_where_nothing_is_missing(seed):
+    found = searched(read_model(FAN), [rubbing(0.15, seed=seed)], None, Wanted())
+    assert found.court.data.blocks == 12
+    assert [key.effect for key in found.best.keys] == ["coulomb-friction"]
+    assert searched(read_model(FAN), [rubbing(0.0, seed=seed)], None, Wanted()).best.keys == ()
 
 
 def test_a_model_without_states_and_with_two_outputs():

@@ -7,6 +7,7 @@ import pytest
 
 from residuum.identification.physics import Key, read_model
 from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.policy import DOUBTED
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure
 from residuum.identification.unseen_blocks.tried import Search
@@ -85,6 +86,13 @@ def test_two_effects_of_one_structure_do_not_take_belief_from_each_other():
     assert accepted == [(FRICTION, 0), (DRAG, 1)]
     assert [c.probability for c in verdict.candidates if c.probability] == pytest.approx([1.0, 1.0])
     assert (verdict.none, verdict.unknown) == pytest.approx((0.0, 0.0))
+
+
+@pytest.mark.parametrize(("left", "adequate", "doubt"), [(0.5, False, DOUBTED), (0.5, True, 0.0), (0.2, False, 0.0)])
+def test_a_name_for_a_part_of_what_is_structured_leaves_room_for_one_that_nobody_has(left, adequate, doubt):
+    verdict, _ = said(judged(left * EVEN, FRICTION), judged(0.9 * EVEN, DRAG), adequate=adequate)
+    assert probabilities(verdict)[FRICTION] == pytest.approx(1.0 - doubt)
+    assert (verdict.verdict, verdict.unknown) == ("missing-effect", pytest.approx(doubt))
 
 
 @pytest.mark.parametrize(("adequate", "says"), [(True, "adequate"), (False, "unknown-effect")])

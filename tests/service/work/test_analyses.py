@@ -52,8 +52,7 @@ def test_explaining_tells_what_it_tries_and_names_the_record_as_it_is_told(axis)
     told, found = told_by(analyses.explain, asked, ["coulomb-friction"])
     doings = [doing for _, doing in told]
     assert told[-1] == (0.9, "comparing") and doings[:2] == ["explain", "estimating the model as it is"]
-    # A busy machine may have no time left for the second.
-    assert {"trying the effects of the catalogue", "out of time for an exact structure"} & set(doings)
+    assert "beside nothing else" in doings
     assert (found["result"]["model"], found["result"]["records"]) == ("linear-axis", ["record-7.npz"])
 
 

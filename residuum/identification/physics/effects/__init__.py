@@ -29,7 +29,6 @@ from residuum.identification.physics.effects.load.bouc_wen import BoucWen
 from residuum.identification.physics.effects.load.cogging import Cogging
 from residuum.identification.physics.effects.load.constant_load import ConstantLoad
 from residuum.identification.physics.effects.load.cubic_spring import CubicSpring
-from residuum.identification.physics.effects.load.drifting_load import DriftingLoad
 from residuum.identification.physics.effects.load.hysteresis import Hysteresis
 from residuum.identification.physics.effects.load.linear_spring import LinearSpring
 from residuum.identification.physics.effects.load.position_load import PositionLoad
@@ -124,7 +123,5 @@ STRUCTURAL: Mapping[str, Effect] = MappingProxyType(
     {"forgotten-input": ForgottenInput(), "coupling": Coupling(), "learned": Learned()}
 )
 """Effects at `balance(signal)` or `balance(other)`: what they are tied to is searched in the records, not in the catalogue."""
-UNNAMED: Mapping[str, Effect] = MappingProxyType({"drifting-load": DriftingLoad()})
-"""What stands in a model only while it is judged, beside the catalogue: effects that name no physics."""
 for _found in from_entry_points("residuum.effects"):
     EFFECTS.add(_found() if isinstance(_found, type) else _found)

@@ -204,14 +204,8 @@ class Effect(ABC):
     generalises : str
         Effect that this one contains as a special case (or itself): where that one fits, this one is tried from there as well
         (`grown`).
-    every_sample : bool
-        Whether it does to each sample what means over several do not show: a shift in time by a sample, or steps of a reading.
-    exact : bool
-        Whether the search for a structure that leaves nothing but noise tries it; others are tried on blocks kept aside alone.
     shifts : str
         Parameter that says by how much it shifts a signal in time [s]; empty: none does.
-    of_the_reading : bool
-        Whether it is how an output is read: a part of the noise where that is larger.
     takes_columns : bool
         Whether it is tried with columns of the record that the model does not use.
     curve : bool
@@ -236,10 +230,7 @@ class Effect(ABC):
     natural_bounds: ClassVar[tuple[str, ...]] = ()
     ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     generalises: ClassVar[str] = ""
-    every_sample: ClassVar[bool] = False
-    exact: ClassVar[bool] = True
     shifts: ClassVar[str] = ""
-    of_the_reading: ClassVar[bool] = False
     takes_columns: ClassVar[bool] = False
     curve: ClassVar[bool] = False
     signals: ClassVar[int] = 0

@@ -77,7 +77,6 @@ class WrittenEffect(Effect):
         self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
         self.needs = tuple(role for role in _ROLES if role in _names(equation, states))  # type: ignore[misc]
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
-        self.exact = False  # type: ignore[misc]
         self._equation, self._states = equation, dict(states)
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

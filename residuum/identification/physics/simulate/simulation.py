@@ -317,10 +317,6 @@ class Simulator:
             open_ = np.array(still, dtype=np.int64)
         return steps
 
-    def substeps_along_each(self, experiments: Sequence[Experiment], X: Sequence[Array], p: Array) -> list[int]:
-        """Runge–Kutta steps a sample that the eigenvalues of ∂f/∂x along the states X of each experiment ask for."""
-        return self._needed_along(Joined.of(experiments), np.concatenate(X), p).tolist()
-
     def _needed_along(self, joined: Joined, X: Array, p: Array) -> Integers:
         """Steps a sample of each of several experiments, at most 64."""
         return np.minimum(np.ceil(self._asked_along(joined, X, p)), MOST_SUBSTEPS).astype(np.int64)

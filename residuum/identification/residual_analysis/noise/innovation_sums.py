@@ -16,7 +16,6 @@ from residuum.identification.residual_analysis.policy.noise import (
     LEAST_SPREAD,
     LOG_DENSITY_AT_ZERO,
     MEDIAN_SQUARE,
-    NORMAL_VARIANCE,
     SCALINGS,
     ZERO_INNOVATION,
 )
@@ -47,76 +46,6 @@ def whiten(x, a, e):
             past, factor = x[begin + order - lag - 1 :], a[lag]
             for t in range(there.shape[0]):
                 there[t] += factor * past[t]
-
-
-@njit(error_model="numpy", fastmath=_FAST)
-def innovate(x, a, first, e):
-    """`whiten` with the first p samples too, each by its own predictor, a row of `first`, from those before it."""
-    for k in range(min(a.shape[0], x.shape[0])):
-        e[k] = 0.0
-        for j in range(k + 1):
-            e[k] += first[k, j] * x[j]
-    if x.shape[0] > a.shape[0]:
-        whiten(x, a, e[a.shape[0] :])
-
-
-@njit(error_model="numpy", fastmath=_FAST)
-def add_normal_equations(r, J, Z, starts, o, a, first, variance, H, g, cross, own, own_gradient):
-    """Add Σ w·φφᵀ and Σ w·φ·e of output o of several experiments, laid out as in `scale_of`. e are the innovations of r (n,
-    outputs); w are the likelihood's weights. φ are those of the columns of J (n, outputs, q), common to all, and of Z (n,
-    outputs, m), each experiment's own.
-
-    w = (ν + 1)/(ν + e²/s²)/s², and 0 where a sample is missing. The first sample is no innovation but a sum of many, and normal:
-    without its stationary density an initial state that decays as the noise does would cost nothing, whatever its size.
-    """
-    q, m, most = J.shape[2], Z.shape[2], 0
-    for k in range(starts.shape[0] - 1):
-        most = max(most, starts[k + 1] - starts[k])
-    e, w, x, weighted, phi = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty((q + m, most))
-    for k in range(starts.shape[0] - 1):
-        begin, n = starts[k], starts[k + 1] - starts[k]
-        x[:n] = r[begin : begin + n, o]
-        innovate(x[:n], a, first, e[:n])
-        for t in range(n):
-            complete = np.isfinite(e[t])
-            w[t] = (FREEDOM + 1.0) / (FREEDOM + e[t] * e[t] / variance) / variance if complete else 0.0
-            e[t] = e[t] if complete else 0.0
-        if n and w[0] != 0.0:
-            w[0] = 1.0 / (NORMAL_VARIANCE * variance)
-        for i in range(q + m):
-            x[:n] = J[begin : begin + n, o, i] if i < q else Z[begin : begin + n, o, i - q]
-            innovate(x[:n], a, first, phi[i, :n])
-            for t in range(n):
-                weighted[t] = w[t] * phi[i, t] if w[t] != 0.0 else 0.0
-            gradient = product(weighted, e, n)
-            if i < q:
-                g[i] += gradient
-            else:
-                own_gradient[k, i - q] += gradient
-            for j in range(i + 1):
-                curvature = product(weighted, phi[j], n)
-                if i < q:
-                    H[i, j] += curvature
-                    H[j, i] = H[i, j]
-                elif j < q:
-                    cross[k, j, i - q] += curvature
-                else:
-                    own[k, i - q, j - q] += curvature
-                    own[k, j - q, i - q] = own[k, i - q, j - q]
-
-
-@njit(error_model="numpy")
-def after_step(r, J, Z, starts, step, own):
-    """r − J·step − Z·z, z the row of `own` of the experiment, laid out as in `scale_of`."""
-    rest = r.copy()
-    for k in range(starts.shape[0] - 1):
-        for t in range(starts[k], starts[k + 1]):
-            for o in range(r.shape[1]):
-                for i in range(step.shape[0]):
-                    rest[t, o] -= J[t, o, i] * step[i]
-                for i in range(own.shape[1]):
-                    rest[t, o] -= Z[t, o, i] * own[k, i]
-    return rest
 
 
 @njit(error_model="numpy", fastmath=_FAST)
@@ -238,33 +167,3 @@ def log_density(e, s):
     """Log density of t-distributed innovations of scale s."""
     constant = LOG_DENSITY_AT_ZERO - np.log(s)
     return constant - 0.5 * (FREEDOM + 1.0) * np.log1p((e / s) ** 2 / FREEDOM)
-
-
-@njit(error_model="numpy")
-def log_likelihoods(x, starts, a, first, spreads, variance, floor):
-    """Log-likelihood of every sample of several signals, laid out as in `scale_of`, at the best scale near `variance`, `floor` as
-    in `squared_scale`.
-
-    The first samples of a signal have the stationary density of the noise; 0 where one is missing.
-    """
-    e, known, count = np.empty(x.shape[0]), np.empty(x.shape[0]), 0
-    for j in range(starts.shape[0] - 1):
-        innovate(x[starts[j] : starts[j + 1]], a, first, e[starts[j] : starts[j + 1]])
-    for one in e:
-        if np.isfinite(one):
-            known[count] = one
-            count += 1
-    if count == 0:
-        return np.zeros(0)
-    s = np.sqrt(squared_scale(known[:count], variance, floor))
-    found = log_density(e, s)
-    for j in range(starts.shape[0] - 1):
-        begin, end = starts[j], starts[j + 1]
-        if begin < end:
-            found[begin] = -0.5 * (np.log(2.0 * np.pi * NORMAL_VARIANCE * s**2) + e[begin] ** 2 / (NORMAL_VARIANCE * s**2))
-        for k in range(min(a.shape[0], end - begin)):
-            found[begin + k] -= spreads[k]
-    for t in range(e.shape[0]):
-        if not np.isfinite(e[t]):
-            found[t] = 0.0
-    return found

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise, longest_memory, pole_radius
-from residuum.identification.residual_analysis.noise.innovation_sums import autoregression, log_likelihoods
+from residuum.identification.residual_analysis.noise.innovation_sums import autoregression
 from residuum.identification.residual_analysis.policy.noise import DRIFT_MEMORY, NOISE_ORDER, NOISE_REWEIGHTINGS
 
 FloatArray = npt.NDArray[np.float64]
@@ -55,19 +55,6 @@ def _fit(signals: list[FloatArray], order: int, drifting: bool, near: ColouredNo
     radius = pole_radius(DRIFT_MEMORY if drifting else longest_memory(known, longest))
     a, variance = autoregression(x, starts, a, variance, turns, floor, radius)
     return ColouredNoise(a, variance, floor)
-
-
-def pointwise_log_likelihood(residuals: Sequence[FloatArray], noises: Noises) -> FloatArray:
-    """Log-likelihood of each sample at the best scale, outputs one after the other; 0 where a measurement is missing.
-
-    It is exact: the first samples of an experiment have the stationary density of the noise.
-    """
-    found = []
-    for o, noise in enumerate(noises):
-        if noise is not None:
-            x, starts = _end_to_end([r[:, o] for r in residuals])
-            found.append(log_likelihoods(x, starts, noise.a, *noise.first, noise.innovation_variance, noise.floor))
-    return np.concatenate(found)
 
 
 def _end_to_end(signals: Sequence[FloatArray]) -> tuple[FloatArray, npt.NDArray[np.int64]]:

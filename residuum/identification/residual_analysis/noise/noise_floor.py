@@ -15,12 +15,7 @@ from residuum.identification.residual_analysis.policy.noise import (
     COLOURS,
     DRIFTS,
     FEWEST_FOR_A_FLOOR,
-    FEWEST_QUIET_WINDOWS,
-    LOUDEST_QUIET,
     LOWEST_FREQUENCY,
-    NOISE_THROUGHOUT,
-    QUIET_WINDOW,
-    QUIETEST,
     SPECTRUM_SAMPLES,
     STILL_LIKELY,
 )
@@ -148,27 +143,6 @@ def times_the_noise(residuals: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(known**2))) / floor if floor > 0 else 0.0
 
 
-def times_the_quiet_noise(residuals: Sequence[FloatArray]) -> float:
-    """RMS of an output's error without single samples, over the noise of its quieter parts; 0 where those do not tell it.
-
-    An event (a sensor that sticks, a blow) is fast itself, and in the noise of the fast part of the whole error it hides. A noise
-    that is not there all the time (that of a quantised signal, which rests) says nothing of other times.
-    """
-    parts = [part for residual in residuals for part in _whole_parts(residual)]
-    windows = [_windows(part, QUIET_WINDOW) for part in parts if len(part) >= QUIET_WINDOW]
-    if sum(map(len, windows)) < FEWEST_QUIET_WINDOWS:
-        return 0.0
-    spectra = _spectra(np.concatenate(windows))
-    frequency, fast = _fast_frequencies(QUIET_WINDOW, LOWEST_FREQUENCY)
-    power = spectra[:, fast].mean(axis=1)
-    quietest, loud = np.quantile(power, (QUIETEST, LOUDEST_QUIET))
-    if quietest < NOISE_THROUGHOUT * loud:
-        return 0.0
-    floor = float(np.sqrt(_whittle_variance(frequency[fast], spectra[power <= loud][:, fast].mean(axis=0), COLOURS)))
-    smooth = np.concatenate([_without_single_samples(part) for part in parts])
-    return float(np.sqrt(np.mean(smooth**2))) / floor if floor > 0 else 0.0
-
-
 def _whole_parts(residual: FloatArray) -> list[FloatArray]:
     return [residual[part] for part in stretches(np.isfinite(residual)) if part.stop - part.start >= FEWEST_FOR_A_FLOOR]
 
@@ -194,12 +168,6 @@ def _fast_frequencies(length: int, lowest: float) -> tuple[FloatArray, npt.NDArr
     """Relative frequencies of a window's spectrum, and which of them belong to an error's fast part."""
     frequency = np.asarray(np.fft.rfftfreq(length), dtype=np.float64)
     return frequency, (frequency >= lowest) & (frequency < 0.5)
-
-
-def _without_single_samples(part: FloatArray) -> FloatArray:
-    """Each sample the median of five, zeros beyond the ends."""
-    five = np.lib.stride_tricks.sliding_window_view(np.pad(part, 2), 5)
-    return np.asarray(np.partition(five, 2, axis=1)[:, 2])
 
 
 def _whittle_variance(frequency: FloatArray, power: FloatArray, colours: FloatArray) -> float:

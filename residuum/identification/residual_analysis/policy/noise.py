@@ -33,19 +33,8 @@ LEAST_SPREAD = 1.0 / 30.0
 """Least part that their squared scale is of their mean square where most are zero, and of what coarse steps hide. Chosen."""
 INNOVATION_STRETCH = 1024
 """[samples] Whitened at a time, so that they stay in the cache."""
-NORMAL_VARIANCE = FREEDOM / (FREEDOM - 2.0)
-"""Variance of t-distributed innovations over their squared scale."""
 LOG_DENSITY_AT_ZERO = math.lgamma((FREEDOM + 1.0) / 2.0) - math.lgamma(FREEDOM / 2.0) - 0.5 * math.log(FREEDOM * math.pi)
 """Log density of t-distributed innovations of scale one at zero."""
-SCORING = (FREEDOM + 3.0) / (FREEDOM + 1.0)
-"""Curvature of the weighted squares over the expected one of the likelihood, whose weights fall as an innovation grows."""
-
-NOISE_ALONE = 1.2
-"""Times its innovations (1.12 where both are white and normal) up to which an error is noise that swallowed nothing. Chosen."""
-NOTHING_LEFT = 1.5
-"""Times its innovations up to which an error is all noise. Chosen."""
-MUCH_LEFT = 2.0
-"""Times its innovations from which on what is left is looked at over short stretches too. Chosen."""
 SLOW = 10.0
 """Times its innovations from which on an error is slow. Chosen."""
 
@@ -58,8 +47,6 @@ BEYOND_NOISE = 6.0
 """Times the noise of its fast part beyond which no error is noise of up to ρ = .995 (at most 5.3 in 600 trials)."""
 BEYOND_NOISE_CHANCE = 1 / 600
 """Bound on how often noise stands there: none in those trials."""
-AN_EVENT = 3.0 * BEYOND_NOISE
-"""Times the noise of its quieter parts beyond which an error is an event (noise of up to ρ = .995 reaches half of it)."""
 ABOVE_A_DRIFT = 0.05
 """[of the sampling rate] Above it a model's error is its drift's and its steps' tail, a power of the frequency. Chosen."""
 DRIFTS = np.concatenate([[0.0], np.geomspace(1e-5, 1e3, 33)])
@@ -70,14 +57,8 @@ AGREED = 1.25
 """Ratio of the largest to the least believed noise up to which it is told as a size. Chosen: the middle is then within 12 %."""
 SPECTRUM_SAMPLES, FEWEST_FOR_A_FLOOR = 1024, 64
 """[samples] Of a spectrum at most, and in a row at least. Chosen."""
-QUIET_WINDOW = 256
-"""[samples] Of a window in which an error's quieter parts are sought, every other half of which begins one. Chosen."""
-FEWEST_QUIET_WINDOWS = 8
-"""How many there must be. Chosen."""
 QUIETEST, LOUDEST_QUIET = 0.1, 0.75
 """Quantiles of the windows' fast power that tell the quietest, and the loudest of the quieter ones. Chosen."""
-NOISE_THROUGHOUT = 0.1
-"""Least ratio of the two where noise is there all the time. Chosen."""
 COLOURS = np.concatenate([np.linspace(0.0, 0.9, 46), 1.0 - np.geomspace(0.1, 0.002, 30)])
 """Correlation ρ of neighbours of the noises that a spectrum is compared with."""
 

@@ -1,21 +1,9 @@
 """Which samples are used, and how are records cut?"""
 
-MOST_INNOVATIONS = 6_000
-"""[samples] Innovations that are judged at most: of longer records means over blocks. Chosen."""
-ANSWERED = 2
-"""Times as many samples where no means of them may be taken, for a controller answers the noise. Chosen."""
 SHORTENED = 3
 """Times the innovations wanted from which on only the liveliest stretches of a record are used. Chosen."""
-ABOVE_NYQUIST = 1e-2
-"""Share of a signal's power that may lie above the Nyquist frequency of blocks; of an output's, its flat noise floor not counted.
-Chosen."""
-FEWEST_IN_A_SPECTRUM = 64
-"""[samples] From which on a spectrum is looked at, and that blocks leave of an experiment. Chosen."""
-
 NORMAL_MEDIAN = 0.6745
 """Median of |z| of a standard normal z: a spread that outliers do not move is the median over this."""
-OUTLYING = 30.0
-"""Spreads of an output's error beyond which its first one is not of their kind. Chosen."""
 OUTLYING_INNOVATION = 4.0
 """Spreads to which innovations are drawn in before an input is held against them. Chosen."""
 ANSWER_LAGS = 3
@@ -34,24 +22,10 @@ WINDOWS = 25
 """Into which the record of a plant that integrates is cut. Chosen."""
 SHORTEST_PREDICTED, LONGEST_PREDICTED = 80, 1200
 """[samples] Of those. Chosen."""
-FINER_WINDOWS = 4
-"""How many times shorter windows are tried where the usual ones leave a slow error. Chosen."""
-FINER_FALL = 0.3
-"""Share of that error, in units of what its own past cannot predict, to which it has to fall for them to be believed. Chosen."""
-TIMING_TURNS = 2
-"""Times that the input timing is turned at most. Chosen."""
-TIMING_GAIN = 20.0
-"""[nat] Log-likelihood that asks for the other input timing where no shift in time was found. Chosen."""
-DRIFTING_LOAD_WINDOWS = 8
-"""Experiments from which on a load of each one's own is a drift; of fewer it could not be told from a constant one. Chosen."""
-
 TRAINING_SHARE = 0.7
 """Part of a record that estimates; the rest is kept aside. Chosen."""
 STANDS_STILL = 0.2
 """Part of a channel's standard deviation in the record under which it stands still in a part of it. Chosen."""
-FEWEST_TO_SPLIT = 60
-"""[samples] That a record must have for a part of it to be kept aside. Chosen."""
-
 COARSE_REPEATS = 0.5
 """Share of the samples that repeat the one before where an output is read in coarse steps. Chosen."""
 COARSE_EVENNESS = 1e-3

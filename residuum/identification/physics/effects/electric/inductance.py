@@ -25,7 +25,6 @@ class Inductance(Effect):
     equation = "L·di/dt = Σ voltages"
     reference = "Faraday 1831"
     acts_on = ("voltage",)
-    every_sample = True
     needs = ("current", "defined")
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

@@ -22,7 +22,6 @@ class DirectionalViscous(Friction):
     sizes = ("d_plus", "d_minus")
     generalises = "viscous-friction"
     natural_bounds = ("d_plus", "d_minus")
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

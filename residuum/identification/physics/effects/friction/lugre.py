@@ -31,7 +31,6 @@ class LuGre(Effect):
     acts_on = ("torque", "force")
     needs = ("velocity",)
     sizes = ("sigma",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         stiffness = quotient(site.unit, product(site.units["velocity"], "s"))

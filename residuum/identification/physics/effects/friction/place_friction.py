@@ -18,7 +18,6 @@ class PlaceFriction(Friction):
     needs = ("velocity", "position")
     sizes = ("tau",)
     rest = 0.001
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         length = site.units["position"] or product(site.units["velocity"], "s")

@@ -16,7 +16,6 @@ class CheckValve(Drain):
     equation = "−c·max(h − h_0, 0)"
     reference = "H. E. Merritt, Hydraulic Control Systems, Wiley 1967, ch. 5"
     sizes = ("c",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

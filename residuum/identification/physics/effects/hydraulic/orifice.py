@@ -20,7 +20,6 @@ class Orifice(Effect):
     acts_on = ("volume",)
     needs = ("level",)
     sizes = ("c",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

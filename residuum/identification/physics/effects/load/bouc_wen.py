@@ -32,7 +32,6 @@ class BoucWen(Effect):
     needs = ("velocity",)
     sizes = ("A",)
     generalises = "hysteresis"
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         length = product(site.units["velocity"], "s")

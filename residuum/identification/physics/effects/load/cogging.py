@@ -21,7 +21,6 @@ class Cogging(ToothRipple):
     reference = "D. C. Hanselman, Brushless Permanent Magnet Motor Design, ch. 10"
     sizes = ("a", "b", "a2", "b2")
     generalises = "tooth-ripple"
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         first, second, wave = super().parameters(site)

@@ -18,7 +18,6 @@ class InputBacklash(Effect):
     equation = "τ·u_b' = dead zone of ±w of (u − u_b)"
     reference = "G. Tao, P. V. Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley 1996"
     acts_on = ("input",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

@@ -17,7 +17,6 @@ class InputLag(Effect):
     equation = "τ·u_f' = u − u_f"
     reference = "G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, ch. 2"
     acts_on = ("input",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("tau", 1e-3, "s", lower=1e-9, meaning="time constant of the actuator"),)

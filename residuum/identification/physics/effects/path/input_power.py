@@ -19,7 +19,6 @@ class InputPower(Effect):
     reference = "T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, ch. 9 (propeller thrust)"
     acts_on = ("input",)
     sizes = ("e",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

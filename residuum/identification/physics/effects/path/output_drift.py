@@ -25,7 +25,6 @@ class OutputDrift(Effect):
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3 (drift)"
     acts_on = ("output",)
     sizes = ("r",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("r", 0.0, quotient(site.unit, "s"), meaning="drift a second"),)

@@ -16,7 +16,6 @@ class OutputGainCurve(Effect):
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3 (nonlinearity)"
     acts_on = ("output",)
     sizes = ("c",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

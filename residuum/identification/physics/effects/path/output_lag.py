@@ -17,7 +17,6 @@ class OutputLag(Effect):
     equation = "τ·y_f' = y − y_f"
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3"
     acts_on = ("output",)
-    every_sample = True
     shifts = "tau"
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:

@@ -18,8 +18,6 @@ class OutputQuantisation(Effect):
     equation = "q·round(y/q)"
     reference = "B. Widrow, I. Kollár, Quantization Noise, Cambridge 2008"
     acts_on = ("output",)
-    every_sample = True
-    of_the_reading = True
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("q", 1e-9, site.unit, lower=1e-12, fixed=True, meaning="step"),)

@@ -16,7 +16,6 @@ class OutputSaturation(Effect):
     equation = "min(y, y_max)"
     reference = "J. Fraden, Handbook of Modern Sensors, ch. 3"
     acts_on = ("output",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("y_max", 1e9, site.unit, meaning="largest reading"),)

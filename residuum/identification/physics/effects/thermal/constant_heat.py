@@ -16,7 +16,6 @@ class ConstantHeat(Effect):
     reference = "F. P. Incropera, D. P. DeWitt, Fundamentals of Heat and Mass Transfer, ch. 1"
     acts_on = ("heat",)
     sizes = ("q_0",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (Parameter("q_0", 0.0, site.unit, meaning="heat that is always there"),)

@@ -22,7 +22,6 @@ class Convection(HeatLoss):
     sizes = ("h",)
     generalises = "ambient-loss"
     natural_bounds = ("n",)
-    exact = False
 
     def parameters(self, site: Site) -> tuple[Parameter, ...]:
         return (

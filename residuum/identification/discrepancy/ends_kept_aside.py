@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.improving.held_out import Split, rmse_aside, split
-from residuum.identification.discrepancy.policy.acceptance import KEPT_RISE
+from residuum.identification.discrepancy.kept_aside import Split, rmse_aside, split
+from residuum.identification.discrepancy.policy import KEPT_RISE
 from residuum.identification.physics import PhysicalModel, match
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
@@ -21,26 +21,26 @@ from residuum.identification.unseen_blocks.structure import fitted
 from residuum.identification.unseen_blocks.tried import Search
 
 
-def steps_that_hold(
-    models: Sequence[PhysicalModel], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
-) -> int:
-    """How many of the `models` after the first, each with one effect more, can be kept so that no more error is left than
-    by the first where data are kept aside: at the end, and on the most different record; nor over whole records, where they were
-    judged in windows. It is all of them where the records are too short to ask.
+def first_that_holds(
+    base: PhysicalModel,
+    models: Sequence[PhysicalModel],
+    found: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+) -> int | None:
+    """The first of the `models` that leaves no more error than `base` where data are kept aside: at the end, and on the most
+    different record; nor over whole records, where they were judged in windows. None where none does; the first of all where the
+    records are too short to ask.
     """
-    kept, asked = len(models) - 1, _kept_aside(records)
+    asked = _kept_aside(records)
     if found.court.last.windows > 1:  # whose first states hide where a model goes in the long run
         asked.append(Split(list(records), [(record, 0) for record in records]))
-    for parts in asked:
-        if parts.testing and long_enough([r.n for r in parts.training]):
-            kept = _that_hold(models[: kept + 1], found, parts, mapping)
-    return kept
-
-
-def _that_hold(models: Sequence[PhysicalModel], found: Search, parts: Split, mapping: Mapping[str, str] | None) -> int:
-    most = KEPT_RISE * _error(models[0], found, parts, mapping)
-    further = reversed(range(1, len(models)))
-    return next((kept for kept in further if _error(models[kept], found, parts, mapping) <= most), 0)
+    asked = [parts for parts in asked if parts.testing and long_enough([r.n for r in parts.training])]
+    most = [KEPT_RISE * _error(base, found, parts, mapping) for parts in asked]
+    for number, model in enumerate(models):
+        if all(_error(model, found, parts, mapping) <= limit for parts, limit in zip(asked, most, strict=True)):
+            return number
+    return None
 
 
 def _kept_aside(records: Sequence[Record]) -> list[Split]:

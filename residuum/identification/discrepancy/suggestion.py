@@ -9,9 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.discrepancy.judging.free_term import FreeTerm
-from residuum.identification.discrepancy.policy.answers import FORMULA_TERMS
-from residuum.identification.unseen_blocks.free_term import BlockTerm
+from residuum.identification.discrepancy.policy import FORMULA_TERMS
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -38,11 +36,6 @@ class Suggestion:
     formula: str
     largest: float
     share: float
-
-
-def suggestion(free: FreeTerm | BlockTerm) -> Suggestion | None:
-    """The formula that comes nearest to the free term's curve; None for a curve without any spread."""
-    return nearest_formula(np.asarray(free.at), np.asarray(free.value))
 
 
 def nearest_formula(at: FloatArray, value: FloatArray) -> Suggestion | None:

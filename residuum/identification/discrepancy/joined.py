@@ -1,0 +1,168 @@
+"""What joins a model: the effects that were found, as far as they hold on data kept aside, or all that a user asks for.
+
+All records are cut into blocks; every block is judged by a model that was estimated without it, so nothing has to be set aside
+for good. Where a user notes which part of a record is for training, the rest of it judges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from residuum.identification.discrepancy.ends_kept_aside import first_that_holds
+from residuum.identification.discrepancy.improvement import Step
+from residuum.identification.discrepancy.kept_aside import rmse_aside, split
+from residuum.identification.discrepancy.on_blocks import doubts_of
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Estimate, Key, PhysicalModel, estimate, match, with_coloured_noise
+from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.data import Data, data_of
+from residuum.identification.unseen_blocks.held_value import HELD
+from residuum.identification.unseen_blocks.judged import Judged
+from residuum.identification.unseen_blocks.remaining import remaining
+from residuum.identification.unseen_blocks.steps import chain
+from residuum.identification.unseen_blocks.structure import Structure
+from residuum.identification.unseen_blocks.tried import Search, with_only
+
+ASIDE = "every block in turn"
+"""What is kept aside, in words, where no user says which part."""
+
+_Step = tuple[Key, Judged, Judged]
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The model on everything, and how its error on data kept `aside` fell by `history`, the first that of the model as it was.
+
+    `refused` are effects that are real on the blocks, and simulate the end of the records worse. `std` are the standard
+    deviations of its parameters by full name, `output` the one whose errors are told.
+    """
+
+    model: PhysicalModel
+    history: list[Step]
+    refused: list[str]
+    std: Mapping[str, float]
+    output: str
+    aside: str
+
+
+def joined_of(
+    found: Search,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    *,
+    asked: Sequence[Key] | None = None,
+    was: PhysicalModel | None = None,
+) -> Joined:
+    """What a search found, step by step, as far as it holds at the end of the records; or all that was `asked`, in its order.
+
+    `was` is the model before values of it were set free.
+    """
+    every = chain(found, [key for key in found.best.keys if key.effect != HELD]) if asked is None else _in_order(found, asked)
+    steps = every if asked is not None else _that_hold(every, found, records, mapping)
+    told = [(None, found.base), *((key.effect, after) for key, _, after in steps)]
+    final = steps[-1][2] if steps else found.base
+    if was is not None:
+        told = [*_before(found, was), *told[1:]]
+    noted, o = is_noted(records), _told(found)
+    errors = _on_the_rest([one for _, one in told], o, found, records, mapping) if noted else [one.rms[o] for _, one in told]
+    history = [
+        Step(name, float(error), remaining(told[0][1], one, found.court)) for (name, one), error in zip(told, errors, strict=True)
+    ]
+    data = _every_sample(found, records, mapping) if noted else found.court.data.finer or found.court.data
+    model, std = _final(found, final, data, noted=noted)
+    refused = [key.effect for key, _, _ in every if key not in {kept for kept, _, _ in steps}]
+    aside = split(records).aside if noted else ASIDE
+    return Joined(model, history, refused, std, list(found.best.model.outputs)[o], aside)
+
+
+def _that_hold(
+    steps: Sequence[_Step], found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> Sequence[_Step]:
+    """All steps where they hold at the ends kept aside; else all but one effect, or the first of them."""
+    keys = [key for key, _, _ in steps]
+    tried = [keys, *([k for k in keys if k != out] for out in reversed(keys)), *(keys[:n] for n in range(len(keys) - 2, 0, -1))]
+    tried = [some for number, some in enumerate(tried) if some and some not in tried[:number]]
+    models = [(some, one.model) for some in tried if (one := with_only(found, some)) is not None]
+    kept = first_that_holds(found.base.model, [model for _, model in models], found, records, mapping)
+    return [] if kept is None else chain(found, models[kept][0])
+
+
+def is_noted(records: Sequence[Record]) -> bool:
+    """Whether a user says which part of a record is for training."""
+    return any(record.split is not None for record in records)
+
+
+def _in_order(found: Search, keys: Sequence[Key]) -> list[tuple[Key, Judged, Judged]]:
+    """Each effect with the structures before and after it."""
+    steps, before = [], found.base
+    for key in keys:
+        after = with_only(found, (*before.keys, key))
+        if after is None:
+            raise NotIdentifiable(f"effect {key.effect!r} at {key.target!r}: the model diverges with it alone")
+        steps.append((key, before, after))
+        before = after
+    return steps
+
+
+def _before(found: Search, was: PhysicalModel) -> list[tuple[str | None, Judged]]:
+    """The model with values held that the base has free, judged like that, and the base once a value."""
+    names = [name for name, p in was.parameters.items() if p.fixed and not found.base.model.parameters[name].fixed]
+    held = {**found.base.model.parameters, **{name: was.parameters[name] for name in names}}
+    base = found.base.structure
+    before = found.court.judge(
+        Structure((), replace(base.model, parameters=held), base.states, base.steps), steps=15, tolerance=1e-5
+    )
+    return [(None, before or found.base), *((f"{name} freed", found.base) for name in names)]
+
+
+def _on_the_rest(
+    each: Sequence[Judged], o: int, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
+) -> list[float]:
+    """Errors of an output on the part that a user keeps aside."""
+    parts, hold = split(records), found.court.data.experiments[0].hold
+    _, aside = match(found.base.model, [record for record, _ in parts.testing], mapping)
+    testing = [(replace(e, hold=hold), first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
+    return [float(rmse_aside(one.model, testing)[o]) for one in each]
+
+
+def _every_sample(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
+    """All records at the input timing of the search."""
+    hold = found.court.data.experiments[0].hold
+    model, experiments = match(found.court.data.model, records, mapping)
+    return data_of(model, [replace(e, hold=hold) for e in experiments])
+
+
+def _final(found: Search, one: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
+    """The model on all the data, and its standard deviations. One that nothing joins is estimated at its least simulation error
+    over whole records, which a search in windows does not seek.
+    """
+    if not one.keys and (alone := _estimated(one.model, data)) is not None:
+        return alone.model, dict(zip(alone.parameters, alone.std.tolist(), strict=True))
+    if noted and (whole := _on_everything(found, one, data)) is not None:
+        return whole.best.model, doubts_of(whole)
+    return one.model, doubts_of(replace(found, best=one))
+
+
+def _on_everything(found: Search, one: Judged, data: Data) -> Search | None:
+    """The structure judged on all the data; None where it diverges there."""
+    rung = next((rung for rung in data.rungs if rung.windows == found.court.last.windows), data.rungs[-1])
+    court = replace(found.court, data=data, last=rung)
+    best = court.judge(Structure(one.keys, one.model, {}, {}), steps=20, tolerance=1e-5)
+    return None if best is None else replace(found, court=court, best=best)
+
+
+def _estimated(model: PhysicalModel, data: Data) -> Estimate | None:
+    try:
+        return with_coloured_noise(estimate(model, data.experiments), data.experiments)
+    except NotIdentifiable:
+        return None
+
+
+def _told(found: Search) -> int:
+    """The output whose error falls most."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = found.best.rms / found.base.rms
+    return int(np.nanargmin(np.where(np.isfinite(ratio), ratio, np.inf)))

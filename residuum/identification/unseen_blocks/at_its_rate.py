@@ -1,0 +1,40 @@
+"""The search in records, at a lower rate first where that loses nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from residuum.identification.physics import PhysicalModel
+from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.coarser import coarser
+from residuum.identification.unseen_blocks.data import Data, matched
+from residuum.identification.unseen_blocks.search import search
+from residuum.identification.unseen_blocks.tried import Search, Wanted
+from residuum.identification.work import OutOfWork, Tell, left_out, untold
+
+
+def searched(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted, tell: Tell = untold
+) -> Search:
+    """The search for what records show that a model lacks; in noise, at the rate of the records.
+
+    Raises
+    ------
+    BadRecord, BadUnit
+        Columns that do not fit the model, records too short for blocks.
+    NotIdentifiable
+        The model diverges on a record.
+    """
+    return at_its_rate(matched(model, records, mapping), partial(search, wanted=wanted, tell=tell))
+
+
+def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:
+    """What is sought in data, at a lower rate that loses nothing; in noise, where every sample counts, at their own."""
+    found = seek(coarser(data))
+    if found.court.scale.nats and (finer := found.court.data.finer) is not None:
+        try:
+            return seek(finer)
+        except OutOfWork:
+            left_out("the samples between those of a lower rate")
+    return found
