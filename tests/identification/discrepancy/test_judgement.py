@@ -1,5 +1,7 @@
 """A name for what the catalogue does not hold, or holds twice, is not given as if it were certain."""
 
+from pathlib import Path
+
 import numpy as np
 
 from residuum.identification.discrepancy.explain import explain
@@ -14,13 +16,7 @@ balances:
   plate: {kind: heat, storage: C * der(T), terms: {heating: heater, loss: -h * (T - ambient)}, temperature: T, ambient: ambient}
 outputs: {temperature: {value: T, unit: K}}
 """
-FAN = """name: fan
-inputs: {torque: N*m}
-states: {w: {unit: rad/s}}
-parameters: {J: {value: 0.06, unit: kg*m**2, lower: 1e-4}, d: {value: 0.025, unit: N*m*s/rad, lower: 0}}
-balances: {shaft: {kind: torque, storage: J * der(w), terms: {drive: torque, bearing: -d * w}, velocity: w}}
-outputs: {speed: {value: w, unit: rad/s}}
-"""
+FAN = Path(__file__).with_name("fan.yaml").read_text()
 STAGE = """name: stage
 inputs: {force: N}
 states: {q: {unit: m, rate: v}, v: {unit: m/s}}

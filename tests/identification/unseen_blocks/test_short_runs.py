@@ -1,5 +1,7 @@
 """Short records, and many short runs, which are one experiment: whole ones are kept aside."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -19,13 +21,7 @@ parameters: {M: {value: 2, unit: kg, fixed: true}, k: {value: 30, unit: N/m, low
 balances: {axis: {kind: force, storage: M * der(v), terms: {spring: -k * q}, position: q, velocity: v}}
 outputs: {position: {value: q, unit: m}}
 """
-FAN = """name: fan
-inputs: {torque: N*m}
-states: {w: {unit: rad/s}}
-parameters: {J: {value: 0.06, unit: kg*m**2, lower: 1e-4}, d: {value: 0.025, unit: N*m*s/rad, lower: 0}}
-balances: {shaft: {kind: torque, storage: J * der(w), terms: {drive: torque, bearing: -d * w}, velocity: w}}
-outputs: {speed: {value: w, unit: rad/s}}
-"""
+FAN = (Path(__file__).parents[1] / "discrepancy" / "fan.yaml").read_text()
 LEADS = """name: leads
 inputs: {u: V}
 parameters: {R: {value: 2, unit: ohm, lower: 0}, S: {value: 5, unit: ohm, lower: 0}}
