@@ -8,13 +8,12 @@ one, so the model is estimated without it once more, with the effects and withou
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from residuum.identification.discrepancy.kept_aside import Split, rmse_aside, split
+from residuum.identification.discrepancy.kept_aside import Split, matched_at, rmse_aside, split, testing_of
 from residuum.identification.discrepancy.policy import KEPT_RISE
-from residuum.identification.physics import PhysicalModel, match
+from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.structure import fitted
@@ -72,12 +71,8 @@ def _error(model: PhysicalModel, found: Search, parts: Split, mapping: Mapping[s
     where it diverges.
     """
     hold, scale = found.court.data.experiments[0].hold, found.court.scale
-    matched, experiments = match(model, parts.training, mapping)
-    data = data_of(matched, [replace(e, hold=hold) for e in experiments])
-    rung = next((r for r in data.rungs if r.windows == found.court.last.windows), data.rungs[-1])
-    estimated = fitted(data.model, rung, None, scale, steps=20, tolerance=1e-5)
+    data = data_of(*matched_at(model, parts.training, mapping, hold))
+    estimated = fitted(data.model, data.rung(found.court.last.windows), None, scale, steps=20, tolerance=1e-5)
     if estimated is None:
         return np.inf
-    _, aside = match(estimated.model, [record for record, _ in parts.testing], mapping)
-    testing = [(replace(e, hold=hold), first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
-    return scale.error(rmse_aside(estimated.model, testing))
+    return scale.error(rmse_aside(estimated.model, testing_of(estimated.model, parts, mapping, hold)))

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.discrepancy.on_blocks import answer_on_blocks, search_on_blocks
+from residuum.identification.discrepancy.on_blocks import answer_on_blocks
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.at_its_rate import searched
 from residuum.identification.unseen_blocks.forgotten_inputs import informed
 from residuum.identification.unseen_blocks.policy import FEWEST_TO_JUDGE
 from residuum.identification.unseen_blocks.tried import Wanted
@@ -93,6 +94,6 @@ def explained(
         began = time.perf_counter()
         model = informed(model, records, mapping, wanted)
         left = None if seconds is None else seconds - (time.perf_counter() - began)
-        found = search_on_blocks(model, records, mapping, wanted, left, part_of(tell, 0.0, 0.9))
+        found = searched(model, records, mapping, wanted, seconds=left, tell=part_of(tell, 0.0, 0.9))
         tell(0.9, "drawing what no effect explains")
         return answer_on_blocks(found, wanted, records, mapping, began)

@@ -10,9 +10,8 @@ from residuum.identification.blas_threads import one_thread
 from residuum.identification.discrepancy.explain import check_length, explained
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.improvement import Improvement, with_provenance
-from residuum.identification.discrepancy.joined import Joined, is_noted, joined_of
-from residuum.identification.discrepancy.kept_aside import split
-from residuum.identification.discrepancy.on_blocks import search_on_blocks
+from residuum.identification.discrepancy.joined import Joined, joined_of
+from residuum.identification.discrepancy.kept_aside import is_noted, split
 from residuum.identification.discrepancy.policy import EXPLAINING_TIME
 from residuum.identification.errors import BadModel
 from residuum.identification.physics import Key, PhysicalModel, candidates
@@ -20,7 +19,7 @@ from residuum.identification.physics.model import find_effect, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.asked import with_asked
-from residuum.identification.unseen_blocks.at_its_rate import at_its_rate
+from residuum.identification.unseen_blocks.at_its_rate import at_its_rate, searched
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.held_value import HELD, freed
 from residuum.identification.unseen_blocks.proposals import without_idle
@@ -96,11 +95,10 @@ def _as_explained(model: PhysicalModel, records: Sequence[Record], how: Request,
     if any(key.effect == HELD for key in found.best.keys):  # what is found beside them as they are held
         held = replace(how.wanted, held=False)
         before = _with_inputs_of(before, found.court.data.model)
-        found = search_on_blocks(before, training, how.mapping, held, how.seconds, part_of(tell, 0.8, 0.9))
+        found = searched(before, training, how.mapping, held, seconds=how.seconds, tell=part_of(tell, 0.8, 0.9))
     tell(0.9, "estimating on everything")
     joined = joined_of(found, records, how.mapping, was=model if how.free else None)
-    improvement = _improvement(model, records, joined, said)
-    return replace(improvement, verdict=_verdict(improvement.model, records, how.mapping))
+    return _improvement(model, records, joined, how, said)
 
 
 def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str], how: Request, tell: Tell) -> Improvement:
@@ -111,9 +109,7 @@ def _as_asked(model: PhysicalModel, records: Sequence[Record], ids: Sequence[str
     found = at_its_rate(data, partial(with_asked, keys=keys, tell=part_of(tell, 0.0, 0.9)))
     tell(0.9, "estimating on everything")
     joined = joined_of(found, records, how.mapping, asked=keys, was=model if how.free else None)
-    improvement = _improvement(model, records, joined, None)
-    fell = joined.history[-1].error < joined.history[0].error
-    return replace(improvement, verdict="improved" if fell else "not-improved")
+    return _improvement(model, records, joined, how)
 
 
 def _training(records: Sequence[Record]) -> Sequence[Record]:
@@ -121,12 +117,18 @@ def _training(records: Sequence[Record]) -> Sequence[Record]:
     return split(records).training if is_noted(records) else records
 
 
-def _improvement(model: PhysicalModel, records: Sequence[Record], joined: Joined, said: Explanation | None) -> Improvement:
-    """The improvement without a verdict."""
+def _improvement(
+    model: PhysicalModel, records: Sequence[Record], joined: Joined, how: Request, said: Explanation | None = None
+) -> Improvement:
+    """The improvement by what was `said`, or else asked for."""
     unit = joined.model.outputs[joined.output].unit
     improved = with_provenance(joined.model, joined.std, records, joined.history, joined.output, unit)
-    refused, history = tuple(joined.refused), tuple(joined.history)
-    return Improvement(without_idle(improved, model), history, "", joined.output, unit, said, joined.aside, refused)
+    improved, history = without_idle(improved, model), tuple(joined.history)
+    if said is None:
+        verdict = "improved" if history[-1].error < history[0].error else "not-improved"
+    else:
+        verdict = _verdict(improved, records, how.mapping)
+    return Improvement(improved, history, verdict, joined.output, unit, said, joined.aside, tuple(joined.refused))
 
 
 def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:

@@ -13,10 +13,10 @@ import numpy as np
 
 from residuum.identification.discrepancy.ends_kept_aside import first_that_holds
 from residuum.identification.discrepancy.improvement import Step
-from residuum.identification.discrepancy.kept_aside import rmse_aside, split
+from residuum.identification.discrepancy.kept_aside import is_noted, matched_at, rmse_aside, split, testing_of
 from residuum.identification.discrepancy.on_blocks import doubts_of
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Estimate, Key, PhysicalModel, estimate, match, with_coloured_noise
+from residuum.identification.physics import Estimate, Key, PhysicalModel, estimate, with_coloured_noise
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.held_value import HELD
@@ -90,12 +90,7 @@ def _that_hold(
     return [] if kept is None else chain(found, models[kept][0])
 
 
-def is_noted(records: Sequence[Record]) -> bool:
-    """Whether a user says which part of a record is for training."""
-    return any(record.split is not None for record in records)
-
-
-def _in_order(found: Search, keys: Sequence[Key]) -> list[tuple[Key, Judged, Judged]]:
+def _in_order(found: Search, keys: Sequence[Key]) -> list[_Step]:
     """Each effect with the structures before and after it."""
     steps, before = [], found.base
     for key in keys:
@@ -122,17 +117,13 @@ def _on_the_rest(
     each: Sequence[Judged], o: int, found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None
 ) -> list[float]:
     """Errors of an output on the part that a user keeps aside."""
-    parts, hold = split(records), found.court.data.experiments[0].hold
-    _, aside = match(found.base.model, [record for record, _ in parts.testing], mapping)
-    testing = [(replace(e, hold=hold), first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
+    testing = testing_of(found.base.model, split(records), mapping, found.court.data.experiments[0].hold)
     return [float(rmse_aside(one.model, testing)[o]) for one in each]
 
 
 def _every_sample(found: Search, records: Sequence[Record], mapping: Mapping[str, str] | None) -> Data:
     """All records at the input timing of the search."""
-    hold = found.court.data.experiments[0].hold
-    model, experiments = match(found.court.data.model, records, mapping)
-    return data_of(model, [replace(e, hold=hold) for e in experiments])
+    return data_of(*matched_at(found.court.data.model, records, mapping, found.court.data.experiments[0].hold))
 
 
 def _final(found: Search, one: Judged, data: Data, *, noted: bool) -> tuple[PhysicalModel, Mapping[str, float]]:
@@ -148,8 +139,7 @@ def _final(found: Search, one: Judged, data: Data, *, noted: bool) -> tuple[Phys
 
 def _on_everything(found: Search, one: Judged, data: Data) -> Search | None:
     """The structure judged on all the data; None where it diverges there."""
-    rung = next((rung for rung in data.rungs if rung.windows == found.court.last.windows), data.rungs[-1])
-    court = replace(found.court, data=data, last=rung)
+    court = replace(found.court, data=data, last=data.rung(found.court.last.windows))
     best = court.judge(Structure(one.keys, one.model, {}, {}), steps=20, tolerance=1e-5)
     return None if best is None else replace(found, court=court, best=best)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from residuum.identification.discrepancy.policy import STATES_ALONE
 from residuum.identification.errors import NotIdentifiable
-from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate
+from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy.records import STANDS_STILL, TRAINING_SHARE
 
@@ -50,6 +50,27 @@ def split(records: Sequence[Record]) -> Split:
         return Split([record.window(0, begin)], [(record, begin)])
     rest = [record.window(0, begin), record.window(stop, record.n)] if begin else [record.window(stop, record.n)]
     return Split(rest, [(record.window(begin, stop), 0)])
+
+
+def is_noted(records: Sequence[Record]) -> bool:
+    """Whether a user says which part of a record is for training."""
+    return any(record.split is not None for record in records)
+
+
+def matched_at(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, hold: FloatArray
+) -> tuple[PhysicalModel, list[Experiment]]:
+    """`match` at an input timing that is known: `hold` (inputs,), 0 held and 1 moving evenly."""
+    matched, experiments = match(model, records, mapping)
+    return matched, [replace(e, hold=hold) for e in experiments]
+
+
+def testing_of(
+    model: PhysicalModel, parts: Split, mapping: Mapping[str, str] | None, hold: FloatArray
+) -> list[tuple[Experiment, int]]:
+    """What is kept aside as experiments, each with the sample from which it counts."""
+    _, aside = matched_at(model, [record for record, _ in parts.testing], mapping, hold)
+    return [(e, first) for e, (_, first) in zip(aside, parts.testing, strict=True)]
 
 
 def _moves(record: Record, begin: int, stop: int) -> bool:

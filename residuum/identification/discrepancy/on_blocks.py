@@ -10,54 +10,22 @@ import numpy as np
 
 from residuum.identification.discrepancy.estimated_values import estimated_values
 from residuum.identification.discrepancy.explanation import Explanation
-from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.simulate.coloured_covariance import coloured_covariance
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.residual_analysis.input_timing import innovation_variance
 from residuum.identification.residual_analysis.policy.noise import SLOW
 from residuum.identification.unseen_blocks.advice import next_experiments, undetectable
-from residuum.identification.unseen_blocks.at_its_rate import searched
-from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.block_errors import BlockErrors, block_errors
 from residuum.identification.unseen_blocks.candidate import Candidate
-from residuum.identification.unseen_blocks.coarser import coarser
-from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.free_term import BlockTerm, free_terms
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
-from residuum.identification.unseen_blocks.ladder import climb
-from residuum.identification.unseen_blocks.policy import MOST_EFFORT, UNKNOWN_LEADS
+from residuum.identification.unseen_blocks.policy import UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
 from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
-from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising
-from residuum.identification.work import begun as work_so_far
-
-
-def search_on_blocks(
-    model: PhysicalModel,
-    records: Sequence[Record],
-    mapping: Mapping[str, str] | None,
-    wanted: Wanted,
-    seconds: float | None,
-    tell: Tell,
-) -> Search:
-    """The search; the model as it is alone where the work is over before anything else is known.
-
-    Raises
-    ------
-    BadRecord, BadUnit
-        Columns that do not fit the model, records too short for blocks.
-    NotIdentifiable
-        The model diverges on a record.
-    """
-    try:
-        with at_most(MOST_EFFORT, seconds):
-            return searched(model, records, mapping, wanted, rising(tell))
-    except OutOfWork:
-        left_out("everything beside the model as it is")
-        return begun(climb(coarser(matched(model, records, mapping))))
+from residuum.identification.work import begun
 
 
 def answer_on_blocks(
@@ -89,7 +57,7 @@ def answer_on_blocks(
         held=tuple(_held(s, found, stds) for s in steps if s.key.effect == HELD),
         remaining=remaining(found.base, best, found.court),
         blocks=_block_errors(found, verdict.candidates),
-        work=work_so_far(),
+        work=begun(),
         seconds=time.perf_counter() - began,
         found=found,
     )

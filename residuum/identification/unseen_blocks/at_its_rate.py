@@ -7,17 +7,28 @@ from functools import partial
 
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.record import Record
+from residuum.identification.unseen_blocks.beginning import begun
 from residuum.identification.unseen_blocks.coarser import coarser
 from residuum.identification.unseen_blocks.data import Data, matched
+from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.policy import MOST_EFFORT
 from residuum.identification.unseen_blocks.search import search
 from residuum.identification.unseen_blocks.tried import Search, Wanted
-from residuum.identification.work import OutOfWork, Tell, left_out, untold
+from residuum.identification.work import OutOfWork, Tell, at_most, left_out, rising, untold
 
 
 def searched(
-    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted, tell: Tell = untold
+    model: PhysicalModel,
+    records: Sequence[Record],
+    mapping: Mapping[str, str] | None,
+    wanted: Wanted,
+    *,
+    seconds: float | None = None,
+    tell: Tell = untold,
 ) -> Search:
     """The search for what records show that a model lacks; in noise, at the rate of the records.
+
+    It is the model as it is alone where the work, or the seconds that a user gave, are over before anything else is known.
 
     Raises
     ------
@@ -26,7 +37,13 @@ def searched(
     NotIdentifiable
         The model diverges on a record.
     """
-    return at_its_rate(matched(model, records, mapping), partial(search, wanted=wanted, tell=tell))
+    data = matched(model, records, mapping)
+    try:
+        with at_most(MOST_EFFORT, seconds):
+            return at_its_rate(data, partial(search, wanted=wanted, tell=rising(tell)))
+    except OutOfWork:
+        left_out("everything beside the model as it is")
+        return begun(climb(coarser(data)))
 
 
 def at_its_rate(data: Data, seek: Callable[[Data], Search]) -> Search:

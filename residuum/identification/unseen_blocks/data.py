@@ -51,8 +51,7 @@ class Rung:
         errors (parts,), those that hold most.
         """
         every = np.arange(len(self.parts))[:: max(1, round(sum(part.n for part in self.parts) / samples))]
-        more = None if errors is None else errors - errors.min()
-        if errors is not None and more is not None and more[every].mean() < BLIND * more.mean():
+        if errors is not None and np.mean(errors[every] - errors.min()) < BLIND * np.mean(errors - errors.min()):
             every = np.sort(np.argsort(-errors)[: len(every)])
         rows = np.isin(np.repeat(np.arange(len(self.parts)), np.diff(self.starts)), every)
         parts = [self.parts[k] for k in every]
@@ -93,8 +92,8 @@ class Data:
         return len(self.fold)
 
     def rung(self, windows: int) -> Rung:
-        """The rung with so many windows a record."""
-        return next(rung for rung in self.rungs if rung.windows == windows)
+        """The rung with so many windows a record; whole records, where these are too short for so many."""
+        return next((rung for rung in self.rungs if rung.windows == windows), self.rungs[-1])
 
     def times_of(self, block: int) -> tuple[float, float]:
         """Begin and end of a block [s], in its record's time."""
