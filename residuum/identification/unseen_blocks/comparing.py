@@ -59,12 +59,17 @@ def ahead(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
     """Standard errors by which the new one's error is smaller. They are of the paired logarithms, or of the ratio of totals
     where a few blocks hold most of the error (a machine that stands still in the others).
     """
-    mean, std = paired(new, old, scale)
     p, q = scale.by_block(new.power), scale.by_block(old.power)
     pick = np.random.default_rng(0).integers(0, len(p), (DRAWS, len(p)))
     ratios = 0.5 * np.log((q[pick].sum(axis=1) + 1e-300) / (p[pick].sum(axis=1) + 1e-300))
     total = 0.5 * np.log((q.sum() + 1e-300) / (p.sum() + 1e-300))
-    return max(mean / max(std, 1e-12), float(total / max(ratios.std(), 1e-12)))
+    return max(block_by_block(new, old, scale), float(total / max(ratios.std(), 1e-12)))
+
+
+def block_by_block(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
+    """Standard errors by which the new one's error is smaller in one block as in another, however much of it a block holds."""
+    mean, std = paired(new, old, scale)
+    return mean / max(std, 1e-12)
 
 
 def evidence(new: OnBlocks, old: OnBlocks, scale: Scale) -> float:
@@ -96,7 +101,7 @@ def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) ->
     """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it; a rare effect more."""
     gain = old.cost - new.cost
     if scale.nats:
-        return gain > np.log(max(tried, 1)) + TIE and corrected(new, old) > EVERYWHERE
+        return gain > np.log(max(tried, 1)) + TIE and max(corrected(new, old), block_by_block(new, old, scale)) > EVERYWHERE
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)
     least = 0.0 if is_nothing(old, base, scale) else SMALL * (base.cost - scale.floor)
     worth = max(WORTH * (1.0 + rarer) * left, least)
