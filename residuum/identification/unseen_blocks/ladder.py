@@ -22,7 +22,7 @@ from residuum.identification.unseen_blocks.coarser import turned
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
-from residuum.identification.unseen_blocks.structure import States, Structure, fitted
+from residuum.identification.unseen_blocks.structure import States, Structure, at_start, fitted
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def climb(data: Data) -> Climbed:
     each: dict[int, Array] = {}
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
-        if here is None or (last is not None and here.mean > RUNG_ERROR and not _forgets(here, rung)):
+        if here is None or (last is not None and here.mean > RUNG_ERROR and not _is_forgotten(here, data.model, rung, scale)):
             continue
         structure, last, found = structure.at(rung, here), rung, here
         each[rung.windows] = np.array([np.nanmean((r * scale.weights) ** 2) for r in here.residuals])
@@ -105,8 +105,18 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     return min(known, key=lambda one: (one.last.windows, innovations_of(one.found.residuals)))
 
 
+def _is_forgotten(found: Fit, first: PhysicalModel, rung: Rung, scale: Scale) -> bool:
+    """Whether first states are forgotten within a window, with the values that were fitted or as they were given: short windows
+    that a model cannot follow are fitted by one that stands still, and forgets nothing.
+    """
+    if _forgets(found, rung):
+        return True
+    given = at_start(first, rung, None, scale)
+    return given is not None and _forgets(given, rung)
+
+
 def _forgets(found: Fit, rung: Rung) -> bool:
-    """Whether first states are forgotten within a window."""
+    """Whether first states are forgotten within a window by that fit."""
     simulator = found.problem.simulator
     names = [f"initial:{name}" for name in simulator.free_states]
     if not names:
