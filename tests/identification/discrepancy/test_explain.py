@@ -155,6 +155,23 @@ def test_a_second_store_and_a_power_law_are_found_behind_a_lagging_sensor():
     assert law.candidates[0].parameters["gamma"].value == pytest.approx(0.3, abs=0.05)
 
 
+def test_a_large_store_that_the_start_shows_most_joins_though_one_place_holds_most_of_the_error():
+    machine = MACHINES["oven"](seed=71, effects={"second-heat-store": "large"}, configuration="lumped")
+    signals = machine.simulate(48 * 3600.0)
+    store = explain(load_model("oven"), [Record(signals.channels, signals.units, signals.sample_time)])
+    assert list(store.accepted) == [("second-heat-store", "chamber")]
+
+
+def test_a_speed_that_is_read_without_its_sign_is_named_where_short_windows_are_fitted_by_a_standstill():
+    signals = MACHINES["gate-drive"](seed=213, effects={"output-absolute": "small"}).simulate(15.0)
+    told = explain(
+        load_model("gate-drive"),
+        [Record({c: signals.channels[c] for c in ("voltage", "speed")}, signals.units, signals.sample_time)],
+    )
+    assert [key.effect for key in told.accepted] == ["output-absolute"]
+    assert told.left["speed"][0] == pytest.approx(0.3, rel=0.05)  # its noise
+
+
 def test_a_plate_with_two_stores_of_heat_is_not_called_complete():
     """Nearly noiseless: integrated noise could swallow the whole error; the catalogue is kept from naming the second store."""
     n, h = 800, 2.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.physics import Key, load_model
-from residuum.identification.unseen_blocks.comparing import ahead, evidence, is_alike, is_real, paired, simplest
+from residuum.identification.unseen_blocks.comparing import ahead, block_by_block, evidence, is_alike, is_real, paired, simplest
 from residuum.identification.unseen_blocks.policy import RARE
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.usual import rarity
@@ -51,6 +51,13 @@ def test_an_error_that_a_few_blocks_hold_is_told_by_the_ratio_of_totals():
     gain, doubt = paired(better, worse, POWER)
     assert gain < 2.5 * doubt
     assert ahead(better, worse, POWER) > 2.5 and ahead(worse, better, POWER) < 0.0
+
+
+def test_block_by_block_no_block_counts_for_more_than_another():
+    worse = one(np.where(np.arange(20) == 0, 400.0, 10.0) * EVEN)
+    everywhere, at_one_place = one(3.0 * EVEN), one(np.where(np.arange(20) == 0, 10.0, 10.0) * EVEN)
+    assert block_by_block(everywhere, worse, POWER) > 5.0
+    assert block_by_block(at_one_place, worse, POWER) < 1.5
 
 
 def test_nats_are_what_the_errors_gain_less_the_price_of_parameters():
