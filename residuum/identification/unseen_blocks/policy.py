@@ -47,6 +47,11 @@ EXCHANGED, EXCHANGED_IN_NOISE = 3, 2
 """Effects from which on each is tried to be exchanged for another: of two, each was looked at alone, but not in nats. Chosen."""
 FOLLOWED, FULLY_FITTED = 14, 8
 """Candidates of each look that take two further steps, and those that are fitted fully after them at a level. Chosen."""
+PAIRS_FITTED, EACH_IN_PAIRS = 6, 2
+"""Pairs of effects that are fitted where none joins alone, and in how many of them an effect may be. Chosen."""
+PAIR_DAMPING = 1e-4
+"""[of the curvature] Damping of the step by which pairs are ranked: what gains together only is nearly collinear with what stood
+for it. Chosen."""
 GLANCED, LONG_LOOK = 2000, 6000
 """[samples] Of a look at short windows, and of the records up to which they are looked at whole, too. Chosen."""
 BLIND = 0.5

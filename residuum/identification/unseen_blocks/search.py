@@ -24,6 +24,7 @@ from residuum.identification.unseen_blocks.joining import joins, without_needles
 from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
 from residuum.identification.unseen_blocks.looks import LONG, SHORT, Court, Glance, followed_on, glance, look, shows
+from residuum.identification.unseen_blocks.pairs import pairs
 from residuum.identification.unseen_blocks.policy import (
     BEAM,
     DEEPEST,
@@ -63,6 +64,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
     tell(0.0, "estimating the model as it is")
     found = begun(climb_at_likelier_timing(data) if turns == TURNS else climb(data))
     beam, kept, depth, enough = [found.best], None, 0, None
+    together: list[Judged] = []
     try:
         while True:
             tell(0.1 + 0.6 * depth / DEEPEST, _beside(found.best.keys))
@@ -77,7 +79,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
                 glances = _glances(found, beam, wanted, kept)
                 kept = _kept(glances) if kept is None else kept
                 tell(0.1 + 0.6 * (depth + 0.5) / DEEPEST, _beside(found.best.keys))
-                ranked = _fitted(found, glances)
+                ranked, together = sorted([*_fitted(found, glances), *together], key=lambda one: one.cost), []
                 found.tried = len(glances) or found.tried
             if ranked and joins(found, ranked):
                 without_needless(found)
@@ -90,6 +92,7 @@ def search(data: Data, wanted: Wanted, tell: Tell = untold, *, turns: int = TURN
                 beam = longer
             elif ranked and depth == 0 and not found.court.scale.nats:
                 beam, depth = going_on(ranked, found.court.scale), depth + 1
+                together = _together(found)
             else:
                 break
         if found.court.scale.nats and found.best.keys:
@@ -189,6 +192,14 @@ def settled(found: Search, ranked: Sequence[Judged]) -> list[Judged]:
     others = [one for one in fits if not set(one.keys) >= set(chosen.keys)]
     found.group = [one for one in others if is_alike(one, chosen, None, court.scale)]
     return [chosen, *found.group][:BEAM]
+
+
+def _together(found: Search) -> list[Judged]:
+    """Pairs that gain beside the model as it is, where none joins it alone."""
+    along = followed(found.base.model, found.court.data, found.base.errors, found.court.last)
+    there = [] if along is None else pairs(found.base, sorted(found.proposed), along, found.court)
+    found.every |= {one.keys: one for one in there}
+    return there
 
 
 def _exchanged(found: Search, beam: list[Judged], wanted: Wanted, kept: set[Key] | None) -> list[Judged]:

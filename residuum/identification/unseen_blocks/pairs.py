@@ -1,0 +1,157 @@
+"""Pairs of effects that gain together only: on a motor whose loss stood for its friction, friction and drag.
+
+Each effect has slopes of its own where it is at rest beside a structure. With the errors e of the structure, the slopes T of its
+values and of both effects (first states projected out, the outputs in units of what they leave), and H_f = T_fᵀT_f and
+g_f = T_fᵀe_f of each fold of blocks f, a pair leaves on unseen blocks about
+
+    Σ_f |e_f|² − 2 δ_fᵀ g_f + δ_fᵀ H_f δ_f,    δ_f = (Σ_{k≠f} H_k + d·diag Σ H)⁻¹ Σ_{k≠f} g_k.
+
+All pairs are ranked by that without a further simulation; those that promise most are fitted and judged like any structure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+
+from residuum.identification.errors import BadInput
+from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics.estimation.least_squares import solve_scaled
+from residuum.identification.physics.model import find_effect
+from residuum.identification.side_by_side import each_beside
+from residuum.identification.unseen_blocks.following import Track
+from residuum.identification.unseen_blocks.held_value import HELD
+from residuum.identification.unseen_blocks.judged import Judged, equations
+from residuum.identification.unseen_blocks.looks import Court
+from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAMPING, PAIRS_FITTED
+from residuum.identification.unseen_blocks.proposals import canonical, starts
+from residuum.identification.unseen_blocks.structure import Structure, at_start
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Of an effect at rest with these first values: names of its parameters that are estimated, and slopes (rows, outputs, q)."""
+
+    key: Key
+    values: dict[str, float]
+    names: list[str]
+    columns: Array
+
+
+def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> list[Judged]:
+    """The pairs of these effects that promise most beside a structure, fitted and judged."""
+    last = court.last
+    begun = at_start(parent.model, last, parent.structure.states[last.windows], court.scale, parent.structure.steps[last.windows])
+    own = None if begun is None else equations(begun, last, court.scale)
+    if own is None:
+        return []
+    there = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
+    slopes = [one for shapes in there for one in shapes]
+    unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else court.scale.unit
+    T = np.concatenate([own.slopes, *(one.columns for one in slopes)], axis=2) / np.sqrt(unit)[:, None]
+    e = own.errors * own.huber / np.sqrt(unit)
+    fold = court.data.fold[last.block]
+    each = [(T[fold == f], e[fold == f]) for f in np.unique(fold)]
+    H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in each])
+    g = np.array([np.einsum("roi,ro->i", t, r) for t, r in each])
+    places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(one.names) for one in slopes)])[:-1])
+    ranked: list[tuple[float, int, int]] = []
+    for i, j in combinations(range(len(slopes)), 2):
+        if slopes[i].key != slopes[j].key:
+            at = np.concatenate([places[0], places[i + 1], places[j + 1]])
+            ranked.append((_unseen(H[:, at][:, :, at], g[:, at]), i, j))
+    tasks = []
+    for i, j in _unlike(ranked, slopes):
+        at = np.concatenate([places[0], places[i + 1], places[j + 1]])
+        step = _step(H[:, at][:, :, at].sum(axis=0), g[:, at].sum(axis=0))[len(places[0]) :]
+        tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, court))
+    return [one for one in each_beside(lambda task: task(), tasks) if one is not None]
+
+
+def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]) -> list[tuple[int, int]]:
+    """The pairs that promise most, each effect in few of them: those that do the same beside one would take all places."""
+    chosen: list[tuple[int, int]] = []
+    taken: Counter[Key] = Counter()
+    for _, i, j in sorted(ranked):
+        two = {slopes[i].key, slopes[j].key}
+        known = any({slopes[k].key, slopes[m].key} == two for k, m in chosen)
+        if not known and max(taken[key] for key in two) < EACH_IN_PAIRS:
+            chosen.append((i, j))
+            taken.update(two)
+    return chosen[:PAIRS_FITTED]
+
+
+def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slopes]:
+    """An effect at rest beside the structure, in each of its shapes; none of one that is never at rest."""
+    if key.effect == HELD or not find_effect(key.effect).vanishes or find_effect(key.effect).shifts:
+        return []
+    effect, found, shapes = find_effect(key.effect), [], []
+    for start in starts(key, along):
+        values = effect.at_rest(start)
+        if values in shapes:
+            continue
+        shapes.append(values)
+        try:
+            model = _unbounded(canonical(parent.model.with_effect(*key, values)), key)
+        except BadInput:
+            continue
+        last = court.last
+        begun = at_start(model, last, parent.structure.states[last.windows], court.scale, parent.structure.steps[last.windows])
+        at = None if begun is None else equations(begun, last, court.scale)
+        if at is not None and np.all(np.isfinite(at.slopes)):
+            new = [k for k, name in enumerate(model.free) if name not in parent.model.free]
+            found.append(_Slopes(key, values, [list(model.free)[k].rpartition(".")[2] for k in new], at.slopes[..., new]))
+    return found
+
+
+def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
+    """The model with an effect's values free of their bounds, at which it rests."""
+    free = [
+        replace(use, parameters={n: replace(p, lower=-np.inf, upper=np.inf) for n, p in use.parameters.items()})
+        if use.key == key
+        else use
+        for use in model.effects
+    ]
+    return replace(model, effects=tuple(free))
+
+
+def _step(H: Array, g: Array) -> Array:
+    return np.asarray(solve_scaled(H + PAIR_DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[:, 0])
+
+
+def _unseen(H: Array, g: Array) -> float:
+    """What all folds leave, each with the values that the others ask for, above what the structure alone leaves."""
+    all_H, all_g, cost = H.sum(axis=0), g.sum(axis=0), 0.0
+    for h, b in zip(H, g, strict=True):
+        step = _step(all_H - h, all_g - b)
+        cost += float(step @ h @ step - 2.0 * step @ b)
+    return cost
+
+
+def _fitted(parent: Judged, pair: Sequence[_Slopes], step: Array, court: Court) -> Judged | None:
+    """The structure with both, begun where the step leads."""
+    model: PhysicalModel = parent.model
+    for one, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):
+        moved = {name: one.values[name] + float(d) for name, d in zip(one.names, more, strict=True)}
+        try:
+            model = model.with_effect(*one.key, _within(model.with_effect(*one.key, one.values), one.key, moved))
+        except BadInput:
+            return None
+    keys = tuple(sorted((*parent.keys, *(one.key for one in pair))))
+    return court.judge(
+        Structure(keys, canonical(model), parent.structure.states, parent.structure.steps), steps=15, tolerance=1e-5
+    )
+
+
+def _within(model: PhysicalModel, key: Key, values: dict[str, float]) -> dict[str, float]:
+    """All first values of an effect, these within their bounds."""
+    use = next(use for use in model.effects if use.key == key)
+    return {name: min(max(values.get(name, p.value), p.lower), p.upper) for name, p in use.parameters.items()}
