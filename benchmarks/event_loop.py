@@ -27,8 +27,7 @@ import uvicorn
 
 from benchmarks.free_port import free_port
 from benchmarks.http_cases import _wait
-from residuum.service.app import create_app
-from residuum.service.loop_watch import watch_loop
+from residuum.service.app import create_app, watch_loop
 from residuum.service.settings import load_settings
 from residuum.service.settled_memory import settle_memory
 

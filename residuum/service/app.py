@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import shutil
 import threading
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import structlog
 from fastapi import FastAPI
@@ -25,9 +25,7 @@ from residuum.service.alarms.notifications import Notifications
 from residuum.service.api import ROUTERS, health
 from residuum.service.api.results import downloads
 from residuum.service.known_queries import KnownQueries
-from residuum.service.latest_findings import tell_latest
 from residuum.service.logs import set_up_logs
-from residuum.service.loop_watch import watch_loop
 from residuum.service.machines.judging.judges import Judges
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.metrics import Metrics
@@ -41,7 +39,7 @@ from residuum.service.storage import DiskStore
 from residuum.service.storage.database import sqlite_file
 from residuum.service.storage.disk_store import SETTLED
 from residuum.service.storage.retention import Retention
-from residuum.service.store import StorageUnavailable, Store
+from residuum.service.store import Alarm, Page, StorageUnavailable, Store
 from residuum.service.web import web_routes
 from residuum.service.window_queue.set_aside import SetAside
 from residuum.service.window_queue.stored_windows import StoredWindows, Told
@@ -258,3 +256,61 @@ async def _retain(store: DiskStore, settings: Settings) -> None:
         except (StorageUnavailable, OSError) as error:
             log.error("signals could not be let go", reason=str(error))
         await asyncio.sleep(_RETAIN_EVERY)
+
+
+# The latest finding and alarms of every machine, told from the store to who shows only these.
+
+T = TypeVar("T")
+
+
+class Out(Protocol):
+    """Who shows them."""
+
+    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
+        """A finding or an alarm."""
+
+
+def tell_latest(store: Store, outs: Sequence[Out]) -> None:
+    """Tell the latest `finding` of every asset, and of its alarms the `alarm` that changed last; StorageUnavailable."""
+    if not outs:
+        return
+    assets = _all(store.assets)
+    news = [("finding", asset.last_finding.to_json()) for asset in assets if asset.last_finding is not None]
+    alarms = sorted(_all(lambda cursor: store.alarms(active=False, cursor=cursor)), key=_changed)
+    news += [("alarm", alarm.to_json()) for alarm in {alarm.asset: alarm for alarm in alarms}.values()]
+    for out in outs:
+        for kind, payload in news:
+            out.tell(kind, payload)
+
+
+def _changed(alarm: Alarm) -> float:
+    moments = (alarm.raised_at, alarm.cleared_at, alarm.acknowledged_at)
+    return max((moment.timestamp() for moment in moments if moment is not None), default=0.0)
+
+
+def _all(read: Callable[[str | None], Page[T]]) -> Iterator[T]:
+    cursor = None
+    while True:
+        page = read(cursor)
+        yield from page.items
+        cursor = page.next_cursor
+        if cursor is None:
+            return
+
+
+# How long the event loop is held up: everything that the service answers waits for it.
+
+TICK = 0.05
+"""Seconds between looks."""
+
+
+async def watch_loop(tell: Callable[[float], None], tick: float = TICK) -> None:
+    """Tell again and again by how many seconds a timer of the running loop was late; ends when it is cancelled.
+
+    A stall of length s is seen as at least s − `tick`.
+    """
+    loop = asyncio.get_running_loop()
+    while True:
+        due = loop.time() + tick
+        await asyncio.sleep(tick)
+        tell(max(0.0, loop.time() - due))

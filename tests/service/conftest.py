@@ -23,7 +23,7 @@ from sqlalchemy.engine import make_url
 from residuum.service.app import create_app
 from residuum.service.machines.pipeline import Pipeline
 from residuum.service.settings import load_settings
-from residuum.service.simulated.demo_training import train
+from residuum.service.simulated.demo import train
 
 PATIENCE = 60.0
 _PROCESS = os.environ.get("PYTEST_XDIST_WORKER")  # gw0, gw1, … when several processes run the tests, each its share

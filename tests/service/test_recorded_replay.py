@@ -14,7 +14,7 @@ from residuum.service.fieldbus.can.can_log import read_can_log
 from residuum.service.fieldbus.modbus.register_trace import read_trace
 from residuum.service.fieldbus.replay import replay_to_can, replay_to_modbus
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.simulated.demo_training import DIAGNOSER_OF
+from residuum.service.simulated.demo import DIAGNOSER_OF
 
 RECORDED = Path(__file__).parents[1] / "recorded"
 CUT = {"gate-actuator": "movement", "gripping-pliers": "round", "process-plant": "sliding"}

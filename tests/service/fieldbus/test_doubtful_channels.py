@@ -7,7 +7,7 @@ import pytest
 
 from residuum.service.fieldbus.modbus.channel_registers import ChannelRegisters
 from residuum.service.fieldbus.modbus.device_reading import ChannelReading, _reading
-from residuum.service.fieldbus.modbus.doubtful_channels import DoubtfulChannels
+from residuum.service.fieldbus.modbus.modbus_source import DoubtfulChannels
 
 
 @pytest.mark.parametrize("value", [1352.6334, 1736.1733, 1200.5, 230.25])

@@ -13,7 +13,7 @@ import pytest
 
 from residuum.service.cli import run as run_command
 from residuum.service.fieldbus.settings import MachineSettings, SourceSettings, WindowSettings
-from residuum.service.simulated.demo_training import DIAGNOSER_OF
+from residuum.service.simulated.demo import DIAGNOSER_OF
 from residuum.service.simulated.device import Device
 from residuum.service.simulated.wiring import wiring_of
 from residuum.service.work.worker_pool import WorkerPool

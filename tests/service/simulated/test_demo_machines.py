@@ -4,7 +4,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.service.fieldbus.settings import WindowSettings
-from residuum.service.simulated.demo_training import DIAGNOSER_OF, simulated_windows
+from residuum.service.simulated.demo import DIAGNOSER_OF, simulated_windows
 from residuum.service.simulated.wiring import wiring_of
 from residuum.simulation import MACHINES
 

@@ -22,9 +22,7 @@ from cantools.database.errors import Error as DatabaseError
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.block import Samples, StreamFormat
-from residuum.service.fieldbus.can.dbc_text import usable_text
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
-from residuum.service.fieldbus.can.multiplexing import Multiplexing
 from residuum.service.fieldbus.can.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
 
 COUNTER = "counter"
@@ -256,3 +254,91 @@ def read_dbc(path: str | Path) -> BusMessages:
         if message.signals:
             messages.add(message)
     return messages
+
+
+# The text of a DBC file without what would make cantools refuse the whole of it for one message's sake.
+
+_STATEMENT = r'(?:[^;"]|"[^"]*")*;'
+_MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n?(?P<signals>(?:[ \t]+SG_.*\n?|[ \t]*\n)*)", re.MULTILINE)
+_PAGED = re.compile(r"^[ \t]+SG_ +(?P<signal>\w+) +m\d* *:", re.MULTILINE)
+_MULTIPLEXER = re.compile(r"^[ \t]+SG_ +\w+ +(?:m\d+)?M *:", re.MULTILINE)
+_SIGNAL = re.compile(r"^[ \t]+SG_ +(\w+)", re.MULTILINE)
+_CHOICES = re.compile(rf"^VAL_ +(?P<id>\d+) +(?P<signal>\w+) {_STATEMENT}", re.MULTILINE)
+_EXTENDED = 1 << 31
+_INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
+
+
+def usable_text(text: str) -> tuple[str, dict[str, str]]:
+    """The text without messages of impossible identifiers, or with pages that no signal names, and without value tables of
+    signals that no message has. Also why each message was left out, by its name.
+
+    >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
+    >>> text, why["late"][:45]
+    ('BO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
+    """
+    found = list(_MESSAGE.finditer(text))
+    why = {
+        message["name"]: said
+        for message in found
+        if (said := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
+    }
+    there = {(m["id"], name) for m in found if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
+    if not why and all((choices["id"], choices["signal"]) in there for choices in _CHOICES.finditer(text)):
+        return text, {}
+    text = _CHOICES.sub(lambda choices: choices[0] if (choices["id"], choices["signal"]) in there else "", text)
+    return _MESSAGE.sub(lambda message: "" if message["name"] in why else message[0], text), why
+
+
+def _unnamed_page(signals: str) -> str:
+    paged = _PAGED.search(signals)
+    if paged is None or _MULTIPLEXER.search(signals):
+        return ""
+    return f"signal {paged['signal']!r} is on a page, and no signal names the page: mark that one with M"
+
+
+def _impossible(identifier: int, name: str) -> str:
+    if name == _INDEPENDENT:
+        return ""
+    if identifier >= _EXTENDED:
+        return f"identifier {identifier} is longer than 29 bits: correct it" if identifier - _EXTENDED > 0x1FFFFFFF else ""
+    if identifier <= 0x7FF:
+        return ""
+    return f"identifier {identifier} is longer than 11 bits and is not marked as extended: add {_EXTENDED} to it"
+
+
+# Multiplexing: which signals of a CAN message a frame carries, by the page that its multiplexer signals name.
+
+
+class Multiplexing:
+    """Pages of a message, cascaded ones too (a multiplexer that is itself on a page).
+
+    Parameters
+    ----------
+    signals : sequence of cantools signals
+    """
+
+    def __init__(self, signals: Sequence[Any]) -> None:
+        place = {signal.name: k for k, signal in enumerate(signals)}
+        paged = [signal for signal in signals if signal.multiplexer_ids is not None and signal.multiplexer_signal in place]
+        parent = {place[signal.name]: place[signal.multiplexer_signal] for signal in paged}
+        self._pages = sorted(
+            ((place[signal.name], parent[place[signal.name]], np.array(signal.multiplexer_ids, float)) for signal in paged),
+            key=lambda page: _depth(page[0], parent),
+        )
+        self.paged = frozenset(parent)
+        """Places of the signals that not every frame carries."""
+
+    def carried(self, values: Samples) -> npt.NDArray[np.bool_]:
+        """Which of the values, shape (n, signals), their frames carry."""
+        carried = np.ones(values.shape, bool)
+        for k, multiplexer, pages in self._pages:
+            carried[:, k] = carried[:, multiplexer] & np.isin(np.trunc(values[:, multiplexer]), pages)
+        return carried
+
+
+def _depth(signal: int, parent: dict[int, int]) -> int:
+    """How many multiplexers stand above a signal; one that is above itself is as deep as there are signals."""
+    depth = 0
+    while signal in parent and depth <= len(parent):
+        signal, depth = parent[signal], depth + 1
+    return depth

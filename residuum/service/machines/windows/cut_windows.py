@@ -3,16 +3,216 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from residuum.identification.errors import BadInput
+from residuum.diagnosis.vibration.rotation.clock_alignment import ClockAlignment, align_clocks, on_clock_of
+from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.service.fieldbus.block import Block, StreamFormat
 from residuum.service.fieldbus.settings import WindowSettings
-from residuum.service.machines.windows.round_windows import RoundCutter
 from residuum.service.machines.windows.stream_buffer import StreamBuffer, filled_forward
+
+# RoundCutter: rounds of a rotating machine, out of a vibration stream and a machine stream with clocks of their own.
+
+_QUADRANTS = 4
+_LONGER = 1.4
+_LONGEST_ROUND = 10.0
+_AFTER = 1.2
+_ALIGN_OVER = 30.0
+_KEEP = 45.0
+_ROUGH_OVER = 2.0
+_ROUGH_KEPT = 10.0
+_FAR_OFF = 0.6
+_FAR_OFF_ROUNDS = 3
+
+
+class EdgeFinder:
+    """Pulses of a two-valued channel, found as the samples come.
+
+    `rising` holds the times of rising edges on the stream's clock (half a sample before the first high sample), `pulses` their
+    (first high sample, width in samples).
+    """
+
+    def __init__(self, buffer: StreamBuffer, channel: str) -> None:
+        self._buffer, self._channel = buffer, channel
+        self._late = max(1, round(_LATE / buffer.format.sample_time))
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget everything: the stream has begun anew."""
+        self.rising: deque[float] = deque(maxlen=256)
+        self.pulses: deque[tuple[int, int]] = deque(maxlen=256)
+        self._looked_at = self._buffer.first
+        self._level = float("nan")
+        self._high_since: int | None = None
+
+    def look(self) -> None:
+        """Find the edges in what has come since."""
+        begin, end = max(self._looked_at, self._buffer.first), self._buffer.end - self._late
+        if end <= begin:
+            return
+        level = filled_forward(self._buffer.channel(self._channel, begin, end), self._level) > 0.5
+        before = bool(level[0]) if np.isnan(self._level) else self._level > 0.5  # a stream that begins high shows no edge
+        for step in np.flatnonzero(np.diff(np.concatenate([[before], level]))).tolist():
+            self._edge(begin + step, bool(level[step]))
+        self._level, self._looked_at = float(level[-1]), end
+
+    def _edge(self, at: int, up: bool) -> None:
+        if up:
+            self._high_since = at
+            self.rising.append((at - 0.5) * self._buffer.format.sample_time)
+        elif self._high_since is not None:
+            self.pulses.append((self._high_since, at - self._high_since))
+            self._high_since = None
+
+
+class RoundCutter:
+    """One window a round, on the vibration stream's clock, with the machine's signals held on it.
+
+    A round runs from one marking pulse of `indicator` to the next: the pulse longer than the others, or every fourth one when
+    none is longer. The clocks are aligned by the pulses that both streams have in `sync`; which pulse belongs to which is
+    decided once by when samples arrived, and watched from then on. When no marking pulse has come for ten seconds, those ten
+    seconds are a window of their own (whatever is judged of it, it says that the indicator is dead).
+
+    Parameters
+    ----------
+    streams : mapping of name to StreamFormat
+        One stream with `sync` and `indicator`, and one with `sync` and without.
+    source : str
+
+    Raises
+    ------
+    BadInput
+        The streams do not have these channels.
+    """
+
+    def __init__(self, streams: Mapping[str, StreamFormat], source: str) -> None:
+        machine = [stream for stream in streams.values() if {"sync", "indicator"} <= set(stream.units)]
+        vibration = [stream for stream in streams.values() if "sync" in stream.units and "indicator" not in stream.units]
+        if len(machine) != 1 or len(vibration) != 1:
+            raise BadInput("windows by round: need one stream with sync and indicator and one with sync and without indicator")
+        self._machine, self._vibration = StreamBuffer(machine[0], _KEEP), StreamBuffer(vibration[0], _KEEP)
+        self._indicator = EdgeFinder(self._machine, "indicator")
+        self._machine_sync, self._vibration_sync = EdgeFinder(self._machine, "sync"), EdgeFinder(self._vibration, "sync")
+        self._source = source
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        for finder in (self._indicator, self._machine_sync, self._vibration_sync):
+            finder.begin_anew()
+        self._rough: deque[tuple[float, float]] = deque()
+        self._alignment: ClockAlignment | None = None
+        self._far_off = 0
+        self._start: int | None = None
+
+    def push(self, block: Block) -> Sequence[Record]:
+        """Take samples of either stream; the rounds that they complete."""
+        buffer = self._machine if block.stream == self._machine.format.name else self._vibration
+        if buffer.add(block):
+            self._begin_anew()
+        for finder in (self._indicator, self._machine_sync, self._vibration_sync):
+            finder.look()
+        self._note_arrival()
+        windows = []
+        while (stop := self._next_mark()) is not None and self._arrived(stop):
+            window = self._cut(stop)
+            if window is None:
+                break
+            windows.append(window)
+        return windows
+
+    def _note_arrival(self) -> None:
+        """Remember how the two clocks read at the same moment, to within the time that samples are under way."""
+        if self._machine.end == self._machine.first or self._vibration.end == self._vibration.first:
+            return
+        reference = self._vibration.end * self._vibration.format.sample_time
+        other = self._machine.end * self._machine.format.sample_time
+        self._rough.append((reference, reference - other))
+        while self._rough[0][0] < reference - _ROUGH_KEPT:
+            self._rough.popleft()
+
+    def _rough_offset(self) -> float | None:
+        if not self._rough or self._rough[-1][0] - self._rough[0][0] < _ROUGH_OVER:
+            return None
+        return float(np.median([offset for _, offset in self._rough]))
+
+    def _next_mark(self) -> int | None:
+        """The first sample (machine clock) after the open round; opens the first round on the way."""
+        while True:
+            mark = self._mark_after(self._start)
+            if self._start is not None or mark is None:
+                return mark
+            self._start = mark
+
+    def _mark_after(self, start: int | None) -> int | None:
+        """The first marking pulse after `start`, or what stands for it where none has come for ten seconds."""
+        pulses = list(self._indicator.pulses)
+        longer = _longer_pulses(pulses)
+        if not longer and start is None and len(pulses) <= _QUADRANTS:
+            return None
+        after = [at for at in (longer or [at for at, _ in pulses]) if start is None or at > start]
+        if not longer and start is not None:
+            after = after[_QUADRANTS - 1 :]
+        return after[0] if after else self._silent_until(start)
+
+    def _silent_until(self, start: int | None) -> int | None:
+        longest = _LONGEST_ROUND / self._machine.format.sample_time
+        return start + round(longest) if start is not None and self._machine.end - start > longest else None
+
+    def _arrived(self, stop: int) -> bool:
+        """Whether both streams have come far enough beyond the round to be aligned there."""
+        rough = self._rough_offset()
+        if rough is None:
+            return False
+        end = stop * self._machine.format.sample_time + _AFTER
+        machine_end = self._machine.end * self._machine.format.sample_time
+        vibration_end = self._vibration.end * self._vibration.format.sample_time
+        offset = self._alignment.offset if self._alignment else rough
+        return machine_end >= end and vibration_end >= end + offset
+
+    def _cut(self, stop: int) -> Record | None:
+        start, self._start = self._start, stop
+        if start is None:
+            return None
+        alignment = self._align(stop * self._machine.format.sample_time)
+        if alignment is None:
+            return None
+        Ts_machine, Ts = self._machine.format.sample_time, self._vibration.format.sample_time
+        begin, end = (int(np.ceil(alignment.to_reference(at * Ts_machine) / Ts)) for at in (start, stop))
+        spare = round(1.0 / Ts_machine)
+        machine = self._machine.record(start - spare, stop + spare, self._source, leave_out=("sync",))
+        vibration = self._vibration.record(begin, end, self._source, leave_out=("sync",))
+        return on_clock_of(vibration, machine, alignment)
+
+    def _align(self, stop: float) -> ClockAlignment | None:
+        rough = self._rough_offset()
+        expected = self._alignment.offset if self._alignment else rough
+        if expected is None or rough is None:
+            return None
+        since, until = stop - _ALIGN_OVER, stop + 1.0
+        other = [t for t in self._machine_sync.rising if since <= t <= until]
+        reference = [t for t in self._vibration_sync.rising if since - 1.0 <= t - expected <= until + 1.0]
+        try:
+            self._alignment = align_clocks(reference, other, expected)
+        except BadRecord:
+            self._alignment = None
+            return None
+        self._far_off = self._far_off + 1 if abs(self._alignment.offset - rough) > _FAR_OFF else 0
+        if self._far_off >= _FAR_OFF_ROUNDS:
+            self._alignment, self._far_off = None, 0
+        return self._alignment
+
+
+def _longer_pulses(pulses: Sequence[tuple[int, int]]) -> list[int]:
+    """First samples of the pulses longer than the others, once there are enough to tell."""
+    if len(pulses) <= _QUADRANTS:
+        return []
+    median = np.median([width for _, width in pulses[-_QUADRANTS * 4 :]])
+    return [at for at, width in pulses if width > _LONGER * median]
+
 
 _LATE = 0.05
 _LONGEST_MOVEMENT = 60.0
