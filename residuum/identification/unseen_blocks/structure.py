@@ -10,11 +10,13 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Key, PhysicalModel, Simulator
+from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
+from residuum.identification.physics.effects.how_often import share_lacking
 from residuum.identification.physics.estimation.gauss_newton import Fit, Problem
+from residuum.identification.physics.model import place_of
 from residuum.identification.unseen_blocks.data import Rung
-from residuum.identification.unseen_blocks.policy import COARSE, STIFFEST
+from residuum.identification.unseen_blocks.policy import COARSE, OCCASIONAL, RARE, STIFFEST, USUAL_SHARE
 from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.usual import rarity
 from residuum.identification.work import count_fit, go_on
 
 Array = npt.NDArray[np.float64]
@@ -115,3 +117,21 @@ def descended(begun: Fit, *, steps: int, tolerance: float) -> Fit:
     """The least error from where a fit begins, with the integration steps that it has."""
     count_fit()
     return begun.descended(steps, tolerance)
+
+
+# What is usual comes first among equals: a rare effect has to earn more than one that machines of this kind often lack.
+
+
+def rarity(model: PhysicalModel, key: Key) -> float:
+    """For how many parameters the effect counts besides its own: none where machines of the kind of its balance often lack it.
+
+    On the path of an input or output the kinds of all balances count. A user's own effect counts for none, nor does a value that
+    the model holds.
+    """
+    if key.effect not in (EFFECTS.keys() | STRUCTURAL.keys()) or EFFECTS.fingerprint(key.effect):
+        return 0.0
+    place = model.balances.get(place_of(key.target))
+    share = share_lacking(key.effect, [b.kind for b in model.balances.values()] if place is None else [place.kind])
+    if share is None or share >= USUAL_SHARE:
+        return 0.0
+    return OCCASIONAL if share > 0.0 else RARE

@@ -9,7 +9,7 @@ from residuum.identification.physics import Key, load_model
 from residuum.identification.unseen_blocks.comparing import ahead, block_by_block, evidence, is_alike, is_real, paired, simplest
 from residuum.identification.unseen_blocks.policy import RARE
 from residuum.identification.unseen_blocks.scale import Scale
-from residuum.identification.unseen_blocks.usual import rarity
+from residuum.identification.unseen_blocks.structure import rarity
 
 POWER = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
 NATS = replace(POWER, nats=True, price=3.0)
