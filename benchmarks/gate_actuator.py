@@ -20,7 +20,7 @@ from residuum.diagnosis.gate.gate_baseline import GateBaseline, TrainingMovement
 from residuum.diagnosis.gate.movement_features import MovementFeatures, movement_features
 from residuum.diagnosis.gate.movements import cut_movements
 from residuum.diagnosis.gate.position_domain import average_profile
-from residuum.diagnosis.learning.object_wise_validation import (
+from residuum.diagnosis.learning.diagnoser_validation import (
     Validation,
     balanced_accuracy,
     learning_curve,

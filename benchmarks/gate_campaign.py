@@ -33,7 +33,7 @@ from residuum.diagnosis.gate.actuator_model import ActuatorConstants, AdaptedMod
 from residuum.diagnosis.gate.gate_baseline import NOTCH, GateBaseline
 from residuum.diagnosis.gate.movement_features import RATE, MovementFeatures, movement_features
 from residuum.diagnosis.gate.movements import Direction, Movement, cut_movements, flat_part
-from residuum.diagnosis.learning.object_wise_validation import balanced_accuracy, object_wise, proportion_interval
+from residuum.diagnosis.learning.diagnoser_validation import balanced_accuracy, object_wise, proportion_interval
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, isolation_classifier
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.physics import load_model

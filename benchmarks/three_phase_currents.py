@@ -12,7 +12,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from benchmarks.peers.current_signature import current_signature
-from residuum.diagnosis.learning.object_wise_validation import proportion_interval
+from residuum.diagnosis.learning.diagnoser_validation import proportion_interval
 
 FILE = Path(__file__).parents[2] / "shared" / "data" / "itsc" / "Data_ITSC.mat"
 RATE, SUPPLY, WINDOW = 1000.0, 60.0, 250

@@ -12,11 +12,16 @@ from reproduction.gate_movements import CLASSES, CONDITIONS, CONSTANTS, GRADE_9,
 from reproduction.gate_validation import cross_validation, object_wise_validation
 from reproduction.item import Item
 from residuum.diagnosis.gate.actuator_model import adapt
-from residuum.diagnosis.gate.movement_features import RATE, MovementFeatures
+from residuum.diagnosis.gate.movement_features import (
+    RATE,
+    MovementFeatures,
+    envelope_spectrum,
+    fault_indicators,
+    residual_envelope,
+)
 from residuum.diagnosis.gate.movements import Direction
-from residuum.diagnosis.gate.residual_envelope import envelope_spectrum, fault_indicators, residual_envelope
 from residuum.diagnosis.learning.decision_regions import decision_regions
-from residuum.diagnosis.learning.object_wise_validation import Validation
+from residuum.diagnosis.learning.diagnoser_validation import Validation
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, source_classifier
 
 EXEMPLARS, SHORT_EXEMPLARS = 10, 4

@@ -9,7 +9,7 @@ from sklearn.tree import DecisionTreeClassifier
 from reproduction.check import Check, at_least, at_most
 from reproduction.gate_movements import CLASSES, Observed
 from reproduction.item import Item
-from residuum.diagnosis.learning.object_wise_validation import Validation, mixed_folds, object_wise
+from residuum.diagnosis.learning.diagnoser_validation import Validation, mixed_folds, object_wise
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, isolation_classifier, source_classifier
 
 _SOURCE, _OURS = "source: F₁, F₂, linear SVM", "ours: all features, logistic regression"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,17 +13,60 @@ from scipy import stats
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
-from residuum.diagnosis.model_based.complete_stretch import complete_stretch
-from residuum.diagnosis.model_based.detection import Detected, detected
+from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.diagnosis.model_based.policy import COMPLETE, FEWEST_IN_A_WINDOW, LEAST_EXCITED, SHORTEST, STILL
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.window_fit import Fit, information
-from residuum.diagnosis.model_based.wording import said
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.blas_threads import one_thread
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, match
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.noise.coloured_noise import stretches
+
+# Whether a window is healthy, at one rate of false alarms: its values by Hotelling's T² and each by itself, its error power, and
+# offsets of its readings.
+#
+# References
+# ----------
+# H. Hotelling, Ann. Math. Stat. 2 (1931) 360; C. R. Rao, *Linear Statistical Inference*, 2nd ed. 1973, 8c (one direction of T²).
+
+_TESTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """`p` that a healthy window of such a run looks like this; of its values the mean (values,) and covariance there.
+
+    `surprise` is how far error power lies above the usual (2 · outputs,) [standard deviations].
+    """
+
+    p: float
+    mean: Array
+    covariance: Array
+    surprise: Array
+
+
+def detected(baseline: Baseline, fit: Fit, offsets: tuple[Array, Array], features: Array) -> Detected:
+    """Hold the window's own estimate, its error and its offsets (with the information on them) against healthy ones;
+    Bonferroni's bound over the tests.
+    """
+    mean, covariance = baseline.values.at(features)
+    z, freedom = baseline.surprise(features, fit), baseline.values.freedom
+    each = [len(z) * float(stats.t.sf(z, baseline.errors.freedom).min(initial=1.0))]
+    usual, scatter = baseline.offsets.at(features)
+    t = np.abs(offsets[0] - usual) / np.sqrt(np.diag(scatter) + 1.0 / np.maximum(offsets[1], 1e-300))
+    each.append(2.0 * len(t) * float(stats.t.sf(t, baseline.offsets.freedom).min(initial=1.0)))
+    if k := len(mean):
+        d, H = fit.others - mean, information(fit, k)
+        T = H - H @ np.linalg.solve(H + np.linalg.inv(covariance), H)  # (S + H⁻¹)⁻¹, where H may be singular
+        t2 = max(float(d @ T @ d), 0.0)
+        m = max(freedom - k + 1.0, 1.0)
+        one = (T @ d) ** 2 / np.maximum(np.diag(T), 1e-300)  # what one value alone explains of it
+        each.append(float(stats.f.sf(t2 * m / (k * freedom), k, m)))
+        each.append(k * float(stats.f.sf(one * m / np.maximum(freedom + t2 - one, 1e-12), 1, m).min()))
+    return Detected(min(1.0, _TESTS * min(each)), mean, covariance, z)
+
 
 Array = npt.NDArray[np.float64]
 _RAREST = 1e-300
@@ -253,3 +296,78 @@ def _reason(baseline: Baseline, deviation: float, limit: float, told: list[dict[
             f"extrapolated ({many} windows would show it)"
         )
     return words
+
+
+# The longest stretch of a window in which every signal of the model was read.
+
+
+def complete_stretch(record: Record, signals: Iterable[str], fewest: float) -> Record:
+    """The longest stretch without a missing sample of these signals; the record itself where that is not longer than `fewest`.
+
+    A polled bus loses a sample now and then. A simulation cannot go on over a missing input, and none is invented; but what was
+    read before it, or after it, is as good as any window.
+    """
+    lost = np.zeros(record.n, dtype=bool)
+    for name in signals:
+        if name in record.names:
+            lost |= record.missing(name)
+    longest = max(stretches(~lost), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    n = longest.stop - longest.start
+    return record.window(longest.start, longest.stop) if fewest < n < record.n else record
+
+
+# What is found, in sentences that a maintenance engineer understands.
+
+_SENSOR = {
+    "offset": "{place} reads {value} too much",
+    "gain": "{place} reads {percent} of what it measures too much",
+    "delay": "{place} comes {value} late",
+    "noise": "{place} is noisier than when healthy by {value}",
+    "stuck": "{place} stands at {value} although the machine moves",
+    "drop-out": "{place} loses {percent} of its readings",
+    "drift": "{place} drifts by {value}",
+}
+_ACTUATOR = {
+    "offset": "{place} acts as if it were {value} more than commanded",
+    "gain": "{place} acts {percent} more than commanded",
+    "stuck": "{place} does not follow its command",
+    "delay": "{place} acts {value} late",
+}
+
+
+def number(value: float, std: float | None = None) -> str:
+    """A number with as many figures as its doubt leaves.
+
+    >>> number(0.03124, 0.0021), number(1234.5, 20.0), number(0.5)
+    ('0.0312 ± 0.0021', '1234 ± 20', '0.5')
+    """
+    if not std:
+        return f"{value:.4g}"
+    figures = max(2, min(6, 2 + _decades(value) - _decades(std)))
+    shown = f"{value:.{figures}g}"
+    return f"{float(shown):g} ± {std:.2g}" if "e" not in shown else f"{float(shown):.0f} ± {std:.2g}"
+
+
+def _decades(value: float) -> int:
+    return int(f"{abs(value):e}".partition("e")[2]) if value else 0
+
+
+def said(
+    hypothesis: Hypothesis | None, value: float | None, std: float | None, healthy: tuple[float, float] | None, since: str
+) -> str:
+    """One sentence: what, how much, what is usual when healthy, since when."""
+    if hypothesis is None:
+        return "something that no single parameter, effect, sensor or actuator explains"
+    h = hypothesis
+    unit = "" if h.unit in ("", "1") else f" {h.unit}"
+    size = "" if value is None else number(value, 1.96 * std if std else None) + unit
+    words = {"place": h.place, "value": size, "percent": "" if value is None else f"{100 * value:.3g} %"}
+    templates = {"sensor": _SENSOR, "actuator": _ACTUATOR}.get(h.kind, {})
+    if h.name in templates:
+        return f"{h.kind} {templates[h.name].format(**words)}{since}"
+    if h.kind == "disturbance":
+        return f"a load that nobody recorded acts on the {h.place}{since}"
+    where = f" of the {h.place}" if h.place else ""
+    usual = "" if healthy is None else f", healthy {number(healthy[0])} to {number(healthy[1])}"
+    much = f" {size}" if size else ", of a size that the window leaves open"
+    return f"{h.name.replace('-', ' ')}{where}{much}{usual}{since}"

@@ -4,19 +4,115 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
-from residuum.diagnosis.model_based.onset import begun
-from residuum.diagnosis.model_based.pairs import Pair, pairs
-from residuum.diagnosis.model_based.policy import LEAST_UNKNOWN, TOLD, UNEXPLAINED
+from residuum.diagnosis.model_based.policy import (
+    BEGINNINGS_FOLLOWED,
+    FIT_STEPS,
+    FITTED_PAIRS,
+    LEAST_UNKNOWN,
+    LOOK_STEPS,
+    PAIR_STEPS,
+    PAIRED,
+    PARTS,
+    TOLD,
+    UNEXPLAINED,
+    WINDOW_PARTS,
+)
 from residuum.diagnosis.model_based.trying import Tried, tried
+from residuum.diagnosis.model_based.variant import Edit, Variant
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information
-from residuum.identification.physics import Experiment
+from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.unseen_blocks.policy import BLOCKS, DRAWS, TIE
+
+# Two things that happened at once, tried where one alone leaves more than is usual.
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two hypotheses in one fit; of each its parameters of the model, and which of the fit's sizes are its own."""
+
+    both: tuple[Hypothesis, Hypothesis]
+    fit: Fit
+    own: tuple[tuple[str, ...], tuple[str, ...]]
+    sizes: tuple[list[int], list[int]]
+
+
+def pairs(baseline: Baseline, fitter: WindowFitter, singles: Iterable[Tried]) -> list[Pair]:
+    """The best pairs of the likeliest hypotheses and of all values and offsets: what one alone hides shows beside another."""
+    ranked = sorted(filter(_combines, singles), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+    plain = [t for t in ranked[PAIRED:] if t.hypothesis.kind == "parameter" or t.hypothesis.name == "offset"]
+    looks = []
+    for a, b in combinations([*ranked[:PAIRED], *plain], 2):
+        if set(a.fit.variant.own) & set(b.fit.variant.own):
+            continue
+        one, other = _ended(a.fit), b.fit.variant
+        fit = fitter.fit(beside(fitter.model, one, other), PAIR_STEPS, beside=a.fit)
+        if fit is not None:
+            looks.append(Pair((a.hypothesis, b.hypothesis), fit, (one.own, other.own), _whose(one, other)))
+    looks.sort(key=lambda pair: fitter.nats(pair.fit))
+    return [_fitted(fitter, pair) for pair in looks[:FITTED_PAIRS]]
+
+
+def _combines(tried: Tried) -> bool:
+    h = tried.hypothesis
+    return h.seen is None and h.begin is None and h.kind != "disturbance" and not tried.fit.onset
+
+
+def _fitted(fitter: WindowFitter, pair: Pair) -> Pair:
+    fit = fitter.fit(pair.fit.variant, begin=pair.fit)
+    return pair if fit is None or fitter.nats(fit) > fitter.nats(pair.fit) else replace(pair, fit=fit)
+
+
+def _ended(fit: Fit) -> Variant:
+    """The fit's variant, beginning where the fit ended."""
+    variant, p = fit.variant, len(fit.variant.own)
+    model = variant.model.with_values(dict(zip(variant.own, fit.own[:p].tolist(), strict=True)))
+    return replace(variant, model=model, sizes=tuple(fit.own[p:].tolist()))
+
+
+def beside(model: PhysicalModel, first: Variant, second: Variant) -> Variant:
+    """Both at once; `model` is the healthy one."""
+    known, larger = {use.label for use in model.effects}, first.model
+    for use in second.model.effects:
+        if use.label not in known:
+            larger = larger.with_effect(*use.key, {name: p.value for name, p in use.parameters.items()})
+    n = len(first.sizes)
+    return Variant(
+        larger,
+        first.own + second.own,
+        first.sizes + second.sizes,
+        first.lower + second.lower,
+        _after(first.inputs, second.inputs, n),
+        _after(first.reading, second.reading, n),
+    )
+
+
+def _after(first: Edit | None, second: Edit | None, n: int) -> Edit | None:
+    """One edit after the other, the first of which has n sizes."""
+    if first is None and second is None:
+        return None
+
+    def edit(signals: Array, sizes: Array) -> Array:
+        out = signals if first is None else first(signals, sizes[:n])
+        return out if second is None else second(out, sizes[n:])
+
+    return edit
+
+
+def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
+    """Places in (own of both, sizes of both)."""
+    p, q, n = len(first.own), len(second.own), len(first.sizes)
+    return (
+        [*range(p), *range(p + q, p + q + n)],
+        [*range(p, p + q), *range(p + q + n, p + q + n + len(second.sizes))],
+    )
+
 
 Array = npt.NDArray[np.float64]
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
@@ -223,3 +319,56 @@ def _open(fitter: WindowFitter, fit: Fit) -> Array:
     scale = np.sqrt(np.maximum(np.diag(H), 1.0 / _LARGEST))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))  # what nothing tells is wide open
     return np.asarray(np.sqrt(np.sum(vectors**2 / np.maximum(values, 1e-12), axis=1) / scale**2)[k:])
+
+
+# Things that began within a window: healthy up to a sample, and from the states there on with the hypothesis.
+
+_SHORTEST = 10
+"""[samples] Before and after a beginning."""
+
+
+def begun(baseline: Baseline, fitter: WindowFitter, features: Array) -> dict[str, Tried]:
+    """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved in."""
+    window, found = fitter.window, dict[str, Tried]()
+    listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
+    for part in range(1, PARTS):
+        _keep(found, _beginning_at(baseline, fitter, features, window.n * part // PARTS, listed, LOOK_STEPS), fitter)
+    steps = window.n // PARTS
+    while (steps := steps // 2) > window.n // WINDOW_PARTS:
+        ranked = sorted(found.values(), key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
+        for t in ranked[:BEGINNINGS_FOLLOWED]:
+            for at in (t.fit.onset - steps, t.fit.onset, t.fit.onset + steps):
+                _keep(found, _beginning_at(baseline, fitter, features, at, [t.hypothesis], FIT_STEPS), fitter)
+    return found
+
+
+def _keep(found: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -> None:
+    for t in new:
+        old = found.get(t.hypothesis.label)
+        if old is None or fitter.nats(t.fit) < fitter.nats(old.fit):
+            found[t.hypothesis.label] = t
+
+
+def _beginning_at(
+    baseline: Baseline, fitter: WindowFitter, features: Array, at: int, listed: Sequence[Hypothesis], steps: int
+) -> list[Tried]:
+    window = fitter.window
+    if not _SHORTEST < at < window.n - _SHORTEST:
+        return []
+    before = baseline.fitter(window.window(0, at + 1), features)
+    head = before.fit(Variant(before.model))
+    if head is None:
+        return []
+    end = before.states(head)[-1]
+    rest = replace(window.window(at, window.n), known=dict(zip(before.model.states, end.tolist(), strict=False)))
+    after, X, found = baseline.fitter(rest, features), np.repeat(end[None], rest.n, axis=0), []
+    for h in listed:
+        for variant in h.variants(rest, X):
+            fit = after.fit(variant, steps)
+            if fit is None:
+                continue
+            white = np.concatenate([head.white[:-1], fit.white])
+            error = np.concatenate([head.error[:-1], fit.error])
+            paid = fit.paid + head.paid
+            found.append(Tried(h, replace(fit, white=white, error=error, power=fitter.blocks(white), paid=paid, onset=at)))
+    return found

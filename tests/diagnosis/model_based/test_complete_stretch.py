@@ -5,7 +5,7 @@ import pytest
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.model_based.complete_stretch import complete_stretch
+from residuum.diagnosis.model_based.assessment import complete_stretch
 from residuum.identification.record import Record
 
 

@@ -10,9 +10,8 @@ from scipy import signal
 
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Verdict
-from residuum.diagnosis.model_based.assessment import seen_window
+from residuum.diagnosis.model_based.assessment import detected, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.detection import detected
 from residuum.diagnosis.model_based.training import Undetermined
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
 from residuum.diagnosis.model_based.whitening import Whitening

@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from residuum.diagnosis.model_based.wording import said
+from residuum.diagnosis.model_based.assessment import said
 
 LUGRE = SimpleNamespace(kind="effect", name="lugre-friction", place="shaft", unit="N*m")
 

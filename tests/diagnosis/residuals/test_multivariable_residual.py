@@ -5,8 +5,11 @@ import pytest
 from scipy import signal
 
 from residuum.diagnosis.residuals.multivariable.multivariable_detection import detect_multivariable, threshold_of
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import MultivariableResidual, design_multivariable_residual
-from residuum.diagnosis.residuals.multivariable.unknown_input_decoupling import unknown_input_decoupling
+from residuum.diagnosis.residuals.multivariable.multivariable_residual import (
+    MultivariableResidual,
+    design_multivariable_residual,
+    unknown_input_decoupling,
+)
 from residuum.diagnosis.residuals.multivariable.vector_whitener import fit_whitener
 from residuum.identification.errors import BadInput, BadModel, BadRecord
 from residuum.identification.kernel_based.multivariable import identify_multivariable
