@@ -258,7 +258,14 @@ class Model(DescribedModel):
         return Improvement(Model(found.model), found, begins_elsewhere(*match(self.physical, given, map)))
 
     def estimate(
-        self, records: Records, *, map: Mapped = None, method: str = "simulation", steps: int = 50, hold: str = "auto"
+        self,
+        records: Records,
+        *,
+        map: Mapped = None,
+        method: str = "simulation",
+        steps: int = 50,
+        hold: str = "auto",
+        anyway: bool = False,
     ) -> Estimation[Model]:
         """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
 
@@ -270,6 +277,8 @@ class Model(DescribedModel):
             The error that is minimised: `simulation`, `prediction` (of `steps` samples) or `kalman`.
         hold : str
             Inputs between samples: `auto`, `linear` or `zero-order`.
+        anyway : bool
+            Give the model also where the search did not come to rest; else `Estimation.model` refuses and says why.
 
         Returns
         -------
@@ -296,8 +305,9 @@ class Model(DescribedModel):
 
         given = self._measured(records, map)
         found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
-        result = found.estimate
-        return Estimation(Model(result.model), self._given, _names(given), method, found.held_out_rmse, result, found.experiments)
+        result, fitted = found.estimate, Model(found.estimate.model)
+        answer = self._given, _names(given), method, found.held_out_rmse, result, found.experiments
+        return Estimation(fitted, *answer, found.unsettled, anyway)
 
     def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
         """The outputs as the model computes them from the record's inputs.
