@@ -97,6 +97,8 @@ class Estimation(Result, Generic[M]):
         `simulation`, `prediction` or `kalman`.
     held_out_rmse : mapping of output to float, or None
         RMS error on the parts after the records' split notes.
+    left_out : tuple of str
+        What of the records no sensor measured.
     found : Estimate
         The full numbers: values, covariance, flat directions, residuals.
     experiments : list of Experiment
@@ -119,6 +121,7 @@ class Estimation(Result, Generic[M]):
     experiments: Sequence[Experiment]
     unsettled: tuple[str, ...] = ()
     anyway: bool = False
+    left_out: tuple[str, ...] = ()
 
     @property
     def model(self) -> M:
@@ -137,7 +140,7 @@ class Estimation(Result, Generic[M]):
 
     def _answer(self) -> dict[str, Any]:
         found = estimate_json(self.given, self.records, self.found, self.unsettled)
-        found["warnings"] = begins_elsewhere(self.found.model, self.experiments)
+        found["warnings"] = (*begins_elsewhere(self.found.model, self.experiments), *self.left_out)
         return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
 
     def __str__(self) -> str:
