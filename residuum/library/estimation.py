@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.errors import BadInput
+from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import (
     Estimate,
     Experiment,
@@ -18,26 +18,38 @@ from residuum.identification.physics import (
     windows,
     with_coloured_noise,
 )
+from residuum.identification.physics.estimation.unsettled import unsettled
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
 from residuum.nearest_names import known_names
 
-Method = Callable[[PhysicalModel, Sequence[Experiment], int], Estimate]
+Method = Callable[[PhysicalModel, Sequence[Experiment]], Estimate]
+
+
+def _with_honest_band(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:
+    return with_coloured_noise(estimate(model, experiments), experiments)
+
 
 METHODS: dict[str, Method] = {
-    "simulation": lambda model, experiments, _: _with_honest_band(model, experiments),
-    "prediction": lambda model, experiments, steps: _with_honest_band(model, [w for e in experiments for w in windows(e, steps)]),
-    "kalman": lambda model, experiments, _: estimate_by_likelihood(model, experiments),
+    "simulation": _with_honest_band,
+    "prediction": _with_honest_band,
+    "kalman": estimate_by_likelihood,
 }
+
+_IN_PIECES = "method prediction begins anew in each piece, which an unstable plant needs"
 
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """The estimate, its experiments, and each output's RMS error on what the split notes kept (None: nothing was kept)."""
+    """The estimate, its experiments, and each output's RMS error on what the split notes kept (None: nothing was kept).
+
+    `unsettled` says why the values are none to be used; empty where the search came to rest.
+    """
 
     estimate: Estimate
     experiments: Sequence[Experiment]
     held_out_rmse: Mapping[str, float] | None
+    unsettled: tuple[str, ...] = ()
 
 
 def estimated(
@@ -69,16 +81,29 @@ def estimated(
         raise BadInput(f"method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     start, experiments = match(model, records, mapping, hold)
     parts = [_estimation_part(e, record) for e, record in zip(experiments, records, strict=True)]
-    if hold == "auto":
-        parts, result = at_likelier_timing(parts, lambda tried: METHODS[method](start, tried, steps))
-        experiments = [replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)]
-    else:
-        result = METHODS[method](start, parts, steps)
-    return Estimated(result, parts, _held_out_error(result.model, experiments, records))
+
+    def tried(parts: Sequence[Experiment]) -> Estimate:
+        return METHODS[method](start, _pieces(parts, method, steps))
+
+    try:
+        if hold == "auto":
+            parts, result = at_likelier_timing(parts, tried)
+            experiments = [replace(e, hold=part.hold) for e, part in zip(experiments, parts, strict=True)]
+        else:
+            result = tried(parts)
+        held_out = _held_out_error(result.model, experiments, records)
+    except NotIdentifiable as diverges:
+        raise diverges if method == "prediction" else NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
+    before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
+    says = unsettled(result, before)
+    if len(says) > len(result.at_bound) and method != "prediction":
+        says = (*says, _IN_PIECES)
+    return Estimated(result, parts, held_out, says)
 
 
-def _with_honest_band(model: PhysicalModel, experiments: Sequence[Experiment]) -> Estimate:
-    return with_coloured_noise(estimate(model, experiments), experiments)
+def _pieces(experiments: Sequence[Experiment], method: str, steps: int) -> Sequence[Experiment]:
+    """What the method simulates at once."""
+    return [piece for e in experiments for piece in windows(e, steps)] if method == "prediction" else experiments
 
 
 def _estimation_part(experiment: Experiment, record: Record) -> Experiment:

@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from residuum.identification.discrepancy.improvement import Improvement as Improved
+from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.library.answers.comparison import warning_lines
@@ -85,13 +86,19 @@ class Estimation(Result, Generic[M]):
 
     Attributes
     ----------
+    fitted : Model
+        With the estimated values, settled or not.
     model : Model
-        With the estimated values; `model.save("fitted.yaml")` writes it.
+        The same where the search came to rest (or `anyway` was said); `model.save("fitted.yaml")` writes it.
+    unsettled : tuple of str
+        Why the values are none to be used; empty where they are.
     records : tuple of str
     method : str
         `simulation`, `prediction` or `kalman`.
     held_out_rmse : mapping of output to float, or None
         RMS error on the parts after the records' split notes.
+    left_out : tuple of str
+        What of the records no sensor measured.
     found : Estimate
         The full numbers: values, covariance, flat directions, residuals.
     experiments : list of Experiment
@@ -105,13 +112,25 @@ class Estimation(Result, Generic[M]):
     'kg'
     """
 
-    model: M
+    fitted: M
     given: str
     records: tuple[str, ...]
     method: str
     held_out_rmse: Mapping[str, float] | None
     found: Estimate
     experiments: Sequence[Experiment]
+    unsettled: tuple[str, ...] = ()
+    anyway: bool = False
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> M:
+        """The model with the estimated values; NotIdentifiable where the search did not come to rest."""
+        if self.unsettled and not self.anyway:
+            raise NotIdentifiable(
+                f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True` gives its model all the same"
+            )
+        return self.fitted
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -120,8 +139,8 @@ class Estimation(Result, Generic[M]):
         return parameters
 
     def _answer(self) -> dict[str, Any]:
-        found = estimate_json(self.given, self.records, self.found)
-        found["warnings"] = begins_elsewhere(self.found.model, self.experiments)
+        found = estimate_json(self.given, self.records, self.found, self.unsettled)
+        found["warnings"] = (*begins_elsewhere(self.found.model, self.experiments), *self.left_out)
         return found | {"method": self.method, "held_out_rmse": self.held_out_rmse, "model_file": None}
 
     def __str__(self) -> str:

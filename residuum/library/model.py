@@ -21,6 +21,7 @@ from residuum.identification.physics import (
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.residual_analysis.compare import compare
+from residuum.identification.residual_analysis.odd_readings import records_without_odd
 from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
 from residuum.library.progress import Progress, told
@@ -92,6 +93,10 @@ class Model(DescribedModel):
     def _measured(self, records: Records, map: Mapped) -> list[MeasuredRecord]:
         """The records, cut where an input was not measured."""
         return measured_parts(self.physical, as_records(records), map)
+
+    def _sensed(self, given: Sequence[MeasuredRecord], map: Mapped) -> tuple[list[MeasuredRecord], tuple[str, ...]]:
+        """The records without what no sensor measured, as `compare` leaves it out, and what that was."""
+        return records_without_odd(self.physical, given, map)
 
     def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
         """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
@@ -180,7 +185,7 @@ class Model(DescribedModel):
             ensure_compiled(tell)
             found = explain(
                 self.physical,
-                given,
+                self._sensed(given, map)[0],
                 map,
                 effects=effects,
                 seconds=seconds,
@@ -242,7 +247,8 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
-        wanted, given = [add] if isinstance(add, str) else add, self._measured(records, map)
+        wanted = [add] if isinstance(add, str) else add
+        given, left_out = self._sensed(self._measured(records, map), map)
         with told(progress) as tell:
             ensure_compiled(tell)
             found = improve(
@@ -255,10 +261,17 @@ class Model(DescribedModel):
                 tell=tell,
                 **options,
             )
-        return Improvement(Model(found.model), found, begins_elsewhere(*match(self.physical, given, map)))
+        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, given, map)), *left_out))
 
     def estimate(
-        self, records: Records, *, map: Mapped = None, method: str = "simulation", steps: int = 50, hold: str = "auto"
+        self,
+        records: Records,
+        *,
+        map: Mapped = None,
+        method: str = "simulation",
+        steps: int = 50,
+        hold: str = "auto",
+        anyway: bool = False,
     ) -> Estimation[Model]:
         """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
 
@@ -270,6 +283,8 @@ class Model(DescribedModel):
             The error that is minimised: `simulation`, `prediction` (of `steps` samples) or `kalman`.
         hold : str
             Inputs between samples: `auto`, `linear` or `zero-order`.
+        anyway : bool
+            Give the model also where the search did not come to rest; else `Estimation.model` refuses and says why.
 
         Returns
         -------
@@ -294,10 +309,11 @@ class Model(DescribedModel):
         from residuum.library.estimation import estimated  # noqa: PLC0415
         from residuum.library.improvement import Estimation  # noqa: PLC0415
 
-        given = self._measured(records, map)
+        given, left_out = self._sensed(self._measured(records, map), map)
         found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
-        result = found.estimate
-        return Estimation(Model(result.model), self._given, _names(given), method, found.held_out_rmse, result, found.experiments)
+        result, fitted = found.estimate, Model(found.estimate.model)
+        answer = self._given, _names(given), method, found.held_out_rmse, result, found.experiments
+        return Estimation(fitted, *answer, found.unsettled, anyway, left_out)
 
     def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
         """The outputs as the model computes them from the record's inputs.

@@ -73,7 +73,7 @@ def _without_zone(values: Any) -> npt.NDArray[Any]:
     """The array of values; instants with a zone become those of UTC, in which no hour stands twice."""
     accessor = getattr(values, "dt", values)
     if getattr(accessor, "tz", None) is not None:
-        return np.asarray(accessor.tz_convert("UTC").tz_localize(None))
+        return np.asarray(accessor.tz_convert(None))
     array = np.asarray(values)
     if array.dtype.kind == "O" and len(array) and all(hasattr(one, "isoformat") and hasattr(one, "hour") for one in array):
         return _of_datetimes(array)

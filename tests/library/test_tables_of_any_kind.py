@@ -141,3 +141,10 @@ def test_the_coordinate_of_a_dataset_is_no_count_of_rows():
         rs.from_xarray(xarray.Dataset({"speed": values}, coords={"time": np.arange(N)}))
     told = xarray.Dataset({"speed": values}, coords={"time": ("time", 10 * np.arange(N), {"units": "ms"})})
     assert rs.from_xarray(told).sample_time == pytest.approx(STEP)
+
+
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Berlin"])
+def test_a_column_of_instants_is_the_time_in_any_zone(zone):
+    record = rs.from_pandas(frame(at=instants(tz="UTC").tz_convert(zone), speed=SPEED), time="at")
+    assert list(record.names) == ["speed"]
+    assert record.sample_time == pytest.approx(STEP) and record.n == N

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from residuum.identification.residual_analysis.error_sizes import (
     prediction_errors,
 )
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
-from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_codes
+from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_odd
 from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.places.locate import Axis, Region
 from residuum.identification.residual_analysis.places.regions import regions
@@ -136,7 +136,7 @@ def compare(
         The model diverges on a record.
     """
     model, experiments = match(model, records, mapping)
-    experiments, odd = without_codes(model, experiments)
+    experiments, odd = without_odd(model, experiments)
     experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
@@ -167,9 +167,8 @@ def compare(
 
 
 def _beside(
-    model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate, coded: Sequence[OddReadings]
+    model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate, left_out: Sequence[OddReadings]
 ) -> tuple[OddReadings, ...]:
-    """Error codes that were left out, and what stands out of the rest beside the simulation."""
+    """What was left out, and what stands out of the rest beside the simulation."""
     simulated = [each.Y - rest for each, rest in zip(experiments, simulation.residuals, strict=True)]
-    codes = [replace(odd, beside=odd.coded, still=()) for odd in coded if odd.coded.size]
-    return (*codes, *odd_readings(model, experiments, simulated))
+    return (*left_out, *odd_readings(model, experiments, simulated))

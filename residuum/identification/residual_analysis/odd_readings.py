@@ -4,22 +4,25 @@ A row is far beside where it lies off the median of the five rows about it by mo
 rows and by more than half of the range of all other values; a step is none, for the median follows it. A value that comes
 again among such rows is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
 A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
-digit.
+digit. A sensor held it where the reading then jumps to where the machine went meanwhile; a machine that sticks goes on from where
+it stands.
 
-Fails for a plant that really jumps for one or two samples: such rows are told, and only codes are left out.
+Codes and held spans are left out of whatever is judged or estimated. Fails for a plant that really jumps for one or two samples:
+such rows are told, and stay.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.physics import PhysicalModel
-from residuum.identification.physics.simulate.experiment import Experiment
+from residuum.identification.errors import NotIdentifiable
+from residuum.identification.physics import Experiment, PhysicalModel, estimate, match
+from residuum.identification.record import Record
 
 FloatArray = npt.NDArray[np.float64]
 _ABOUT = 5
@@ -28,13 +31,17 @@ _MOST = 0.05
 """Part of all rows: of more, they are no exceptions."""
 _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
 """Rows, usual runs and least steps by which a still span stands out."""
+_JUMP = 3.0
+"""Usual large steps by which a reading that was held jumps on."""
 _FEWEST = 30
 _SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
 class OddReadings:
-    """Of one output in one record: rows far beside (numbers from 0), those that are error codes, the codes, and still spans."""
+    """Of one output in one record: rows far beside (numbers from 0), those that are error codes, the codes, still spans, and
+    those among them that a sensor held.
+    """
 
     output: str
     unit: str
@@ -44,12 +51,21 @@ class OddReadings:
     coded: npt.NDArray[np.intp]
     still: tuple[tuple[int, int], ...]
     distance: tuple[float, float]
+    held: tuple[tuple[int, int], ...] = ()
 
     @property
     def rows(self) -> list[int]:
         """All of them that are still among what is compared."""
-        alone = np.setdiff1d(self.beside, self.coded).tolist()
-        return [*alone, *(row for first, last in self.still for row in range(first, last + 1))]
+        return [*np.setdiff1d(self.beside, self.coded).tolist(), *_rows_of(self._merely_still)]
+
+    @property
+    def left_out(self) -> npt.NDArray[np.intp]:
+        """Rows that no sensor measured."""
+        return np.union1d(self.coded, np.array(_rows_of(self.held), dtype=np.intp))
+
+    @property
+    def _merely_still(self) -> tuple[tuple[int, int], ...]:
+        return tuple(span for span in self.still if span not in self.held)
 
     def says(self) -> list[str]:
         """A sentence of each kind."""
@@ -69,8 +85,13 @@ class OddReadings:
                 f"{where}: {self._rows(alone)} lie {near:.3g} to {far:.3g} {self.unit} beside their neighbours and make much of "
                 "the error; where they mean no value, say --missing VALUE"
             )
-        if self.still:
-            spans = ", ".join(f"{first} to {last}" for first, last in self.still[:_SHOWN])
+        if self.held:
+            found.append(
+                f"{where}: stands still in samples {_spans(self.held)} while the model moves, and jumps on after it: a sensor "
+                "that held its last value; they are left out here"
+            )
+        if self._merely_still:
+            spans = _spans(self._merely_still)
             found.append(f"{where}: stands still in samples {spans} while the model moves: a sensor that held its last value?")
         return found
 
@@ -78,6 +99,14 @@ class OddReadings:
     def _rows(rows: npt.NDArray[np.intp]) -> str:
         shown = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN)
         return f"{len(rows)} single sample{'s' * (len(rows) > 1)} (number{'s' * (len(rows) > 1)} {shown})"
+
+
+def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
+    return [row for first, last in spans for row in range(first, last + 1)]
+
+
+def _spans(spans: Sequence[tuple[int, int]]) -> str:
+    return ", ".join(f"{first} to {last}" for first, last in spans[:_SHOWN]) + ", …" * (len(spans) > _SHOWN)
 
 
 def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]) -> list[OddReadings]:
@@ -92,25 +121,62 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             coded = rows[np.isin(y[rows], codes)]
             alone = off[~np.isin(rows, coded)]
             distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
-            still = _still(np.where(np.isin(np.arange(len(y)), rows), np.nan, y), beside[:, k])
+            single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
+            still = _still(single, beside[:, k])
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
-                found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance))
+                held = tuple(span for span in still if _jumps_on(single, span, still))
+                found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held))
     return found
 
 
-def without_codes(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
-    """The experiments with error codes missing, and what was found."""
-    found = odd_readings(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
+def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
+    """The experiments with error codes and held spans missing, and what was left out.
+
+    Raises
+    ------
+    NotIdentifiable
+        The model diverges.
+    """
+    without, coded = _left_out(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
+    without, held = _left_out(model, without, estimate(model, without, free=()).predicted)
+    codes = [replace(odd, beside=odd.coded, still=(), held=()) for odd in coded if odd.coded.size]
+    return without, [*codes, *(replace(odd, beside=odd.coded, still=odd.held) for odd in held if odd.held)]
+
+
+def records_without_odd(
+    model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None
+) -> tuple[list[Record], tuple[str, ...]]:
+    """The records with error codes and held spans of the outputs missing, and a sentence of each kind that was left out.
+
+    A model that diverges tells no spans; whoever simulates it says so.
+    """
+    matched, experiments = match(model, records, mapping)
+    try:
+        without, odd = without_odd(matched, experiments)
+    except NotIdentifiable:
+        return list(records), ()
+    columns = {(mapping or {}).get(name, name): k for k, name in enumerate(matched.outputs)}
     mended = []
-    for experiment in experiments:
+    for record, was, now in zip(records, experiments, without, strict=True):
+        out = np.isnan(now.Y) & np.isfinite(was.Y)
+        lacking = {name: np.where(out[:, k], np.nan, record[name]) for name, k in columns.items() if out[:, k].any()}
+        mended.append(replace(record, channels={**record.channels, **lacking}) if lacking else record)
+    return mended, tuple(text for each in odd for text in each.says())
+
+
+def _left_out(
+    model: PhysicalModel, experiments: Sequence[Experiment], simulated: Sequence[FloatArray]
+) -> tuple[list[Experiment], list[OddReadings]]:
+    """The experiments without the rows that no sensor measured, and what was found."""
+    mended, found = [], []
+    for experiment, beside in zip(experiments, simulated, strict=True):
+        here = odd_readings(model, [experiment], [beside])
         Y = experiment.Y.copy()
-        for odd in found:
-            if odd.source == experiment.source and odd.coded.size and odd.coded[-1] < len(Y):
-                column = list(model.outputs).index(odd.output)
-                rows = odd.coded[np.isin(Y[odd.coded, column], odd.codes)]
-                Y[rows, column] = np.nan
+        for odd in here:
+            Y[odd.left_out, list(model.outputs).index(odd.output)] = np.nan
         mended.append(replace(experiment, Y=Y))
+        found += here
     return mended, found
 
 
@@ -136,6 +202,17 @@ def far_beside(y: FloatArray) -> tuple[npt.NDArray[np.intp], tuple[float, ...], 
     codes = tuple(sorted(value for value, count in Counter(values[large].tolist()).items() if count > 1))
     odd = large | (far & np.isin(values, codes))  # a code that is near what the sensor should show is one, too
     return (known[odd], codes, off[odd]) if 0 < odd.sum() <= _MOST * len(values) else (known[:0], (), off[:0])
+
+
+def _jumps_on(y: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
+    """Whether the reading after a span lies far from it, in steps of the machine where its sensor follows."""
+    known = np.flatnonzero(np.isfinite(y))
+    after = known[known > span[1]]
+    if not after.size:
+        return False
+    follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
+    usual = float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99)) if follows.sum() > _FEWEST else np.inf
+    return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)
 
 
 def _still(y: FloatArray, simulated: FloatArray) -> tuple[tuple[int, int], ...]:

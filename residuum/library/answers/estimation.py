@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.physics import Estimate
+from residuum.identification.physics.estimation.unsettled import fits
 from residuum.library.answers.comparison import warning_lines
 
 
-def estimate_json(model: str, records: Sequence[str], result: Estimate) -> dict[str, Any]:
-    """The `estimate` object of the command line and the HTTP interface."""
+def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettled: Sequence[str] = ()) -> dict[str, Any]:
+    """The `estimate` object of the command line and the HTTP interface; values that are `unsettled` have no band."""
     declared = result.model.all_parameters
-    values = zip(result.parameters, result.theta, result.std, strict=True)
-    fit = _fit_percent(result)
+    std = [None] * len(result.parameters) if unsettled else result.std.tolist()
+    values = zip(result.parameters, result.theta, std, strict=True)
+    fit = fits(result)
     return {
         "model": model,
         "records": list(records),
@@ -24,41 +26,37 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate) -> dict[
             for name, value, std in values
         },
         "outputs": {
-            name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": fit[k]}
+            name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": 100.0 * fit[k]}
             for k, (name, output) in enumerate(result.model.outputs.items())
             if np.isfinite(result.rmse[k])
         },
         "flat_directions": [
             {"parameters": list(flat.parameters), "relative_weights": list(flat.weights)} for flat in result.flat
         ],
-        "converged": result.converged,
+        "converged": not unsettled,
+        "unsettled": list(unsettled),
         "iterations": result.iterations,
     }
 
 
-def _fit_percent(result: Estimate) -> list[float]:
-    residuals, predicted = np.concatenate(result.residuals), np.concatenate(result.predicted)
-    fits = []
-    for r, y_hat in zip(residuals.T, predicted.T, strict=True):
-        there = np.isfinite(r)
-        y = (r + y_hat)[there]
-        spread = float(np.linalg.norm(y - y.mean())) if there.any() else 0.0
-        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[there])) / spread) if spread > 0 else float("nan"))
-    return fits
-
-
-def _parameter_text(name: str, p: dict[str, Any]) -> str:
-    doubt = "(not determined)" if p["std"] is None else f"± {p['std']:.2g}"
+def _parameter_text(name: str, p: dict[str, Any], settled: bool) -> str:
+    unknown = "(not determined)" if settled else "(not settled)"
+    doubt = unknown if p["std"] is None else f"± {p['std']:.2g}"
     return f"{name} = {p['value']:.6g} {doubt} {p['unit']}".rstrip() + ("  (at its bound)" if p["at_bound"] else "")
+
+
+def _percent(fit: float | None) -> str:
+    return "unknown" if fit is None or np.isnan(fit) else f"{fit:.2f} %" if fit >= 0 else "below 0 %"
 
 
 def estimate_text(found: dict[str, Any]) -> str:
     """The short human report of the `estimate` object."""
-    lines = [*warning_lines(found["warnings"]), *(_parameter_text(name, p) for name, p in found["parameters"].items())]
+    settled = found["converged"]
+    lines = [*warning_lines(found["warnings"]), *(_parameter_text(name, p, settled) for name, p in found["parameters"].items())]
     lines += [
-        f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {o['fit_percent']:.2f} %" for name, o in found["outputs"].items()
+        f"{name}: RMS error {o['rmse']:.4g} {o['unit']}, fit {_percent(o['fit_percent'])}" for name, o in found["outputs"].items()
     ]
     lines += [f"the data cannot tell apart: {', '.join(flat['parameters'])}" for flat in found["flat_directions"]]
-    if not found["converged"]:
-        lines.append("the estimation has not converged")
+    if not settled:
+        lines.append(f"the estimation has not converged: {'; '.join(found['unsettled'])}")
     return "\n".join([*lines, f"written to {found['model_file']}"] if found["model_file"] else lines)

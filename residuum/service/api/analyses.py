@@ -313,7 +313,7 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         result = {key: value for key, value in outcome["result"].items() if key not in ("file", "model_file")}
-        if name is None:
+        if name is None or outcome["file"] is None:
             return result
         version = running.store.add_model_version(name, kind, outcome["file"], "made by a job", by)
         return {**result, "stored": {"model": name, "version": version.number}}

@@ -10,6 +10,7 @@ from residuum.library.answers.estimation import estimate_text
 from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
 from residuum.nearest_names import known_names
+from residuum.service.cli import ANSWER_IS_NO
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -28,6 +29,8 @@ from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
 
+_NOT_WRITTEN = "not written (--anyway writes the model all the same)"
+
 
 @app.command(name="estimate")
 def estimate_command(
@@ -37,6 +40,7 @@ def estimate_command(
     method: Annotated[str, typer.Option(help=f"What error is minimised: {', '.join(METHODS)}.")] = "simulation",
     steps: Annotated[int, typer.Option(min=2, help="Samples predicted ahead (method prediction).")] = 50,
     hold: Annotated[str, typer.Option(help="Inputs between samples: auto, linear or zero-order.")] = "auto",
+    anyway: Annotated[bool, typer.Option("--anyway", help="Write the model also where the search has not converged.")] = False,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -53,7 +57,12 @@ def estimate_command(
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
-    estimation = read(model).estimate(loaded, map=signals(channel_map), method=method, steps=steps, hold=hold)
-    estimation.model.save(out)
-    found = estimation.to_dict() | {"model_file": str(out)}
-    report(found, estimate_text(found), as_json=as_json)
+    given, columns = read(model), signals(channel_map)
+    estimation = given.estimate(loaded, map=columns, method=method, steps=steps, hold=hold, anyway=anyway)
+    written = anyway or not estimation.unsettled
+    if written:
+        estimation.model.save(out)
+    found = estimation.to_dict() | {"model_file": str(out) if written else None}
+    report(found, estimate_text(found) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json)
+    if estimation.unsettled:
+        raise typer.Exit(ANSWER_IS_NO)

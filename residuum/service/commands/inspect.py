@@ -31,6 +31,9 @@ def inspect_command(
     missing: Annotated[
         list[str] | None, typer.Option(metavar="CELL", help="A cell that means no value, such as OL; may be given again.")
     ] = None,
+    names: Annotated[
+        str | None, typer.Option(metavar="NAME,…", help="Names of all columns, of a file without heads; units in brackets.")
+    ] = None,
     dbc: DbcFile = None,
     mapped: Annotated[
         str | None,
@@ -64,6 +67,7 @@ def inspect_command(
             "told_units": pairs("--unit", units),
             "missing": missing or [],
             "sample_time": sample_time,
+            "heads": [] if names is None else names.split(","),
         }
         _logger_file(Path(file), out, said, as_json=as_json)
 

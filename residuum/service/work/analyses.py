@@ -122,11 +122,11 @@ def improve(
 
 
 def estimate(progress: Progress, asked: Asked, method: str) -> Mapping[str, Any]:
-    """`result`: the `estimate` object; `file`: the text of the model with the estimated values."""
+    """`result`: the `estimate` object; `file`: the model's text with the values, none where they have not settled."""
     progress(0.0, "estimate")
     model, records = asked.opened()
     found = model.estimate(records, map=asked.mapping, method=method)
-    return {"result": found.to_dict(), "file": found.model.text.encode()}
+    return {"result": found.to_dict(), "file": None if found.unsettled else found.model.text.encode()}
 
 
 def identify(progress: Progress, records: Sequence[RecordParts], request: Request, method: str) -> Mapping[str, Any]:

@@ -267,3 +267,26 @@ def test_rows_that_are_shuffled_are_still_sorted(tmp_path, seed):
         assert understand(file.read_bytes(), str(file)).mapping.reordered == "sort"
     record = read_record(file)
     assert record.n == 300 and np.all(np.sort(record["count"]) == np.arange(300))
+
+
+@pytest.mark.parametrize(("form", "said"), [("%d.%m.%y %H:%M:%S", {}), ("%d/%m/%y %H:%M:%S", {"time_form": "day first"})])
+def test_years_of_two_digits(form, said):
+    _, record = read(text([f"{BASE + timedelta(seconds=k):{form}}" for k in range(N)]), **said)
+    assert record.sample_time == pytest.approx(1.0)
+    assert record.t0 == pytest.approx(1710151110.0)
+
+
+def test_years_of_two_digits_that_may_be_days_are_asked_for():
+    with pytest.raises(BadRecord, match=r"'11/03/24 09:58:30' may be day/month/year, .*--time 'day first' or"):
+        read(text([f"{BASE + timedelta(seconds=k):%d/%m/%y %H:%M:%S}" for k in range(N)]))
+
+
+def test_a_file_without_heads_is_read_by_names_that_are_said():
+    bare = text([f"{0.1 * k:.1f}" for k in range(N)]).split(b"\n", 1)[1]
+    with pytest.raises(BadRecord, match=r"--names 'time \[s\]',name2 --out FILE"):
+        read(bare)
+    _, record = read(bare, heads=["time [s]", "p [bar]"])
+    assert (list(record.names), record.units["p"], record.sample_time) == (["p"], "bar", pytest.approx(0.1))
+    np.testing.assert_allclose(record["p"], VALUES)
+    with pytest.raises(BadRecord, match=r"--names: names 3 columns; log\.csv has 2"):
+        read(bare, heads=["time [s]", "p", "q"])

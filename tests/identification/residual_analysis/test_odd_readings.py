@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import residuum as rs
 from residuum.identification.physics import read_model
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
@@ -84,3 +85,39 @@ def test_what_plants_do_is_not_odd(seed):
     binary = np.repeat(rng.integers(0, 2, 200), 5).astype(float)
     for y in (steps + 0.01 * rng.standard_normal(1000), slow, binary, rng.standard_normal(1000), rng.laplace(size=1000)):
         assert not far_beside(y)[0].size
+
+
+def held_tank():
+    """600 rows, 60 of which a sensor holds while the heater is on: the truth, and what was recorded."""
+    power = np.repeat([800.0, 0.0], 35)[np.arange(600) % 70]
+    T = np.full(600, 20.0)
+    for k in range(599):
+        rest = 20 + power[k] / 14
+        T[k + 1] = rest + (T[k] - rest) * np.exp(-10 * 14 / 21e3)
+    y = np.round(T * 16 + np.random.default_rng(5).standard_normal(600) * 0.8) / 16
+    y[280:335] = y[280]
+    return power, y
+
+
+def test_a_held_span_is_left_out():
+    found = compared(*held_tank())
+    assert found.outputs["measured"].rmse < 0.08 and not found.present
+    assert any("left out here" in text and "samples 280 to 33" in text for text in found.warnings)
+
+
+def test_a_machine_that_sticks_is_no_sensor_that_held():
+    """It goes on from where it stands: told, and left in, for it may be friction."""
+    power, y = held_tank()
+    y[335:] += y[334] - y[335]
+    found = compared(power, y)
+    assert not any("left out" in text for text in found.warnings)
+    assert found.odd[0].still and not found.odd[0].held
+
+
+def test_estimates_leave_out_what_no_sensor_measured():
+    power, y = held_tank()
+    y[10:250:20] = np.tile([-127.0, 85.0], 6)
+    record = Record({"power": power, "measured": y}, {"power": "W", "measured": "degC"}, 10.0, source="tank.csv")
+    found = rs.model(TANK.replace("value: 14.0", "value: 8.0")).estimate(record)
+    assert found.model.parameters["k"].value == pytest.approx(14.0, abs=0.1)
+    assert sum("left out here" in text for text in found.to_dict()["warnings"]) == 2

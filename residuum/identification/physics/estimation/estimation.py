@@ -73,6 +73,8 @@ class Estimate:
     converged : bool
     substeps : tuple of int
         Integration steps a sample that were used.
+    promised : float
+        Part of the cost that a whole Gauss–Newton step from here promises: next to nothing in a minimum.
     """
 
     model: PhysicalModel
@@ -90,6 +92,7 @@ class Estimate:
     converged: bool
     iterations: int
     substeps: tuple[int, ...]
+    promised: float = 0.0
 
     @property
     def std(self) -> Array:
@@ -424,4 +427,5 @@ class _Problem:
             converged=converged,
             iterations=iterations,
             substeps=tuple(self.substeps),
+            promised=self._promised(point) / max(point.cost, 1e-300) if self.slopes else 0.0,
         )

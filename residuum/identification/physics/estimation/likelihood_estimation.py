@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from residuum.identification.descent import End, descend
 from residuum.identification.physics.estimation.estimation import Estimate, Settings, estimate
-from residuum.identification.physics.estimation.least_squares import bounded_step, covariance_of, damped
+from residuum.identification.physics.estimation.least_squares import bounded_step, covariance_of, damped, solve_scaled
 from residuum.identification.physics.model import PhysicalModel
 from residuum.identification.physics.simulate.experiment import Experiment
 from residuum.identification.physics.simulate.kalman import Filter, Noise, first_noise, tune
@@ -60,7 +60,8 @@ def estimate_by_likelihood(
         theta = moved
         if settled:
             break
-    covariance, flat = covariance_of(likelihood.point(theta).hessian, 1.0, names, theta)
+    last = likelihood.point(theta)
+    covariance, flat = covariance_of(last.hessian, 1.0, names, theta)
     final = model.with_values(dict(zip(names, theta.tolist(), strict=True)))
     simulated = estimate(final, experiments, free=(), initial=start.initial, settings=Settings())
     bound = (theta <= likelihood.lower) | (theta >= likelihood.upper)
@@ -74,7 +75,13 @@ def estimate_by_likelihood(
         at_bound=tuple(name for name, there in zip(names, bound, strict=True) if there),
         converged=converged,
         iterations=iterations,
+        promised=_promised(last) / max(simulated.samples, 1),
     )
+
+
+def _promised(point: _Point) -> float:
+    """By how much −2 log L falls with the whole step."""
+    return float(point.descent @ solve_scaled(point.hessian, point.descent[:, None])[:, 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from residuum.identification.record_formats.even_time import on_grid, usual_step
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.loggers.logger_mapping import (
+    ENDING,
     SAY_DUPLICATES,
     LoggerMapping,
     clock_steps,
@@ -80,11 +81,13 @@ def understand(
     told_units: Mapping[str, str] | None = None,
     missing: Sequence[str] = (),
     sample_time: float | None = None,
+    heads: Sequence[str] = (),
 ) -> LoggerFile:
     """Understand the bytes of a logger's file; `decimal`, `time_form` and `time_column` settle what the file leaves open.
 
     `told_units` are said by column name, of the column of times too. `missing` are cells that mean no value, over those that
-    loggers write. `sample_time` [s] is from row to row of a file in which no column is a time.
+    loggers write. `sample_time` [s] is from row to row of a file in which no column is a time. `heads` are the columns' names,
+    with units in brackets, of a file that has none.
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
@@ -101,8 +104,11 @@ def understand(
     body = rows[first - 1 :]
     sign, why = (decimal, "said with --decimal") if decimal else find_decimal(rows[first - 1 :], source, first)
     guesses["decimal"] = (sign, why)
-    names, heads = _heads(rows, first, width, guesses, source)
-    units = [(told_units or {}).get(name, unit) for name, unit in zip(names, heads, strict=True)]
+    if heads:
+        names, own = _said_heads(heads, width, guesses, source)
+    else:
+        names, own = _heads(rows, first, width, guesses, source)
+    units = [(told_units or {}).get(name, unit) for name, unit in zip(names, own, strict=True)]
     _refuse_long_form(body, names, source)
     time: tuple[int, ...] = ()
     form = "seconds"
@@ -163,6 +169,19 @@ def _are_values(cells: list[str]) -> bool:
     return bool(filled) and sum(map(is_value, filled)) >= _MOSTLY * len(filled)
 
 
+def _said_heads(
+    heads: Sequence[str], width: int, guesses: dict[str, tuple[str, str]], source: str
+) -> tuple[list[str], list[str]]:
+    """Names and units of columns as they were said."""
+    if len(heads) != width:
+        raise BadRecord(f"option --names: names {len(heads)} columns; {source} has {width}")
+    found = [unit_of_head(head.strip()) for head in heads]
+    guesses["header"] = (", ".join(heads), "said with --names")
+    return _distinct([name or f"column {k}" for k, (name, _) in enumerate(found, start=1)], "option --names"), [
+        u for _, u in found
+    ]
+
+
 def _heads(
     rows: list[list[str]], first: int, width: int, guesses: dict[str, tuple[str, str]], source: str
 ) -> tuple[list[str], list[str]]:
@@ -172,7 +191,11 @@ def _heads(
         if len(row) == width and (sum(map(bool, row)) > width / 2 or _holds_units_only(row))
     ]
     if not above:
-        raise BadRecord(f"{source}, row {first}: no line of {width} column names stands above it; write one")
+        like = ",".join(["'time [s]'", *(f"name{k}" for k in range(2, width + 1))])
+        raise BadRecord(
+            f"{source}, row {first}: no line of {width} column names stands above it; write one, or say them with "
+            f"`residuum inspect FILE --names {like} --out FILE{ENDING}`"
+        )
     at, line = above[-1]
     units = [""] * width
     if len(above) > 1 and (own_line := _unit_line(line, above[-2][1])):

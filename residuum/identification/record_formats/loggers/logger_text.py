@@ -16,7 +16,7 @@ MISSING = (
 """Cells that loggers write for a value that is not there, in lower case."""
 _NUMBER = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
-    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d+:\d\d|\d\d?[-. /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
+    r"(\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.](\d{4}|\d\d)|\d+:\d\d|\d\d?[-. /]+[A-Za-zä]{3,9}[-. ,/]+\d{4}"
     r"|[A-Za-zä]{3,9}[. ]+\d\d?,? +\d{4})([T :,.][^|;\t]*)?"
 )
 _GROUPED = {",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"), ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")}

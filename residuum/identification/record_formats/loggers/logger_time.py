@@ -43,6 +43,8 @@ _MONTHS = {
 }
 _NAMED = re.compile(r"(?:(\d{1,2})[-. /]+([A-Za-zä]{3,9})|([A-Za-zä]{3,9})[. ]+(\d{1,2}),?)[-. ,/]+(\d{4})(?:[T ,:]+(.*))?")
 _MINUTES = re.compile(r"(\d+):([0-5]\d)(?:[.,](\d+))?", re.ASCII)
+_CENTURY = 70
+"""Years of two digits from here on are of the twentieth century (POSIX has 69)."""
 _DATENUM_1970 = 719_529
 """MATLAB's day number of 1970-01-01."""
 _DAY = 86_400 * 10**9
@@ -128,6 +130,8 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     if not all(dates):
         return None
     parts = [match.groups() for match in dates if match]
+    if all(len(first) <= 2 and len(third) <= 2 for first, _, third, _ in parts):
+        return _short_year(cells, parts)
     if all(len(first) == 4 for first, *_ in parts):
         return "iso", f"year first, {cells[0]!r}"
     if any(int(first) > 12 for first, *_ in parts):
@@ -137,6 +141,17 @@ def stamp_form(cells: list[str]) -> tuple[str, str] | None:
     if all("." in cell[:3] for cell in cells):
         return "day first", f"dates with points, {cells[0]!r}"
     return "day or month first", f"{cells[0]!r} may be either"
+
+
+def _short_year(cells: list[str], parts: list[tuple[str, ...]]) -> tuple[str, str]:
+    """What three numbers of two digits are: with points the day is first, above 31 stands a year; the rest has to be said."""
+    if all("." in cell[:3] for cell in cells):
+        return "day first", f"dates with points and years of two digits, {cells[0]!r}"
+    if any(int(first) > 31 for first, *_ in parts):
+        return "iso", "a first part is above 31"
+    if any(int(second) > 12 for _, second, *_ in parts):
+        return "month first", "a second part is above 12, years of two digits"
+    return "day or month first", f"{cells[0]!r} may be day/month/year, month/day/year or (iso) year/month/day"
 
 
 def _two_parts(cells: list[str]) -> tuple[str, str]:
@@ -194,12 +209,20 @@ def nanoseconds(cell: str, form: str, decimal: str) -> int:
     if not match:
         raise ValueError(cell)
     first, second, third, clock = match.groups()
-    if (form == "iso") != (len(first) == 4) or (form != "iso" and len(third) != 4):
+    if not _dated(form, first, third):
         raise ValueError(cell)
     order = {"iso": (first, second, third), "day first": (third, second, first), "month first": (third, first, second)}[form]
     year, month, date = map(int, order)
+    if len(order[0]) == 2:
+        year += 2000 if year < _CENTURY else 1900
     day = datetime(year, month, date, tzinfo=UTC)
     return int(day.timestamp()) * 10**9 + (_clock(clock) if clock else 0)
+
+
+def _dated(form: str, first: str, third: str) -> bool:
+    """Whether the outer parts of a date are as long as its form has them: a year of four digits or of two."""
+    year, day = (first, third) if form == "iso" else (third, first)
+    return len(day) <= 2 and len(year) in (2, 4)
 
 
 def _minutes(text: str) -> int:
