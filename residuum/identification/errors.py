@@ -4,6 +4,8 @@ Every message is one line that says *what* is wrong, *where*, and *which rule* i
 command line and the HTTP interface print it unchanged.
 """
 
+from collections.abc import Callable
+
 _LONGEST = 200
 
 MAY_DIVERGE = "check the signs of its terms, their units and the start values"
@@ -15,15 +17,43 @@ def in_one_line(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST]
 
 
+Named = Callable[[str, object], str]
+"""How a door names one of its fields, alone (`None`) or with a value: `--delay 3`, `"delay": 3`, `delay=3`."""
+
+
+def as_keyword(field: str, value: object = None) -> str:
+    """A field as it is said in Python."""
+    return field if value is None else f"{field}={value!r}"
+
+
 class BadInput(ValueError):
     """Something a caller handed over cannot be used; the message names what, where and the rule.
+
+    Where the input is a field of a question, `what` is its value, `where` its name, and `way_on` may name a field and a value
+    with which it would do; a door says both in its own words by `told`.
 
     >>> import residuum as rs
     >>> rs.simulate("gate-drive", duration=2.0, colour="red")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
     residuum.identification.errors.BadInput: gate-drive: has no setting 'colour'; known are ...
+    >>> error = BadInput("-3", "delay", "must be ≥ 0", way_on=("delay", 3))
+    >>> print(error)
+    delay -3: must be ≥ 0; say delay=3
+    >>> error.told(lambda field, value: f"--{field}" if value is None else f"--{field} {value}")
+    '--delay -3: must be ≥ 0; say --delay 3'
     """
+
+    def __init__(self, what: str, where: str = "", rule: str = "", *, way_on: tuple[str, object] | None = None) -> None:
+        self.what, self.where, self.rule, self.way_on = what, where, rule, way_on
+        super().__init__(self.told(as_keyword) if rule else what)
+
+    def told(self, named: Named) -> str:
+        """The refusal in the words of a door."""
+        if not self.rule:
+            return str(self)
+        place = " ".join(text for text in (self.where and named(self.where, None), self.what) if text)
+        return f"{place}: {self.rule}" + ("" if self.way_on is None else f"; say {named(*self.way_on)}")
 
 
 class BadRecord(BadInput):

@@ -21,7 +21,8 @@ from residuum.identification.linear_models.plant_tests.unstable import UnstableT
 from residuum.identification.linear_models.prediction_error import STRUCTURES
 from residuum.identification.linear_models.prediction_error.regularised_regression import PENALTIES
 from residuum.identification.record import Record
-from residuum.library.identification_methods import LAGS, NOISE_MODELLED, Request, identified_by
+from residuum.library.identification_methods import NOISE_MODELLED, identified_by
+from residuum.library.questions.identify import LAGS, Identify
 
 _POOR_FIT = 50.0
 _MAY_BE_UNSTABLE = ("arx", "armax", "ar")
@@ -97,8 +98,7 @@ def _unstable_json(found: UnstableTest) -> dict[str, Any]:
 
 def assumptions(
     model: IdentifiedModel,
-    method: str,
-    request: Request,
+    asked: Identify,
     estimation: Sequence[Record],
     parts: Sequence[Part],
     plant: PlantTests,
@@ -108,15 +108,15 @@ def assumptions(
     `plant` is what `plant_tests` found before; where the model's delay differs from the one that was assumed they are done again.
     """
     if plant.first_lag != min(model.delay, 1):
-        plant = plant_tests(estimation, request, model.delay)
+        plant = plant_tests(estimation, asked, model.delay)
     integrator, feedback, dead, unstable = plant.integrator, plant.feedback, plant.dead_time, plant.unstable
     try:
-        excitation = excitation_test(estimation, request.input, request.output, min(model.delay, 1))
+        excitation = excitation_test(estimation, asked.input_name, asked.output_name, min(model.delay, 1))
     except BadInput:
         excitation = None  # too short to tell
     aside = _aside(parts)
-    late = dead is not None and dead > _last_input_lag(model, method, request) and any(part.fails for part in aside)
-    return Assumptions(integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, method))
+    late = dead is not None and dead > _last_input_lag(model, asked) and any(part.fails for part in aside)
+    return Assumptions(integrator, feedback, dead, aside, late, unstable, excitation, _needed(model, asked.method))
 
 
 def told(model: IdentifiedModel, method: str, found: Assumptions, estimation: Sequence[Record]) -> IdentifiedModel:
@@ -196,23 +196,23 @@ def _unfit(model: IdentifiedModel, method: str, found: Assumptions) -> list[str]
     elif found.integrator is not None and found.integrator.integrates:
         says.append(
             "the plant integrates, or settles slower than the record shows, so that its static gain has no bound; identify it "
-            f"with `integrator`, method bj and `delay` estimate, and {_ANOTHER_RECORD}"
+            f"with `integrator`, method bj and no `delay`, and {_ANOTHER_RECORD}"
         )
     if found.feedback is not None and found.feedback.present and method not in NOISE_MODELLED:
         says.append(
             f"the input answers the output's noise (feedback, {100 * found.feedback.share:.2g} % of its news), which {method} "
-            f"takes for response; use method bj with `delay` estimate, or record steps that nobody answers"
+            f"takes for response; use method bj and no `delay`, or record steps that nobody answers"
         )
     if found.late:
         says.append(
             f"the input acts after {found.dead_time} samples, later than the model's last input lag; identify with method "
-            f"bj and `delay` estimate (or {found.dead_time})"
+            f"bj and no `delay` (or {found.dead_time})"
         )
     worst = found.worst
     if worst is not None and any(part.fails for part in found.aside) and not found.late:
         says.append(
             f"on data kept aside the fit is {worst.fit_percent:.0f} %, and the input explains what the model misses; try another "
-            "method, `order` or `delay` estimate, or record longer, with more steps of the input"
+            "method or `order`, no `delay`, or record longer, with more steps of the input"
         )
     return says
 
@@ -240,14 +240,14 @@ class PlantTests:
     unstable: UnstableTest | None = None
 
 
-def plant_tests(records: Sequence[Record], request: Request, delay: int | None) -> PlantTests:
+def plant_tests(records: Sequence[Record], asked: Identify, delay: int | None) -> PlantTests:
     """The tests on a long autoregression; of a delay that is to be estimated they take 1."""
     first_lag = 1 if delay is None else min(delay, 1)
     try:
-        regression = long_autoregression(records, request.input, request.output, first_lag=first_lag)
+        regression = long_autoregression(records, asked.input_name, asked.output_name, first_lag=first_lag)
         dead = dead_time(regression)
         if dead is None:
-            longer = long_autoregression(records, request.input, request.output, first_lag=first_lag, reach=LONG_REACH)
+            longer = long_autoregression(records, asked.input_name, asked.output_name, first_lag=first_lag, reach=LONG_REACH)
             dead = dead_time(longer)
     except BadInput:
         return PlantTests(first_lag)
@@ -264,7 +264,7 @@ class Part:
 
 
 def parts_kept_aside(
-    model: IdentifiedModel, method: str, request: Request, estimation: Sequence[Record], whole: Sequence[Record]
+    model: IdentifiedModel, asked: Identify, estimation: Sequence[Record], whole: Sequence[Record]
 ) -> tuple[Part, ...]:
     """What split notes kept, with the model; without notes the last part of every record, with a fit of the first.
 
@@ -277,7 +277,7 @@ def parts_kept_aside(
         cuts = [round((1 - KEPT_ASIDE) * n) for n in cuts]
         first = [record.window(max(0, cut - _MOST_REFITTED), cut) for record, cut in zip(whole, cuts, strict=True)]
         try:
-            judged = identified_by(method, first, as_before(model, method, request))
+            judged = identified_again(model, first, asked)
         except BadInput:
             return ()
     return tuple(_part(judged, record, cut) for record, cut in zip(whole, cuts, strict=True) if cut < record.n)
@@ -288,9 +288,10 @@ def _part(model: IdentifiedModel, record: Record, cut: int) -> Part:
     return Part(model, record.window(first, min(record.n, cut + _MOST_JUDGED)), cut - first)
 
 
-def as_before(model: IdentifiedModel, method: str, request: Request) -> Request:
-    """The request with the delay and the order that the model was found with, for another fit of the same kind."""
-    return replace(request, delay=model.delay, order=_input_lags(model, method, request), like=model)
+def identified_again(model: IdentifiedModel, records: Sequence[Record], asked: Identify) -> IdentifiedModel:
+    """Another fit of the same kind, with the delay and the order that the model was found with."""
+    as_before = {"delay": model.delay, "order": _input_lags(model, asked)}
+    return identified_by(records, asked.model_copy(update=as_before), like=model)
 
 
 def _aside(parts: Sequence[Part]) -> tuple[KeptAside, ...]:
@@ -303,15 +304,15 @@ def _aside(parts: Sequence[Part]) -> tuple[KeptAside, ...]:
     return tuple(found)
 
 
-def _last_input_lag(model: IdentifiedModel, method: str, request: Request) -> int:
+def _last_input_lag(model: IdentifiedModel, asked: Identify) -> int:
     """Highest lag at which an input coefficient of the model acts by itself."""
-    return model.delay + _input_lags(model, method, request) - 1
+    return model.delay + _input_lags(model, asked) - 1
 
 
-def _input_lags(model: IdentifiedModel, method: str, request: Request) -> int:
+def _input_lags(model: IdentifiedModel, asked: Identify) -> int:
     """How many input coefficients the model has; the order of a parametric method."""
-    if method in PENALTIES:  # those at the end that a penalty made zero are coefficients, too
-        return LAGS if request.order is None else request.order
-    if method not in STRUCTURES:
+    if asked.method in PENALTIES:  # those at the end that a penalty made zero are coefficients, too
+        return LAGS if asked.order is None else asked.order
+    if asked.method not in STRUCTURES:
         return model.order
     return int(re.findall(r"nb = (\d+)", str(model.provenance["orders"]))[0])

@@ -14,8 +14,8 @@ from residuum.identification.linear_models.validation.model_error import ModelEr
 from residuum.identification.linear_models.validation.residual_check import LEVEL, ResidualCheck, residual_check
 from residuum.identification.linear_models.validation.residual_tests import ResidualTest
 from residuum.identification.record import Record
-from residuum.library.identification_methods import Request, identified_by
-from residuum.library.model_assumptions import Part, as_before
+from residuum.library.model_assumptions import Part, identified_again
+from residuum.library.questions.identify import Identify
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,7 @@ class ModelCheck:
         return says + [f"  not checked       {reason}" for reason in self.reasons]
 
 
-def model_check(
-    model: IdentifiedModel, method: str, request: Request, parts: Sequence[Part], records: Sequence[Record]
-) -> ModelCheck:
+def model_check(model: IdentifiedModel, asked: Identify, parts: Sequence[Part], records: Sequence[Record]) -> ModelCheck:
     """Check a model on the parts that it has not seen, and on blocks of `records`, which it was identified from."""
     checks, reasons = [], [] if parts else ["residuals: nothing could be kept aside; record longer, or take a smaller order"]
     for part in parts:
@@ -74,10 +72,9 @@ def model_check(
             checks.append(residual_check(part.model, part.record, part.first))
         except BadInput as error:
             reasons.append(f"residuals: {error}")
-    again = as_before(model, method, request)
     bootstrap = None
     try:
-        bootstrap = block_bootstrap(lambda blocks: identified_by(method, blocks, again), model, records)
+        bootstrap = block_bootstrap(lambda blocks: identified_again(model, blocks, asked), model, records)
     except BadInput as error:
         reasons.append(str(error))
     return ModelCheck(tuple(checks), bootstrap, tuple(reasons), model.output_unit)

@@ -11,19 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import identified_text, load_identified
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.library.answers.identification import identification_json, identification_text
-from residuum.library.identification_methods import Request, check_method, identified_by, with_uncertainty
+from residuum.library.identification_methods import identified_by, with_uncertainty
 from residuum.library.model_assumptions import Assumptions, assumptions, check_stable, parts_kept_aside, plant_tests
 from residuum.library.model_assumptions import told as told_assumptions
 from residuum.library.model_check import ModelCheck, model_check
+from residuum.library.multivariable_plant import MultivariablePlant, gain_unit, multivariable_plant, response_panel
 from residuum.library.optional_package import need
 from residuum.library.picture import Curve, Panel, Picture, axis
 from residuum.library.plotly_figure import figure
 from residuum.library.progress import Progress, Tell, told
+from residuum.library.questions import asks
+from residuum.library.questions.identify import Identify
 from residuum.library.reading import as_records
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
@@ -161,7 +163,23 @@ class Plant(Result):
             ...
         residuum.identification.errors.BadInput: ...
         """
-        write_whole(Path(path), identified_text(self.identified))
+        write_whole(Path(path), self.text())
+
+    def text(self) -> str:
+        """The JSON text that `save` writes.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> import residuum as rs
+        >>> plant = rs.identify(rs.simulate("process-plant", seed=1), input="u", output="y", order=40)
+        >>> plant.text().startswith('{"format"')
+        True
+        """
+        return identified_text(self.identified)
 
     def bode(self, frequencies: npt.ArrayLike | None = None) -> plotly.graph_objects.Figure:
         """Magnitude and phase over frequency with their 95 % bands, as a Plotly figure.
@@ -238,11 +256,7 @@ class Plant(Result):
         time = model.sample_time * np.arange(n)
         title = f"step response, {model.input_name} → {model.output_name}"
         curve = Curve("step response", time, y, y - spread, y + spread)
-        return figure(Picture([Panel(title, "time [s]", axis(model.output_name, self._unit()), [curve])]))
-
-    def _unit(self) -> str:
-        model = self.identified
-        return f"{model.output_unit or '1'}/{model.input_unit or '1'}" if model.output_unit or model.input_unit else ""
+        return figure(Picture([Panel(title, "time [s]", axis(model.output_name, gain_unit(model)), [curve])]))
 
     def _answer(self) -> dict[str, Any]:
         answer = identification_json(self.identified, self.method, self.estimation, self.held_out)
@@ -283,72 +297,28 @@ class Plant(Result):
         return [{"time": float(t), "impulse_response": float(g), "std": float(s)} for t, g, s in each]
 
     def _picture(self) -> Picture:
-        model = self.identified
-        times = model.sample_time * (model.delay + np.arange(model.order))
-        g, spread = model.impulse_response, _BAND * model.std
-        title = f"impulse response, {model.input_name} → {model.output_name}"
-        curve = Curve("impulse response", times, g, g - spread, g + spread)
-        return Picture([Panel(title, "time [s]", axis("g", self._unit()), [curve])])
+        return Picture([response_panel(self.identified)])
 
 
+@asks(Identify)
 def identify(
     records: MeasuredRecord | str | PathLike[str] | Sequence[MeasuredRecord | str | PathLike[str]],
     *,
-    input: str = "",
-    output: str,
-    method: str = "kernel",
-    kernel: str = "tc",
-    order: int | None = None,
-    delay: int | None = 1,
-    noise_variance: str | float = "marginal",
-    offset: bool = True,
-    criterion: str = "bic",
-    uncertainty: str = "own",
-    noise_bound: float | None = None,
-    integrator: bool = False,
-    check: bool = False,
     progress: Progress = None,
-) -> Plant:
-    """A linear model from one channel to another, with the covariance of its estimate.
+    **given: Any,
+) -> Plant | MultivariablePlant:
+    """A linear model from one channel to another, or from several to several, with the covariance of its estimate.
 
     Parameters
     ----------
     records : Record, file, or a list of these
         Each is a separate experiment; a note `split: 0.7` keeps the rest of a record for validation.
-    input, output : str
-        Channels; the method `ar` takes no input.
-    method : str
-        `kernel` (regularised impulse response), `ridge`, `lasso` or `elastic-net` (penalised FIR), `set-membership` (FIR from a
-        bound on the noise), `stochastic-embedding` (Laguerre functions and a random error), `arx`, `fir`, `armax`, `oe`, `bj`, or
-        `ar` (a time series).
-    kernel : str
-        Prior of the impulse response: `tc`, `dc`, `ss` or `di`.
-    order : int
-        Length of the impulse response (kernel; 100), or model order (others; chosen by `criterion`).
-    delay : int or None
-        Samples before the input acts; None: estimated.
-    noise_variance : str or float
-        `marginal`, `least-squares`, or a number [output unit²].
-    offset : bool
-        Fit a constant level as well.
-    criterion : str
-        What chooses the order: `bic`, `aic` or cross-validation (`residuum identify --help` lists them).
-    uncertainty : str
-        `own` (covariance of the estimate), or an error model from the part kept for validation (the same records without one):
-        `model-error`, `set-membership` or `stochastic-embedding`.
-    noise_bound : float
-        Largest noise of `set-membership`, method or uncertainty [output unit]; None: 1.1 times the smallest possible.
-    integrator : bool
-        The plant integrates: identify from the summed input, and put a pole at one behind.
-    check : bool
-        Test the residuals on data kept aside (white, free of the input, model error model) and estimate the error on new data by
-        the .632+ bootstrap of blocks; `Plant.check` holds both.
     progress : callable or bool
         As in `Model.explain`.
 
     Returns
     -------
-    Plant
+    Plant, or MultivariablePlant of several inputs or outputs
         Its warnings say when the record speaks of an integrator, feedback or a dead time that the model does not have, and when
         data kept aside (the last 30 % where no note splits the record) do not bear it out; no controller is designed then.
 
@@ -366,12 +336,9 @@ def identify(
     >>> plant.identified.is_parametric
     True
     """
-    check_method(method, criterion, uncertainty, input)
-    request = Request(
-        input, output, order, delay, kernel, noise_variance, offset, criterion, uncertainty, noise_bound, integrator, check
-    )
+    asked = Identify.of(given)
     with told(progress) as tell:
-        return identified(as_records(records), request, method, tell)
+        return identified(as_records(records), asked, tell)
 
 
 def load_plant(path: str | PathLike[str]) -> Plant:
@@ -403,28 +370,28 @@ def load_plant(path: str | PathLike[str]) -> Plant:
     return Plant(model, model.method.split("-")[0])
 
 
-def identified(records: Sequence[MeasuredRecord], request: Request, method: str, tell: Tell) -> Plant:
-    """The plant that a method finds; each record's part after its split note is kept for validation."""
+def identified(records: Sequence[MeasuredRecord], asked: Identify, tell: Tell) -> Plant | MultivariablePlant:
+    """The plant that the method finds; each record's part after its split note is kept for validation."""
     estimation, held_out = split_records(records)
     tell(0.1, f"identifying from {sum(record.n for record in estimation)} samples")
+    if asked.is_multivariable:
+        return multivariable_plant(estimation, held_out, asked)
     plant = None
-    if request.input:
-        plant = plant_tests(estimation, request, request.delay)
-        check_stable(method, plant, estimation[0].sample_time)
-    model = with_uncertainty(identified_by(method, estimation, request), held_out or estimation, request)
+    if asked.input is not None:
+        plant = plant_tests(estimation, asked, asked.delay)
+        check_stable(asked.method, plant, estimation[0].sample_time)
+    model = with_uncertainty(identified_by(estimation, asked), held_out or estimation, asked)
     if plant is None:
-        if request.check:
-            raise BadInput("check: needs a model with an input; a time series has none")
-        return Plant(model, method, estimation, held_out)
+        return Plant(model, asked.method, estimation, held_out)
     tell(0.6, "testing what the model assumes")
-    parts = parts_kept_aside(model, method, request, estimation, records)
-    found = assumptions(model, method, request, estimation, parts, plant)
+    parts = parts_kept_aside(model, asked, estimation, records)
+    found = assumptions(model, asked, estimation, parts, plant)
     check = None
-    if request.check:
+    if asked.check:
         tell(0.7, "testing residuals and drawing blocks")
-        check = model_check(model, method, request, parts, estimation)
+        check = model_check(model, asked, parts, estimation)
     tell(0.9, "simulating beside the records")
-    return Plant(told_assumptions(model, method, found, estimation), method, estimation, held_out, found, check)
+    return Plant(told_assumptions(model, asked.method, found, estimation), asked.method, estimation, held_out, found, check)
 
 
 def split_records(records: Sequence[MeasuredRecord]) -> tuple[tuple[MeasuredRecord, ...], tuple[MeasuredRecord, ...]]:

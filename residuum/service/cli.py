@@ -13,7 +13,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
-from residuum.service.commands import COMMANDS
+from residuum.service.commands import COMMANDS, as_option
 from residuum.service.entry import end_at_once
 from residuum.service.work.loaded_modules import loading_modules
 
@@ -48,7 +48,7 @@ def run(arguments: list[str]) -> int:
     except _UsageError as error:
         return _refuse(f"{name}: {_usage(error)}")
     except BadInput as error:
-        return _refuse(str(error))
+        return _refuse(error.told(as_option))
     except (typer.Abort, KeyboardInterrupt):
         _refuse("interrupted")
         return INTERRUPTED

@@ -14,10 +14,11 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from residuum.identification.errors import BadInput
+from residuum.library.questions import refusal
 from residuum.service.alarms.alarm_states import IllegalTransition
 from residuum.service.bad_bodies import BadBody, TooLarge, UnsupportedBody
 from residuum.service.memory_budget import TooBusy
-from residuum.service.remedies_over_http import said_over_http
+from residuum.service.remedies_over_http import as_key, said_over_http
 from residuum.service.request_ids import HEADER, request_id
 from residuum.service.store import Conflict, NotFound, SignalLetGo, StorageUnavailable
 from residuum.service.work.jobs import TooManyJobs
@@ -63,7 +64,7 @@ def install(app: FastAPI) -> None:
         status = next(_STATUS[kind] for kind in type(error).__mro__ if kind in _STATUS)
         return problem(
             status,
-            said_over_http(str(error)),
+            said_over_http(error),
             _kebab(type(error).__name__),
             {"Retry-After": "5"} if status in (429, 503) else None,
         )
@@ -71,10 +72,9 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def _not_valid(_request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        malformed = first["type"] == "json_invalid"
-        says = f"{first['msg']}: {first['ctx']['error']}" if malformed else first["msg"]
-        return problem(400 if malformed else 422, f"{where}: {says}", "bad-body" if malformed else "bad-request")
+        if first["type"] == "json_invalid":
+            return problem(400, f"body.{first['loc'][1]}: {first['msg']}: {first['ctx']['error']}", "bad-body")
+        return problem(422, refusal(first).told(as_key), "bad-request")
 
     @app.exception_handler(HTTPException)
     async def _http(_request: Request, error: HTTPException) -> Response:

@@ -3,24 +3,33 @@
 Files that come with the request are spoken of in `api/reading_options`; this is for records that are stored already.
 """
 
+import json
 import re
 from urllib.parse import quote
+
+from residuum.identification.errors import BadInput
 
 _PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
 _UNIT = re.compile(r"--unit (?:'([^=']+)=([^']+)'|([^\s=,;)]+)=([^\s,;)]+))")
 _MAP = re.compile(r"--map ([^\s=,;)]+)=([^\s,;)]+)")
 
 
-def said_over_http(says: str) -> str:
+def as_key(field: str, value: object = None) -> str:
+    """A field of a question as it is said in a body."""
+    return f'"{field}"' if value is None else f'"{field}": {json.dumps(value, ensure_ascii=False)}'
+
+
+def said_over_http(error: BadInput) -> str:
     """A refusal whose way on is one of the interface: a key of the query with which the record is stored, or of the body.
 
-    >>> said_over_http("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}")
+    >>> said_over_http(BadInput("unit none is no '%'; say it, --unit duty=% if it is in that, in Python units={'duty': '%'}"))
     "unit none is no '%'; say it, POST /records?unit=duty=%25 if it is in that"
-    >>> said_over_http("say it, --unit 'Motor voltage=V' if it is in that")
+    >>> said_over_http(BadInput("say it, --unit 'Motor voltage=V' if it is in that"))
     'say it, POST /records?unit=Motor%20voltage=V if it is in that'
-    >>> said_over_http("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}")
+    >>> said_over_http(BadInput("map one of them: --map u=COLUMN, in Python map={'u': 'COLUMN'}"))
     'map one of them: "map": {"u": "COLUMN"} in the body'
     """
+    says = error.told(as_key)
     if "--" not in says:
         return says
     says = _UNIT.sub(_unit_key, _PYTHON.sub("", says))

@@ -8,10 +8,12 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field, model_validator
 
+from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
-from residuum.library.identification_methods import Request as Sought
+from residuum.library.questions import part_of
+from residuum.library.questions.identify import Identify
 from residuum.robust_control.control_problem import WeightChoice
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
@@ -93,40 +95,17 @@ class Estimation(Comparison):
     save_as: SaveAs = None
 
 
-class Identification(BaseModel, extra="forbid"):
-    """What `residuum identify` is asked for."""
+class Identification(Identify):
+    """The question `identify` of stored records."""
 
     records: RecordNumbers
-    input: Text | None = Field(None, description="Channel of the input; the method `ar` has none.")
-    output: Text = Field(description="Channel of the output.")
-    method: Literal[
-        "kernel",
-        "ridge",
-        "lasso",
-        "elastic-net",
-        "set-membership",
-        "stochastic-embedding",
-        "ar",
-        "arx",
-        "fir",
-        "armax",
-        "oe",
-        "bj",
-    ] = Field("kernel", description="Method.")
-    kernel: Literal["tc", "dc", "ss", "di"] = Field("tc", description="Prior of the impulse response.")
-    order: int | None = Field(None, ge=1, le=5000, description="Length of the impulse response, or order of the model.")
-    delay: int | None = Field(None, ge=0, le=10_000, description="Samples before the input acts (default: estimated).")
-    uncertainty: Literal["own", "model-error", "set-membership", "stochastic-embedding"] = Field(
-        "own", description="How far to trust the model: by its own covariance, or by an error model from the part kept aside."
-    )
-    noise_bound: float | None = Field(None, gt=0, le=1e300, description="Largest noise of set-membership [output unit].")
-    integrator: bool = Field(
-        False, description="The plant integrates: identify from the summed input, with a pole at one behind."
-    )
-    check: bool = Field(
-        False, description="Test the residuals on data kept aside, and tell the error on new data by the .632+ bootstrap."
-    )
     save_as: SaveAs = None
+
+    @model_validator(mode="after")
+    def _one_path_is_kept(self) -> Identification:
+        if self.save_as is not None and self.is_multivariable:
+            raise BadInput(repr(self.save_as), "save_as", "stored models have one input and one output; leave it out")
+        return self
 
 
 WEIGHT_FIELDS = ("epsilon", "zeta", "rule", "weight_order", "points", "lowest")
@@ -235,22 +214,9 @@ def estimate(request: Request, running: Running, model: ModelName, asked: Estima
 @router.post("/identify", status_code=202, response_model=JobAnswer)
 def identify(request: Request, running: Running, asked: Identification) -> Response:
     """Identify a linear model with its uncertainty."""
-    records = _records(running, asked.records)
-    wanted = Sought(
-        asked.input or "",
-        asked.output,
-        asked.order,
-        asked.delay,
-        asked.kernel,
-        "marginal",
-        offset=True,
-        uncertainty=asked.uncertainty,
-        noise_bound=asked.noise_bound,
-        integrator=asked.integrator,
-        check=asked.check,
-    )
     keep = _keep(request, running, asked.save_as, "identified")
-    return accepted(running.jobs.submit("identify", analyses.identify, records, wanted, asked.method, then=keep))
+    work = (_records(running, asked.records), part_of(asked, Identify))
+    return accepted(running.jobs.submit("identify", analyses.identify, *work, then=keep))
 
 
 @router.post("/residuals", status_code=202, response_model=JobAnswer)

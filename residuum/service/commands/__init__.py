@@ -4,6 +4,13 @@ Each module holds `app`, a `typer.Typer` with the command (or its subcommands). 
 through `residuum.service.commands.report`.
 """
 
+
+def as_option(field: str, value: object = None) -> str:
+    """A field of a question as it is said on the command line."""
+    option = f"--{field.replace('_', '-')}"
+    return option if value is None or value is True else f"{option} {value}"
+
+
 COMMANDS: dict[str, tuple[str, str]] = {
     "serve": ("serve", "Run the service (with --demo: with its simulated machines)."),
     "keys": ("keys", "Make the API keys of a first start, and show them once."),

@@ -14,15 +14,14 @@ from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.identified_model_file import identified_text
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.library import control
 from residuum.library.answers.plain import to_plain
 from residuum.library.answers.residual import design_json, run_json
-from residuum.library.identification_methods import Request, check_method
 from residuum.library.model import Model
 from residuum.library.plant import Plant, identified
+from residuum.library.questions.identify import Identify
 from residuum.robust_control.control_problem import WeightChoice
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.views.model_view import model_of
@@ -129,12 +128,11 @@ def estimate(progress: Progress, asked: Asked, method: str) -> Mapping[str, Any]
     return {"result": found.to_dict(), "file": None if found.unsettled else found.model.text.encode()}
 
 
-def identify(progress: Progress, records: Sequence[RecordParts], request: Request, method: str) -> Mapping[str, Any]:
+def identify(progress: Progress, records: Sequence[RecordParts], asked: Identify) -> Mapping[str, Any]:
     """`result`: the `identify` object; `file`: the identified model's."""
     progress(0.0, "identify")
-    check_method(method, request.criterion, request.uncertainty, request.input)
-    plant = identified(_records(records), request, method, progress)
-    return {"result": plant.to_dict(), "file": identified_text(plant.identified).encode()}
+    plant = identified(_records(records), asked, progress)
+    return {"result": plant.to_dict(), "file": plant.text().encode()}
 
 
 def residuals(

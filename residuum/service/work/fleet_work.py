@@ -13,7 +13,8 @@ from typing import Any
 
 from residuum.identification.errors import BadInput
 from residuum.library.answers.plain import to_plain
-from residuum.library.identification_methods import Request, identified_by
+from residuum.library.identification_methods import identified_by
+from residuum.library.questions.identify import Identify
 from residuum.service.machines.judging.kept_diagnosers import diagnoser_of_file
 from residuum.service.work.fleet_source import FleetSource, Folder
 
@@ -44,19 +45,18 @@ class Rescore:
 class Reidentify:
     """Identify a model from a file."""
 
-    method: str
-    request: Request
+    asked: Identify
     source: FleetSource = field(default_factory=Folder)
 
     @property
     def mark(self) -> str:
         """What the results are made by."""
-        return _mark(f"reidentify {self.method} {self.request!r}", None)
+        return _mark(f"reidentify {self.asked!r}", None)
 
     def __call__(self, file: str) -> dict[str, Any]:
         """`{"by": …, "model": …}` or `{"by": …, "refused": …}`."""
         try:
-            model = identified_by(self.method, [self.source.read(file)], self.request)
+            model = identified_by([self.source.read(file)], self.asked)
         except BadInput as error:
             return {"by": self.mark, "refused": str(error)}
         told = {

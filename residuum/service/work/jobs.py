@@ -170,7 +170,7 @@ class Jobs:
             try:
                 outcome = then(outcome)
             except BadInput as error:
-                state, outcome = JobState.REFUSED, said_over_http(str(error))
+                state, outcome = JobState.REFUSED, said_over_http(error)
             except Exception as error:  # what was computed cannot be kept: the job has failed, and says why
                 state, outcome = JobState.FAILED, f"{type(error).__name__}: {error}"
         self._finish(job, state, outcome)
@@ -227,6 +227,6 @@ def _work_on(channel: Connection[Any, Any]) -> None:
             try:
                 channel.send((JobState.DONE.value, dict(work(progress, *arguments))))
             except BadInput as error:
-                channel.send((JobState.REFUSED.value, said_over_http(" ".join(str(error).split()))))
+                channel.send((JobState.REFUSED.value, " ".join(said_over_http(error).split())))
             except Exception:
                 channel.send((JobState.FAILED.value, traceback.format_exc()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
-from residuum.service.cli import ANSWER_IS_NO, DONE, run
+from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
 
 OWN_TO_A_DOOR = ("file", "model_file", "stored", "record", "records", "models", "seconds")
 """Where each door puts files, what it calls records and models, and how long it took."""
@@ -16,7 +16,7 @@ AXIS = {"input": "force", "output": "velocity"}
 IDENTIFIED = {
     "kernel": {"order": 30, "delay": 1},
     "kernel of stable splines": {"kernel": "ss", "order": 30, "delay": 1},
-    "kernel with a dead time to be found": {"order": 30, "delay": None},
+    "kernel with a dead time to be found": {"order": 30},
     "kernel of an integrating plant": {"order": 30, "delay": 1, "integrator": True},
     "ridge": {"method": "ridge", "order": 20, "delay": 1},
     "elastic net": {"method": "elastic-net", "order": 20, "delay": 1},
@@ -25,7 +25,22 @@ IDENTIFIED = {
     "armax": {"method": "armax", "order": 1, "delay": 1},
     "output error": {"method": "oe", "order": 1, "delay": 1},
     "Box-Jenkins": {"method": "bj", "order": 1, "delay": 1},
+    "order by another criterion": {"method": "arx", "criterion": "aic"},
+    "known noise": {"order": 30, "noise_variance": 1e-6},
+    "no level": {"order": 30, "offset": False},
+    "several inputs and outputs": {"input": ["force", "position"], "output": ["velocity", "position"], "order": 5},
 }
+REFUSED = {
+    "an unknown name": ({"method": "arxx"}, "method", "'arxx': there is none of this name; did you mean 'arx'? known are "),
+    "out of bounds": ({"order": 0}, "order", ": must be ≥ 1"),
+    "another kind": ({"delay": "soon"}, "delay", "'soon': must be a whole number"),
+    "a variance that is none": ({"noise_variance": "guess"}, "noise_variance", "'guess': must be a number or one of "),
+    "an input too many": ({"method": "ar"}, "method", "'ar': models an output alone; leave the input out"),
+    "a field of another method": ({"noise_bound": 1.0}, "noise_bound", ": is used by the uncertainty set-membership alone"),
+    "fields that exclude each other": ({"integrator": True, "uncertainty": "model-error"}, "uncertainty", ": bounds errors that"),
+    "what no path alone has": ({"output": ["velocity", "position"], "check": True}, "", "need the method kernel, "),
+}
+"""What is asked, which field is refused, and how it goes on."""
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
@@ -85,11 +100,15 @@ def shared(answer):
 def options(asked):
     for name, value in asked.items():
         if value is True:
-            yield f"--{name}"
+            yield f"--{name.replace('_', '-')}"
+        elif value is False:
+            yield f"--no-{name}"
+        elif name in ("input", "output"):
+            yield from (word for channel in np.ravel(value) for word in (f"--{name}", channel))
         elif name == "map":
             yield from (word for pair in value.items() for word in ("--map", "=".join(pair)))
         else:
-            yield from (f"--{name}", ",".join(value) if isinstance(value, list) else "estimate" if value is None else value)
+            yield from (f"--{name.replace('_', '-')}", ",".join(value) if isinstance(value, list) else value)
 
 
 @pytest.mark.parametrize("case", IDENTIFIED)
@@ -98,6 +117,21 @@ def test_identify(case, axis, client, capsys):
     told = shared(rs.identify(path, **asked).to_dict())
     assert shared(printed(capsys, "identify", path, *options(asked))) == told
     assert shared(answered(client, "identify", asked | {"records": [number]})) == told
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, client, refused, capsys):
+    (path, number), (more, field, says) = axis["position"], REFUSED[case]
+    asked = AXIS | more
+    with pytest.raises(rs.BadInput) as python:
+        rs.identify(path, **asked)
+    assert run(["identify", str(path), *map(str, options(asked))]) == BAD_INPUT
+    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
+    status, http = refused("POST", "/api/v1/identify", json=asked | {"records": [number]})
+    assert status == 422
+    for told, name in (str(python.value), field), (shell, f"--{field.replace('_', '-')}"), (http, f'"{field}"'):
+        assert told.startswith(name if field else "several"), told
+        assert says in told, told
 
 
 @pytest.mark.parametrize("case", ASKED_OF_MODEL)

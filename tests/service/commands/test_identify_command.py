@@ -41,7 +41,7 @@ def identify(record_file, *options):
 @pytest.mark.parametrize("kernel", ["tc", "ss"])
 def test_json_has_the_contract_and_the_truth(record_file, tmp_path, capsys, kernel):
     out = tmp_path / "model.json"
-    assert identify(record_file, "--order", "60", "--kernel", kernel, "--out", str(out), "--json") == DONE
+    assert identify(record_file, "--order", "60", "--delay", "1", "--kernel", kernel, "--out", str(out), "--json") == DONE
     result = json.loads(capsys.readouterr().out)
     assert set(result) >= CONTRACT
     assert (result["method"], result["order"], result["sample_time"]) == ("kernel", 60, 0.1)
@@ -67,15 +67,20 @@ def test_text_has_units_where_the_record_has_them(record_file, tmp_path, capsys)
 
 
 def test_split_keeps_the_rest_for_validation(record_file, capsys):
-    assert identify(record_file, "--order", "40", "--json") == DONE
+    assert identify(record_file, "--order", "40", "--delay", "1", "--json") == DONE
     result = json.loads(capsys.readouterr().out)
     assert result["samples"] == 1200 - 40 - 12  # order and tail need their past
     assert result["held_out_fit_percent"][0] == pytest.approx(result["fit_percent"][0], abs=3)
 
 
-def test_delay_is_estimated_on_request(record_file, capsys):
+def test_delay_is_estimated_where_none_is_said(record_file, capsys):
+    assert identify(record_file, "--order", "40", "--json") == DONE
+    estimated = capsys.readouterr()
+    assert json.loads(estimated.out)["delay"] == 3 and estimated.err == ""
     assert identify(record_file, "--order", "40", "--delay", "estimate", "--json") == DONE
-    assert json.loads(capsys.readouterr().out)["delay"] == 3
+    as_before = capsys.readouterr()
+    assert json.loads(as_before.out)["delay"] == 3
+    assert as_before.err == "--delay 'estimate': will not be read much longer; leave it out\n"
 
 
 def test_order_is_chosen_on_held_out_blocks_on_request(record_file, capsys):
@@ -103,7 +108,8 @@ def test_human_report_carries_units_and_uncertainty(record_file, tmp_path, capsy
         (["--method", "oe", "--criterion", "cv"], "known are bic, aic, k-fold, record-wise"),
         (["--method", "oe", "--criterion", "record-wise"], "record-wise: has one record"),
         (["--order", "5000"], "samples in a row"),
-        (["--delay", "-3"], "--delay '-3'"),
+        (["--delay", "-3"], "--delay '-3': must be ≥ 0"),
+        (["--delay", "soon"], "--delay 'soon': must be a whole number"),
         (["--noise-variance", "guess"], "must be a number or one of"),
         (["--out", "/nowhere/m.json"], "folder '/nowhere' does not exist"),
         (["--output", "torque"], "no channel 'torque'"),
@@ -119,7 +125,7 @@ def test_bad_requests_are_one_line_and_status_two(record_file, capsys, options, 
 
 @pytest.mark.parametrize("method", ["ridge", "lasso"])
 def test_penalised_impulse_responses_find_the_truth(record_file, capsys, method):
-    assert identify(record_file, "--order", "40", "--method", method, "--json") == DONE
+    assert identify(record_file, "--order", "40", "--delay", "1", "--method", method, "--json") == DONE
     result = json.loads(capsys.readouterr().out)
     truth = np.concatenate([[0, 0], 0.8 ** np.arange(38)])
     assert np.linalg.norm(result["impulse_response"] - truth) < 0.1 * np.linalg.norm(truth)

@@ -7,15 +7,15 @@ from scipy.signal import lfilter
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model_file import identified_text
 from residuum.identification.record import Record
-from residuum.library.identification_methods import Request
 from residuum.library.model import model
 from residuum.library.plant import identified
+from residuum.library.questions.identify import Identify
 from residuum.robust_control.control_problem import WeightChoice
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked, ResidualChoice
 from residuum.service.work.record_parts import parts_of
 
-REQUEST = Request("u", "y", 20, 1, "tc", "marginal", offset=True)
+ASKED = Identify(input="u", output="y", order=20, delay=1)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def told_by(work, *asked):
 
 
 def test_identifying_tells_how_far_it_is(plant):
-    told, found = told_by(analyses.identify, [parts_of(plant, "a.csv")], REQUEST, "kernel")
+    told, found = told_by(analyses.identify, [parts_of(plant, "a.csv")], ASKED)
     assert (0.1, "identifying from 400 samples") in told and told[-1][0] == 0.9
     assert found["result"]["impulse_response"][:3] == pytest.approx([0.3, 0.21, 0.147], abs=0.01)
     assert found["file"].decode().startswith('{"format"')
@@ -57,7 +57,7 @@ def test_explaining_tells_what_it_tries_and_names_the_record_as_it_is_told(axis)
 
 
 def test_every_run_is_a_part_of_the_residuals_work(plant):
-    model = identified_text(identified([plant], REQUEST, "kernel", lambda *_: None).identified).encode()
+    model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
     runs = [parts_of(plant, "a.csv"), parts_of(plant, "b.csv")]
     told, found = told_by(analyses.residuals, model, runs[:1], runs, ResidualChoice(), {"threshold": "posterior"})
     assert [share for share, _ in told] == pytest.approx([0, 1 / 3, 2 / 3], abs=1e-6)
@@ -65,7 +65,7 @@ def test_every_run_is_a_part_of_the_residuals_work(plant):
 
 
 def test_a_design_that_cannot_be_is_an_answer(plant):
-    model = identified_text(identified([plant], REQUEST, "kernel", lambda *_: None).identified).encode()
+    model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
     impossible = {"aim": "nominal", "structure": "pi", "overshoot": 1e-6, "settling_time": 1e-6, "slack": 1e-6}
     _, found = told_by(analyses.design_controller, [("press", model)], None, WeightChoice(), impossible)
     assert found["result"]["feasible"] is False and found["result"]["reason"]

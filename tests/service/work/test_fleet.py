@@ -20,7 +20,7 @@ from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.finding import Finding
 from residuum.identification.errors import BadInput
 from residuum.identification.record_formats import read_record
-from residuum.library.identification_methods import Request
+from residuum.library.questions.identify import Identify
 from residuum.service.cli import run
 from residuum.service.machines.baselines.deciding_method import choose_method
 from residuum.service.storage import DiskStore
@@ -75,7 +75,7 @@ def test_results_of_other_work_are_not_taken_for_ones_own(files, serial, tmp_pat
     other = (
         Rescore("robust-residual", None),
         Rescore("bearing", str(baseline)),
-        Reidentify("arx", Request("speed", "acceleration", 2, 1, "tc", "marginal", True)),
+        Reidentify(Identify(method="arx", input="speed", output="acceleration", order=2, delay=1)),
     )
     for work in other:
         with ThreadPoolExecutor(1) as executor, pytest.raises(BadInput, match="results of another diagnoser"):
@@ -307,7 +307,7 @@ def test_a_file_name_that_is_no_text_is_refused_before_the_work_begins(tmp_path,
 
 def test_a_reidentified_model_is_the_identified_one(tmp_path):
     assert run(["simulate", "process", "--out", str(tmp_path / "a.csv"), "--duration", "60"]) == 0
-    work = Reidentify("arx", Request("u", "y", 2, 1, "tc", "marginal", True))
+    work = Reidentify(Identify(method="arx", input="u", output="y", order=2, delay=1))
     assert len(work(str(tmp_path / "a.csv"))["model"]["impulse_response"]) > 5
     assert "refused" in work(str(tmp_path / "absent.csv"))
 

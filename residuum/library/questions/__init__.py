@@ -1,0 +1,147 @@
+"""What may be asked, declared once: a question's fields are options of a command, the body over HTTP and keywords in Python.
+
+A question is a file of this folder. `asks` gives its fields to a function of the library, `service/commands/asked.py` to a
+command, and a route takes the question itself as its body.
+"""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from textwrap import TextWrapper
+from types import NoneType, UnionType
+from typing import Any, ClassVar, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic.fields import FieldInfo
+
+from residuum.identification.errors import BadInput
+from residuum.nearest_names import known_names
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_RULES = {
+    "missing": "is missing",
+    "finite_number": "must be a finite number",
+    "greater_than_equal": "must be ≥ {ge}",
+    "greater_than": "must be > {gt}",
+    "less_than_equal": "must be ≤ {le}",
+    "less_than": "must be < {lt}",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+}
+"""pydantic's kinds of errors → rules of ours."""
+_BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+_LONGEST = 60
+"""Of a value in a refusal."""
+_LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
+
+
+class Question(BaseModel):
+    """A question as a value, whoever asks it; its fields are declared by `field`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Field → how a value was written before → how it is written now."""
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """The question of these fields; BadInput for the first that breaks a rule."""
+        try:
+            return cls(**given)
+        except ValidationError as error:
+            raise refusal(error.errors()[0], cls.model_fields) from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_written_now(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        now = {name: values[given[name]] for name, values in cls.earlier.items() if given.get(name) in list(values)}
+        for name, value in now.items():
+            instead = "leave it out" if value == cls.model_fields[name].default else f"write {value!r}"
+            warnings.warn(f"{name} {given[name]!r}: will not be read much longer; {instead}", FutureWarning, stacklevel=4)
+        return given | now
+
+    @field_validator("*")
+    @classmethod
+    def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
+        name = str(info.field_name)
+        if (names := choices(cls.model_fields[name])) and value not in names:
+            raise BadInput(repr(value), name, f"there is none of this name; {known_names(value, names)}")
+        return value
+
+
+Asked = TypeVar("Asked", bound=Question)
+
+
+def field(default: Any, help: str, *, choices: Iterable[str] = (), example: Any = None, **bounds: Any) -> Any:
+    """A field of a question; `...` as default makes it needed, `choices` are the names that it takes, `bounds` are pydantic's."""
+    names: Any = {"enum": list(choices)} if choices else None
+    examples = None if example is None else [example]
+    return Field(default, description=help, examples=examples, json_schema_extra=names, **bounds)
+
+
+def choices(field: FieldInfo) -> list[str]:
+    """The names that a field takes; empty where it takes others."""
+    extra: Any = field.json_schema_extra or {}
+    return list(extra.get("enum", ()))
+
+
+def help_of(field: FieldInfo) -> str:
+    """What a field means, the names that it takes, and its bounds."""
+    names = choices(field)
+    limits = [f"{sign} {getattr(rule, key):g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)]
+    more = [f"One of {', '.join(names)}."] if names else [f"Must be {' and '.join(limits)}."] if limits else []
+    return " ".join([str(field.description), *more])
+
+
+def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
+    """One of pydantic's errors as every door refuses it; `known` are the names of the fields that there are."""
+    context = error.get("ctx", {})
+    if isinstance(own := context.get("error"), BadInput):
+        return own
+    where = ".".join(str(part) for part in error["loc"] if part != "body")
+    if error["type"] == "extra_forbidden":
+        return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
+    rule = _RULES.get(error["type"], error["msg"]).format_map(context)
+    return BadInput("" if error["type"] == "missing" else repr(error["input"])[:_LONGEST], where, rule)
+
+
+def part_of(asked: BaseModel, question: type[Asked]) -> Asked:
+    """The question in a body that has fields of a door's own beside it."""
+    return question.model_construct(**{name: getattr(asked, name) for name in question.model_fields})
+
+
+def asks(question: type[Question]) -> Callable[[Function], Function]:
+    """Give the fields of a question to a function that takes them as `**given`: to its signature, and to its docstring before
+    the parameter `progress`.
+    """
+
+    def told(function: Function) -> Function:
+        signature = inspect.signature(function)
+        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+        parameters = sorted([*own, *_keywords(question)], key=lambda each: (each.kind, each.name == "progress"))
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        fields = "\n".join(
+            f"{each.name} : {each.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[each.name]))}"
+            for each in _keywords(question)
+        )
+        function.__doc__ = inspect.cleandoc(function.__doc__ or "").replace("\nprogress :", f"\n{fields}\nprogress :")
+        return function
+
+    return told
+
+
+def _keywords(question: type[Question]) -> Iterator[inspect.Parameter]:
+    hints = get_type_hints(question)
+    for name, field in question.model_fields.items():
+        default = inspect.Parameter.empty if field.is_required() else field.default
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_kind(hints[name]))
+
+
+def _kind(hint: Any) -> str:
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return " | ".join("None" if each is NoneType else inspect.formatannotation(each) for each in kinds)
