@@ -241,10 +241,10 @@ MUTATIONS = (
         _scaled(44 / 47),
         "gate_actuator",
     ),
-    Mutation("F₁ and F₂ are halved", f"{_DIAGNOSIS}.gate.residual_envelope:fault_indicators", _both_halved, "gate_actuator"),
+    Mutation("F₁ and F₂ are halved", f"{_DIAGNOSIS}.gate.movement_features:fault_indicators", _both_halved, "gate_actuator"),
     Mutation(
         "object-wise folds mix objects",
-        f"{_DIAGNOSIS}.learning.object_wise_validation:object_wise",
+        f"{_DIAGNOSIS}.learning.diagnoser_validation:object_wise",
         _without_groups,
         "gate_actuator",
     ),
@@ -282,13 +282,13 @@ MUTATIONS = (
     ),
     Mutation(
         "the residual's envelope is of 0.5 to 45 Hz",
-        f"{_DIAGNOSIS}.gate.residual_envelope:residual_envelope",
+        f"{_DIAGNOSIS}.gate.movement_features:residual_envelope",
         _wide_band,
         "gate_actuator",
     ),
     Mutation(
         "mixed folds judge what they were taught",
-        f"{_DIAGNOSIS}.learning.object_wise_validation:mixed_folds",
+        f"{_DIAGNOSIS}.learning.diagnoser_validation:mixed_folds",
         _judged_on_what_was_taught,
         "gate_actuator",
     ),

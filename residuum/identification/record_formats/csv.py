@@ -67,9 +67,15 @@ def _is_ours(content: bytes) -> bool:
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
     """A logger's file by what is understood of it; BadRecord, with the way to settle it, where that is not sure."""
     try:
-        said = {"decimal": options.decimal, "time_form": options.time_form, "time_column": options.time_column}
         found = understand(
-            content, source, **said, told_units=options.units, missing=options.missing, sample_time=options.sample_time
+            content,
+            source,
+            decimal=options.decimal,
+            time_form=options.time_form,
+            time_column=options.time_column,
+            told_units=options.units,
+            missing=options.missing,
+            sample_time=options.sample_time,
         )
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
