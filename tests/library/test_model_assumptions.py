@@ -71,10 +71,10 @@ def test_feedback_forbids_methods_without_a_noise_model_alone():
 
 def test_dead_time_beyond_the_order_is_told_and_estimated():
     plant = dead_time_plant(1)
-    found = identified(plant, method="arx")
+    found = identified(plant, method="arx", delay=1)
     assert found.assumptions.late
     assert "later than the model's last input lag" in refused(found)
-    again = identified(plant, method="arx", delay=None)
+    again = identified(plant, method="arx")
     assert again.identified.unfit == ()
     assert again.assumptions.aside[0].missing < 0.1 * found.assumptions.aside[0].missing
 
