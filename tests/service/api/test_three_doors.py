@@ -28,7 +28,8 @@ IDENTIFIED = {
     "order by another criterion": {"method": "arx", "criterion": "aic"},
     "known noise": {"order": 30, "noise_variance": 1e-6},
     "no level": {"order": 30, "offset": False},
-    "several inputs and outputs": {"input": ["force", "position"], "output": ["velocity", "position"], "order": 5},
+    "several inputs": {"input": ["force", "velocity"], "output": "position", "order": 5},
+    "several outputs": {"output": ["velocity", "position"], "order": 5},
 }
 REFUSED = {
     "an unknown name": ({"method": "arxx"}, "method", "'arxx': there is none of this name; did you mean 'arx'? known are "),
