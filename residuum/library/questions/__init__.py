@@ -106,7 +106,8 @@ def refusal(error: Mapping[str, Any], known: Iterable[str] = ()) -> BadInput:
     where = ".".join(str(part) for part in error["loc"] if part != "body")
     if error["type"] == "extra_forbidden":
         return BadInput(repr(where), "", f"there is none of this name; {known_names(where, known)}")
-    rule = _RULES.get(error["type"], error["msg"]).format_map(context)
+    ours = _RULES.get(error["type"])
+    rule = error["msg"] if ours is None else ours.format_map(context)
     return BadInput("" if error["type"] == "missing" else repr(error["input"])[:_LONGEST], where, rule)
 
 
