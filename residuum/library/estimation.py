@@ -43,7 +43,7 @@ _IN_PIECES = "method prediction begins anew in each piece, which an unstable pla
 class Estimated:
     """The estimate, its experiments, and each output's RMS error on what the split notes kept (None: nothing was kept).
 
-    `unsettled` says why the values are none to be used; empty where the search came to rest.
+    `unsettled` says why the search did not come to rest; empty where it did.
     """
 
     estimate: Estimate
@@ -96,7 +96,7 @@ def estimated(
         raise diverges if method == "prediction" else NotIdentifiable(f"{diverges}; {_IN_PIECES}") from None
     before = None if method == "kalman" else estimate(start, _pieces(parts, method, steps), free=())
     says = unsettled(result, before)
-    if len(says) > len(result.at_bound) and method != "prediction":
+    if says and method != "prediction":
         says = (*says, _IN_PIECES)
     return Estimated(result, parts, held_out, says)
 

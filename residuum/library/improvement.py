@@ -91,7 +91,7 @@ class Estimation(Result, Generic[M]):
     model : Model
         The same where the search came to rest (or `anyway` was said); `model.save("fitted.yaml")` writes it.
     unsettled : tuple of str
-        Why the values are none to be used; empty where they are.
+        Why the search did not come to rest; empty where it did, be it at a bound.
     records : tuple of str
     method : str
         `simulation`, `prediction` or `kalman`.
@@ -131,6 +131,11 @@ class Estimation(Result, Generic[M]):
                 f"the estimation has not converged: {'; '.join(self.unsettled)}; `anyway=True` gives its model all the same"
             )
         return self.fitted
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search came to rest within the bounds."""
+        return not (self.unsettled or self.found.at_bound)
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:

@@ -73,7 +73,10 @@ def test_a_simulation_that_diverges_names_the_way_on_too(held):
 
 def test_a_value_at_its_bound_is_none_that_the_data_tell(held):
     found = pendulum(*FAR, upper=0.25).estimate(held, method="prediction")
-    assert found.unsettled == ("mgl sits at its bound: widen it, or fix the value",)
+    told = found.to_dict()
+    assert (told["converged"], told["unsettled"]) == (False, ["mgl sits at its bound: widen it, or fix the value"])
+    assert found.parameters["J"]["std"] is None
+    assert found.model.parameters["mgl"].value == 0.25  # the least error within what the model allows
 
 
 def test_a_model_below_the_mean_says_so():

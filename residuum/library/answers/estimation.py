@@ -8,14 +8,17 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.physics import Estimate
-from residuum.identification.physics.estimation.unsettled import fits
+from residuum.identification.physics.estimation.unsettled import at_bounds, fits
 from residuum.library.answers.comparison import warning_lines
 
 
 def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettled: Sequence[str] = ()) -> dict[str, Any]:
-    """The `estimate` object of the command line and the HTTP interface; values that are `unsettled` have no band."""
+    """The `estimate` object of the command line and the HTTP interface; values that are `unsettled`, or beside one at its bound,
+    have no band.
+    """
     declared = result.model.all_parameters
-    std = [None] * len(result.parameters) if unsettled else result.std.tolist()
+    reasons = [*unsettled, *at_bounds(result)]
+    std = [None] * len(result.parameters) if reasons else result.std.tolist()
     values = zip(result.parameters, result.theta, std, strict=True)
     fit = fits(result)
     return {
@@ -33,8 +36,8 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
         "flat_directions": [
             {"parameters": list(flat.parameters), "relative_weights": list(flat.weights)} for flat in result.flat
         ],
-        "converged": not unsettled,
-        "unsettled": list(unsettled),
+        "converged": not reasons,
+        "unsettled": reasons,
         "iterations": result.iterations,
     }
 

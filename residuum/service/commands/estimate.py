@@ -64,5 +64,5 @@ def estimate_command(
         estimation.model.save(out)
     found = estimation.to_dict() | {"model_file": str(out) if written else None}
     report(found, estimate_text(found) + ("" if written else f"\n{_NOT_WRITTEN}"), as_json=as_json)
-    if estimation.unsettled:
+    if not estimation.converged:
         raise typer.Exit(ANSWER_IS_NO)

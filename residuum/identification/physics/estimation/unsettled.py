@@ -16,12 +16,12 @@ PROMISED = 0.02
 """Part of the cost that a whole step still promises from where the search was stuck: at rest it is next to nothing."""
 _RISEN = 1e-3
 """Part by which a mean logarithm of the errors may exceed that of the start: searches round."""
-_WORSE_THAN_THE_MEAN = 0.05
-"""Fit below zero, as a part, from which it is not the noise of a signal that rests."""
 
 
 def unsettled(found: Estimate, start: Estimate | None = None) -> tuple[str, ...]:
-    """What is wrong, in words; empty where the values may be used.
+    """What is wrong with the search, in words; empty where it came to rest.
+
+    It rests at a bound as well: the least error within what the model allows, whose values `at_bounds` names.
 
     Parameters
     ----------
@@ -38,10 +38,12 @@ def unsettled(found: Estimate, start: Estimate | None = None) -> tuple[str, ...]
         says.append(f"the search {moved}: no step lowers the error, though the slopes promise {100 * found.promised:.2g} % of it")
     if start is not None and _logarithm(found) > _logarithm(start) + _RISEN:
         says.append("the error is larger than at the start: the search walked away")
-    if start is not None and (worst := _worst_fit(found)) < -_WORSE_THAN_THE_MEAN:
-        says.append(f"the fit is {100 * worst:.3g} %: the mean of the record says more than the model")
-    says += [f"{name} sits at its bound: widen it, or fix the value" for name in found.at_bound]
     return tuple(says)
+
+
+def at_bounds(found: Estimate) -> tuple[str, ...]:
+    """What the data do not tell, since the model's bounds do, in words."""
+    return tuple(f"{name} sits at its bound: widen it, or fix the value" for name in found.at_bound)
 
 
 def _unmoved(found: Estimate, start: Estimate) -> bool:
@@ -53,10 +55,6 @@ def _logarithm(found: Estimate) -> float:
     count = np.sum(np.isfinite(np.concatenate(found.residuals)), axis=0)
     there = count > 0
     return float(count[there] @ np.log(np.maximum(found.rmse[there], 1e-300)) / count.sum())
-
-
-def _worst_fit(found: Estimate) -> float:
-    return min((fit for fit in fits(found) if np.isfinite(fit)), default=0.0)
 
 
 def fits(found: Estimate) -> list[float]:
