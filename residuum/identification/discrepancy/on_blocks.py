@@ -22,7 +22,6 @@ from residuum.identification.unseen_blocks.free_term import BlockTerm, free_term
 from residuum.identification.unseen_blocks.held_value import HELD, HeldValue
 from residuum.identification.unseen_blocks.policy import UNKNOWN_LEADS
 from residuum.identification.unseen_blocks.remaining import remaining
-from residuum.identification.unseen_blocks.structure import at_start
 from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import Step, is_timing, steps_of, verdict_on
 from residuum.identification.work import begun
@@ -73,12 +72,10 @@ def _block_errors(found: Search, candidates: Sequence[Candidate]) -> BlockErrors
 
 def doubts_of(found: Search) -> dict[str, float]:
     """Standard deviations of the best structure's parameters by full name, in noise of the colour that is left."""
-    last, best = found.court.last, found.best
-    states, steps = best.structure.states[last.windows], best.structure.steps[last.windows]
-    here = at_start(best.model, last, states, found.court.scale, steps)
+    here = found.court.begun(found.best.structure)
     if here is None:
         return {}
-    std = np.sqrt(np.maximum(np.diag(coloured_covariance(here, last.parts)), 0.0))
+    std = np.sqrt(np.maximum(np.diag(coloured_covariance(here, found.court.last.parts)), 0.0))
     return dict(zip(here.parameters, std.tolist(), strict=True))
 
 

@@ -22,7 +22,6 @@ from residuum.identification.unseen_blocks.judged import Equations, Judged, equa
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import KNOTS_BY_AXIS
-from residuum.identification.unseen_blocks.structure import at_start
 
 Array = npt.NDArray[np.float64]
 
@@ -48,9 +47,7 @@ class BlockTerm:
 
 def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
     """Every free term beside a structure, the best first; none where the model diverges or has nowhere to put one."""
-    last, model = court.last, one.model
-    states, steps = one.structure.states[last.windows], one.structure.steps[last.windows]
-    found = at_start(model, last, states, court.scale, steps)
+    last, found = court.last, court.begun(one.structure)
     at = None if found is None else equations(found, last, court.scale)
     if found is None or at is None:
         return []

@@ -144,12 +144,22 @@ def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
     """How far the values move where a fold of rows is left out, (q,) a fold. It follows from weighted slopes
     T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
     """
-    each = {int(k): row_fold == k for k in np.unique(row_fold)}
-    H = {k: np.einsum("roi,roj->ij", T[at], T[at]) for k, at in each.items()}
-    g = {k: np.einsum("roi,ro->i", T[at], e[at]) for k, at in each.items()}
-    all_H, all_g = sum(H.values(), np.zeros((T.shape[2],) * 2)), sum(g.values(), np.zeros(T.shape[2]))
-    ridge = DAMPING * np.diag(np.diag(all_H))
-    return {k: solve_scaled(all_H - H[k] + ridge, (all_g - g[k])[:, None], 1e-10)[:, 0] for k in each}
+    H, g = normal_equations(T, e, row_fold)
+    return dict(zip(np.unique(row_fold).tolist(), steps_without(H, g, DAMPING), strict=True))
+
+
+def normal_equations(T: Array, e: Array, row_fold: Integers) -> tuple[Array, Array]:
+    """TᵀT (folds, q, q) and Tᵀe (folds, q) of slopes T (rows, outputs, q) and errors e (rows, outputs), by fold of rows."""
+    each = [(T[at], e[at]) for at in (row_fold == k for k in np.unique(row_fold))]
+    H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in each])
+    return H, np.array([np.einsum("roi,ro->i", t, r) for t, r in each])
+
+
+def steps_without(H: Array, g: Array, damping: float) -> list[Array]:
+    """The step to the values that the other folds ask for, of each fold; `damping` of the curvature of all."""
+    all_H, all_g = H.sum(axis=0), g.sum(axis=0)
+    ridge = damping * np.diag(np.diag(all_H))
+    return [solve_scaled(all_H - h + ridge, (all_g - b)[:, None], 1e-10)[:, 0] for h, b in zip(H, g, strict=True)]
 
 
 def equations(found: Fit, rung: Rung, scale: Scale) -> Equations | None:

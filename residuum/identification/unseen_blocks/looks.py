@@ -61,6 +61,13 @@ class Court:
         found = fitted(structure.model, self.last, known, self.scale, steps=steps, tolerance=tolerance, substeps=taken)
         return None if found is None else self.judge_fit(structure, found)
 
+    def begun(self, structure: Structure, model: PhysicalModel | None = None) -> Fit | None:
+        """A structure that was found on the last rung, or a model that has more than it, at its own values there; None where that
+        diverges.
+        """
+        k = self.last.windows
+        return at_start(model or structure.model, self.last, structure.states[k], self.scale, structure.steps[k])
+
     def judge_fit(self, structure: Structure, found: Fit) -> Judged | None:
         """The structure judged by a fit on the last rung."""
         return judged(structure.at(self.last, found), found, self.last, self.data, self.scale)

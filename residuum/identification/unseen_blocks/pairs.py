@@ -12,10 +12,10 @@ All pairs are ranked by that without a further simulation; those that promise mo
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 import numpy.typing as npt
@@ -27,11 +27,11 @@ from residuum.identification.physics.model import find_effect
 from residuum.identification.side_by_side import each_beside
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
-from residuum.identification.unseen_blocks.judged import Judged, equations
+from residuum.identification.unseen_blocks.judged import Judged, equations, normal_equations, steps_without
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAMPING, PAIRS_FITTED
 from residuum.identification.unseen_blocks.proposals import canonical, starts
-from residuum.identification.unseen_blocks.structure import Structure, at_start
+from residuum.identification.unseen_blocks.structure import Structure
 
 Array = npt.NDArray[np.float64]
 
@@ -48,45 +48,40 @@ class _Slopes:
 
 def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> list[Judged]:
     """The pairs of these effects that promise most beside a structure, fitted and judged."""
-    last = court.last
-    begun = at_start(parent.model, last, parent.structure.states[last.windows], court.scale, parent.structure.steps[last.windows])
-    own = None if begun is None else equations(begun, last, court.scale)
+    begun = court.begun(parent.structure)
+    own = None if begun is None else equations(begun, court.last, court.scale)
     if own is None:
         return []
     there = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
     slopes = [one for shapes in there for one in shapes]
     unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else court.scale.unit
     T = np.concatenate([own.slopes, *(one.columns for one in slopes)], axis=2) / np.sqrt(unit)[:, None]
-    e = own.errors * own.huber / np.sqrt(unit)
-    fold = court.data.fold[last.block]
-    each = [(T[fold == f], e[fold == f]) for f in np.unique(fold)]
-    H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in each])
-    g = np.array([np.einsum("roi,ro->i", t, r) for t, r in each])
+    H, g = normal_equations(T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block])
     places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(one.names) for one in slopes)])[:-1])
-    ranked: list[tuple[float, int, int]] = []
-    for i, j in combinations(range(len(slopes)), 2):
-        if slopes[i].key != slopes[j].key:
-            at = np.concatenate([places[0], places[i + 1], places[j + 1]])
-            ranked.append((_unseen(H[:, at][:, :, at], g[:, at]), i, j))
-    tasks = []
-    for i, j in _unlike(ranked, slopes):
+
+    def of_pair(i: int, j: int) -> tuple[Array, Array]:
         at = np.concatenate([places[0], places[i + 1], places[j + 1]])
-        step = _step(H[:, at][:, :, at].sum(axis=0), g[:, at].sum(axis=0))[len(places[0]) :]
+        return H[:, at][:, :, at], g[:, at]
+
+    each = [(i, j) for i, j in combinations(range(len(slopes)), 2) if slopes[i].key != slopes[j].key]
+    ranked = sorted((_unseen(*of_pair(i, j)), i, j) for i, j in each)
+    tasks = []
+    for i, j in islice(_unlike(ranked, slopes), PAIRS_FITTED):
+        step = _step(*of_pair(i, j))[len(places[0]) :]
         tasks.append(partial(_fitted, parent, (slopes[i], slopes[j]), step, court))
     return [one for one in each_beside(lambda task: task(), tasks) if one is not None]
 
 
-def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]) -> list[tuple[int, int]]:
+def _unlike(ranked: Iterable[tuple[float, int, int]], slopes: Sequence[_Slopes]) -> Iterator[tuple[int, int]]:
     """The pairs that promise most, each effect in few of them: those that do the same beside one would take all places."""
-    chosen: list[tuple[int, int]] = []
+    chosen: set[frozenset[Key]] = set()
     taken: Counter[Key] = Counter()
-    for _, i, j in sorted(ranked):
-        two = {slopes[i].key, slopes[j].key}
-        known = any({slopes[k].key, slopes[m].key} == two for k, m in chosen)
-        if not known and max(taken[key] for key in two) < EACH_IN_PAIRS:
-            chosen.append((i, j))
+    for _, i, j in ranked:
+        two = frozenset({slopes[i].key, slopes[j].key})
+        if two not in chosen and max(taken[key] for key in two) < EACH_IN_PAIRS:
+            chosen.add(two)
             taken.update(two)
-    return chosen[:PAIRS_FITTED]
+            yield i, j
 
 
 def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slopes]:
@@ -103,9 +98,8 @@ def _at_rest(key: Key, parent: Judged, along: Track, court: Court) -> list[_Slop
             model = _unbounded(canonical(parent.model.with_effect(*key, values)), key)
         except BadInput:
             continue
-        last = court.last
-        begun = at_start(model, last, parent.structure.states[last.windows], court.scale, parent.structure.steps[last.windows])
-        at = None if begun is None else equations(begun, last, court.scale)
+        begun = court.begun(parent.structure, model)
+        at = None if begun is None else equations(begun, court.last, court.scale)
         if at is not None and np.all(np.isfinite(at.slopes)):
             new = [k for k, name in enumerate(model.free) if name not in parent.model.free]
             found.append(_Slopes(key, values, [list(model.free)[k].rpartition(".")[2] for k in new], at.slopes[..., new]))
@@ -124,16 +118,15 @@ def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
 
 
 def _step(H: Array, g: Array) -> Array:
-    return np.asarray(solve_scaled(H + PAIR_DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[:, 0])
+    """The step that all folds together ask for."""
+    all_H = H.sum(axis=0)
+    return np.asarray(solve_scaled(all_H + PAIR_DAMPING * np.diag(np.diag(all_H)), g.sum(axis=0)[:, None], 1e-10)[:, 0])
 
 
 def _unseen(H: Array, g: Array) -> float:
     """What all folds leave, each with the values that the others ask for, above what the structure alone leaves."""
-    all_H, all_g, cost = H.sum(axis=0), g.sum(axis=0), 0.0
-    for h, b in zip(H, g, strict=True):
-        step = _step(all_H - h, all_g - b)
-        cost += float(step @ h @ step - 2.0 * step @ b)
-    return cost
+    steps = zip(H, g, steps_without(H, g, PAIR_DAMPING), strict=True)
+    return float(sum(step @ h @ step - 2.0 * step @ b for h, b, step in steps))
 
 
 def _fitted(parent: Judged, pair: Sequence[_Slopes], step: Array, court: Court) -> Judged | None:

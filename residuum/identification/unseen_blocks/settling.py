@@ -14,7 +14,7 @@ from residuum.identification.unseen_blocks.judged import Judged, judged
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise
-from residuum.identification.unseen_blocks.structure import at_start, descended
+from residuum.identification.unseen_blocks.structure import descended
 
 Array = npt.NDArray[np.float64]
 
@@ -24,8 +24,7 @@ def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
     otherwise.
     """
     last, data = court.last, court.data
-    states, steps = best.structure.states[last.windows], best.structure.steps[last.windows]
-    found = at_start(best.model, last, states, court.scale, steps)
+    found = court.begun(best.structure)
     if found is None:
         return None
     scale = replace(of_noise(found.residuals, last, data.measured), filters=None)
