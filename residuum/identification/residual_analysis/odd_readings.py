@@ -133,29 +133,24 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
 def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
     """The experiments with error codes and held spans missing, and what was left out.
 
-    Raises
-    ------
-    NotIdentifiable
-        The model diverges.
+    A model that diverges tells no spans; whoever simulates it says so.
     """
     without, coded = _left_out(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
-    without, held = _left_out(model, without, estimate(model, without, free=()).predicted)
     codes = [replace(odd, beside=odd.coded, still=(), held=()) for odd in coded if odd.coded.size]
+    try:
+        simulated = estimate(model, without, free=()).predicted
+    except NotIdentifiable:
+        return without, codes
+    without, held = _left_out(model, without, simulated)
     return without, [*codes, *(replace(odd, beside=odd.coded, still=odd.held) for odd in held if odd.held)]
 
 
 def records_without_odd(
     model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None
 ) -> tuple[list[Record], tuple[str, ...]]:
-    """The records with error codes and held spans of the outputs missing, and a sentence of each kind that was left out.
-
-    A model that diverges tells no spans; whoever simulates it says so.
-    """
+    """The records with error codes and held spans of the outputs missing, and a sentence of each kind that was left out."""
     matched, experiments = match(model, records, mapping)
-    try:
-        without, odd = without_odd(matched, experiments)
-    except NotIdentifiable:
-        return list(records), ()
+    without, odd = without_odd(matched, experiments)
     columns = {(mapping or {}).get(name, name): k for k, name in enumerate(matched.outputs)}
     mended = []
     for record, was, now in zip(records, experiments, without, strict=True):

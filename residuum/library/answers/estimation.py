@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from residuum.identification.physics import Estimate
-from residuum.identification.physics.estimation.unsettled import at_bounds, fits
+from residuum.identification.physics.estimation.unsettled import at_bounds
 from residuum.library.answers.comparison import warning_lines
 
 
@@ -20,7 +20,7 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
     reasons = [*unsettled, *at_bounds(result)]
     std = [None] * len(result.parameters) if reasons else result.std.tolist()
     values = zip(result.parameters, result.theta, std, strict=True)
-    fit = fits(result)
+    fit = _fit_percent(result)
     return {
         "model": model,
         "records": list(records),
@@ -29,7 +29,7 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
             for name, value, std in values
         },
         "outputs": {
-            name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": 100.0 * fit[k]}
+            name: {"unit": output.unit, "rmse": result.rmse[k], "fit_percent": fit[k]}
             for k, (name, output) in enumerate(result.model.outputs.items())
             if np.isfinite(result.rmse[k])
         },
@@ -40,6 +40,17 @@ def estimate_json(model: str, records: Sequence[str], result: Estimate, unsettle
         "unsettled": reasons,
         "iterations": result.iterations,
     }
+
+
+def _fit_percent(result: Estimate) -> list[float]:
+    residuals, predicted = np.concatenate(result.residuals), np.concatenate(result.predicted)
+    fits = []
+    for r, y_hat in zip(residuals.T, predicted.T, strict=True):
+        there = np.isfinite(r)
+        y = (r + y_hat)[there]
+        spread = float(np.linalg.norm(y - y.mean())) if there.any() else 0.0
+        fits.append(100.0 * (1.0 - float(np.linalg.norm(r[there])) / spread) if spread > 0 else float("nan"))
+    return fits
 
 
 def _parameter_text(name: str, p: dict[str, Any], settled: bool) -> str:

@@ -55,15 +55,3 @@ def _logarithm(found: Estimate) -> float:
     count = np.sum(np.isfinite(np.concatenate(found.residuals)), axis=0)
     there = count > 0
     return float(count[there] @ np.log(np.maximum(found.rmse[there], 1e-300)) / count.sum())
-
-
-def fits(found: Estimate) -> list[float]:
-    """Part of each output's spread that the model explains; NaN where it was not measured, or rests."""
-    residuals, predicted = np.concatenate(found.residuals), np.concatenate(found.predicted)
-    parts = []
-    for r, y_hat in zip(residuals.T, predicted.T, strict=True):
-        there = np.isfinite(r)
-        y = (r + y_hat)[there]
-        spread = float(np.linalg.norm(y - y.mean())) if there.any() else 0.0
-        parts.append(1.0 - float(np.linalg.norm(r[there])) / spread if spread > 0 else float("nan"))
-    return parts
