@@ -86,6 +86,7 @@ class Finding:
     def without_baseline(self, held: str) -> Finding:
         """This healthy finding as it may be said without a baseline: not assessable, with the absolute limits that it held."""
         says = f"there is no baseline to compare with, so that health cannot be told; no absolute limit is passed: {held}"
+        says = f"{says}; {self.reason}" if self.reason else says
         return replace(self, verdict=Verdict.NOT_ASSESSABLE, evidence={**self.evidence, LIMITS_HOLD: True}, reason=says)
 
     @property

@@ -23,7 +23,7 @@ from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
 from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
 from residuum.diagnosis.vibration.rotation.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
 from residuum.diagnosis.vibration.rotation.steady_speed import at_steady_speed
-from residuum.diagnosis.vibration.sensor_health import changed_gain, suspect, unusable
+from residuum.diagnosis.vibration.sensor_health import changed_gain, not_heard, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.spectra.octave_bands import octave_edges, octave_rms
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
@@ -61,11 +61,14 @@ class _Baseline:
     bands: HealthyBand
     lines: Mapping[str, float]
 
-    def gain(self, measured: _Measured) -> float | None:
-        """The factor of a changed sensitivity; None when the bands do not all agree on one."""
+    def deaf(self, measured: _Measured) -> str | None:
+        """Why the sensor does not hear what it heard at training; None where it does."""
         names = _band_names(self.edges)
         healthy = dict(zip(names, np.exp(self.bands.mean), strict=True))
-        return changed_gain([healthy[name] for name in measured.bands], list(measured.bands.values()))
+        levels = [healthy[name] for name in measured.bands], list(measured.bands.values())
+        if gain := changed_gain(*levels):
+            return f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
+        return not_heard(*levels, self.edges[: len(measured.bands) + 1])
 
 
 class Bearing(Diagnoser):
@@ -184,7 +187,7 @@ class Bearing(Diagnoser):
         x, _ = self._acceleration(record)
         if reason := unusable(x, _SHORTEST):
             raise BadInput(f"bearing: record {record.source!r} cannot be trained on: {reason}")
-        return x
+        return without_spikes(x)[0]
 
     def score(self, record: Record) -> Finding:
         """Judge one record: its fault lines over the whole of it, its indicators as medians over windows.
@@ -204,14 +207,13 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, reason)
         speed = self._speed_channel(record)
         frequencies = self._frequencies(record, speed)
+        x, spikes = without_spikes(x)
         x, knocks = without_knocks(x, record.sampling_rate, _slowest(frequencies))
         if reason := suspect(x, record.sampling_rate, frequencies.shaft if frequencies else None):
             return Finding.not_assessable(self.name, reason)
         measured = _Measured.of(x, record.sampling_rate, self._baseline)
-        if self._baseline and (gain := self._baseline.gain(measured)):
-            return Finding.not_assessable(
-                self.name, f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
-            )
+        if self._baseline and (reason := self._baseline.deaf(measured)):
+            return Finding.not_assessable(self.name, reason)
         try:
             evidence = self._lines(record, x, speed, frequencies) if frequencies else {}
             zone = severity(x, record.sampling_rate, self.machine_class) if self.machine_class else None
@@ -219,7 +221,12 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, str(error))
         if frequencies and not evidence and self._baseline is None:
             return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
-        more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
+        told = remarks(x, record.sampling_rate, unit, spikes)
+        more = (
+            ({"severity": vars(zone)} if zone else {})
+            | ({"knocks_s": knocks} if knocks else {})
+            | ({"remarks": told} if told else {})
+        )
         judged = self._judge(measured, evidence, unit, more)
         smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
         if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
@@ -257,7 +264,7 @@ class Bearing(Diagnoser):
                 **({"likely": [CLASS_OF[name] for name in likely]} if len(likely) > 1 else {}),
                 **more,
             },
-            _says(likely, lines, changed, values, limits) if faulty else None,
+            "; ".join([*([_says(likely, lines, changed, values, limits)] if faulty else []), *more.get("remarks", [])]) or None,
         )
 
     def _limits(self, measured: _Measured) -> dict[str, float]:

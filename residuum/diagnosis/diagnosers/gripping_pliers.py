@@ -16,7 +16,7 @@ from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 from residuum.diagnosis.vibration.rotation.round_comparison import RoundComparison, compare_rounds, round_profile
 from residuum.diagnosis.vibration.rotation.rounds import Rounds, cut_rounds
-from residuum.diagnosis.vibration.sensor_health import suspect, unusable
+from residuum.diagnosis.vibration.sensor_health import changed_gain, not_heard, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.spectra.envelope import band_envelope
 from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
@@ -117,6 +117,8 @@ class GrippingPliers(Diagnoser):
         measured, bands = part.measure(baseline.band, self.levels)
         if not (np.isfinite(measured).all() and np.isfinite(bands).all()):
             return Finding.not_assessable(self.name, "a band holds no signal: its envelope is constant")
+        if reason := baseline.deaf(bands):
+            return Finding.not_assessable(self.name, reason)
         return self._judge(baseline, part, measured, bands)
 
     def compare(self, record: Record) -> RoundComparison:
@@ -141,11 +143,11 @@ class GrippingPliers(Diagnoser):
         found = dict(zip(NAMES, map(float, values), strict=True)) | {"band_excess": float(excess.max())}
         thresholds = dict(zip(NAMES, map(float, limits), strict=True)) | {"band_excess": 1.0}
         units = {name: "m/s²" for name in NAMES if name.startswith("rms")}
-        if not faulty:
-            return Finding(self.name, Verdict.HEALTHY, None, found, thresholds, units, evidence)
-        return Finding(
-            self.name, Verdict.FAULTY, "plier-bearing", found, thresholds, units, evidence, _says(found, thresholds, evidence)
-        )
+        if part.remarks:
+            evidence["remarks"] = part.remarks
+        says = "; ".join([*([_says(found, thresholds, evidence)] if faulty else []), *part.remarks]) or None
+        verdict, fault_class = (Verdict.FAULTY, "plier-bearing") if faulty else (Verdict.HEALTHY, None)
+        return Finding(self.name, verdict, fault_class, found, thresholds, units, evidence, says)
 
     def _evidence(self, baseline: _Baseline, part: _RoundsOf, excess: Array, bands: Array) -> dict[str, Any]:
         row, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -232,7 +234,10 @@ class _RoundsOf:
         indicator = record.in_unit("indicator", "")
         self.rounds = Rounds(np.empty((0, QUADRANTS + 1), dtype=int), None)
         self.reason = unusable(self.acceleration) or suspect(self.acceleration, record.sampling_rate)
+        self.remarks: list[str] = []
         if self.reason is None:
+            self.acceleration, spikes = without_spikes(self.acceleration)
+            self.remarks = remarks(self.acceleration, record.sampling_rate, "m/s²", spikes)
             try:
                 self.rounds = cut_rounds(indicator, QUADRANTS)
             except BadInput as error:
@@ -296,6 +301,14 @@ class _Baseline:
     sampling_rate: float
     round_duration: float
     marked: bool
+
+    def deaf(self, bands: Array) -> str | None:
+        """Why the sensor does not hear what it heard at training, by the RMS in each band of the kurtogram."""
+        healthy = np.exp(self.bands.mean)[:, :QUADRANTS].mean(axis=1)
+        current = np.median(bands[:, :, :QUADRANTS], axis=0).mean(axis=1)
+        if gain := changed_gain(healthy, current):
+            return f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
+        return not_heard(healthy, current)
 
     @classmethod
     def of(cls, healthy: list[_RoundsOf], faulty: list[_RoundsOf], levels: int) -> _Baseline:

@@ -19,13 +19,30 @@ _ONE_WAY = 0.9  # correlation of the mean with time
 _SKI_SLOPE = 0.8  # share of the power below 10 Hz
 _HUM = 0.6  # share of the power at 50 or 60 Hz and their odd harmonics
 _MAINS = (50.0, 60.0)  # Hz
+_DROPPED_RUN = 16  # equal samples in a row, all of one value: a link that hands on nothing
+_DROPPED_SHARE = 0.02  # of the record
+_HELD_SHARE = 0.9  # of the runs of equal samples have one length
+_STEPS = 0.9  # RMS, in steps of the converter: noise rounded to its own RMS has 1.04
+_SILENCE = 0.01  # of the median block's RMS: 40 dB below
+_BLOCK = 0.02  # s
+_FEWEST_IN_BLOCK = 32
+_SPIKE = 12.0  # robust standard deviations of a sample about the mean of its neighbours
+_ALONE = 0.25  # of a spike's height: what may be seen two and three samples beside it
+_SPIKES = 1e-3  # of the samples: more are no accident that may be left out
+_EVEN = 0.1  # scatter of the intervals over their mean: so even, spikes are the machine's own or a drive's
+_QUIET = 0.05  # of the healthy level
+_MUFFLED = 0.1
+_GRAVITY = 9.80665  # m/s²
+_LINE = 0.5  # share of the power in one line
 _SAME_GAIN = 0.12  # scatter of ln(gain) over bands: above, something more than a gain changed
 
 
 def unusable(x: npt.ArrayLike, shortest: int = 128) -> str | None:
     """Why a stretch of acceleration cannot be judged at all, in one sentence; None when it can.
 
-    Too short, a missing sample, silence (all equal), a frozen stretch (one value over 5 % of the time), or clipped.
+    Too short, a missing sample, silence (all equal), a frozen stretch (one value over 5 % of the time), a link that drops
+    out again and again, samples that are only repeated, a converter whose step hides the vibration, clipped, or spikes of
+    single samples by the hundred.
 
     >>> unusable(np.zeros(1000))
     'the accelerometer is dead: all 1000 samples are equal to 0'
@@ -43,8 +60,14 @@ def unusable(x: npt.ArrayLike, shortest: int = 128) -> str | None:
         return f"no accelerometer reads this: all samples lie between {low:g} and {high:g}"
     if (run := _longest_run(x)) > max(_FLAT_SHARE * n, 64):
         return f"the accelerometer froze: {run} samples in a row are equal"
+    if reason := _repeated(x) or _coarse(x):
+        return reason
     if (share := clipped_share(x)) > 0:
         return f"the signal is clipped: {100 * share:.2g} % of the samples stand at the range's end {low:g} … {high:g}"
+    if reason := _stuck_value(x):
+        return reason
+    if (spikes := spike_places(x)).size > _SPIKES * n:
+        return f"{spikes.size} single samples stand far beside their neighbours: a loose contact or interference, no vibration"
     return None
 
 
@@ -52,6 +75,7 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
     """What points to the sensor, its mounting or its cable rather than the machine; None when nothing does.
 
     * drift: the mean moves one way by more than 3 RMS of what lies about it (warming sensor, unsettled charge amplifier);
+    * silence: stretches 40 dB below the usual level (a dropped line; or the machine stood, and the rest is too short a story);
     * loose or overloaded ("ski slope"): more than 80 % of the power below 10 Hz;
     * mains hum: more than 60 % of the power in the lines at 50 or 60 Hz and their odd harmonics (a motor hums at the
       even ones; when the shaft itself turns within 4 % of the mains frequency this is not judged).
@@ -61,7 +85,7 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
     'mains hum: 82 % of the power lies at 50 Hz and its odd harmonics'
     """
     signal: Array = np.asarray(x, dtype=float)
-    return _drift(signal) or _power_elsewhere(signal, sampling_rate, shaft)
+    return _drift(signal) or _silent(signal, sampling_rate) or _power_elsewhere(signal, sampling_rate, shaft)
 
 
 def _drift(signal: Array) -> str | None:
@@ -73,6 +97,21 @@ def _drift(signal: Array) -> str | None:
             f"the sensor drifts: its mean moves by {np.ptp(blocks):.3g} within the window, against {about.std():.3g} of vibration"
         )
     return None
+
+
+def _silent(signal: Array, sampling_rate: float) -> str | None:
+    """Stretches in which next to nothing is heard, beside others that are loud."""
+    length = max(_FEWEST_IN_BLOCK, round(_BLOCK * sampling_rate))
+    count = signal.shape[0] // length
+    if count < 4:
+        return None
+    rms = signal[: count * length].reshape(count, length).std(axis=1)
+    silent = int((rms < _SILENCE * max(float(np.median(rms)), float(np.quantile(rms, 0.75)))).sum())
+    if not silent:
+        return None
+    seconds, whole = silent * length / sampling_rate, signal.shape[0] / sampling_rate
+    below = "40 dB below the rest: its line drops out, or the machine stood"
+    return f"the sensor is silent for {seconds:.3g} s of {whole:.3g} s, {below}"
 
 
 def _power_elsewhere(signal: Array, sampling_rate: float, shaft: float | None) -> str | None:
@@ -112,6 +151,125 @@ def changed_gain(healthy: npt.ArrayLike, current: npt.ArrayLike) -> float | None
     return float(round(np.exp(middle), 3))
 
 
+def not_heard(healthy: npt.ArrayLike, current: npt.ArrayLike, edges: npt.ArrayLike | None = None) -> str | None:
+    """Why a sensor that measures less than it did may not call a machine healthy; None when it hears as it did.
+
+    All bands below a twentieth of their healthy level: the machine stands, or nothing reaches the sensor. The upper ones, two at
+    least, below a tenth and the lower ones not: a loose or padded mounting, or a filter, keeps away what damage makes ring.
+
+    Parameters
+    ----------
+    healthy, current : arrays, shape (bands,)
+        RMS values of the same bands.
+    edges : array, shape (bands + 1,), or None
+        Of the bands [Hz], where each begins as the last one ends; None: only whether nothing at all is heard.
+
+    Examples
+    --------
+    >>> not_heard([1, 1, 1, 1], [1, 1, 0.01, 0.01], [10, 100, 500, 1000, 2000])
+    'above 500 Hz less than a tenth of the healthy level is heard: the mounting is loose, or a filter keeps it away'
+    """
+    ratio = np.asarray(current, dtype=float) / np.asarray(healthy, dtype=float)
+    if (ratio < _QUIET).all():
+        most = f"at most {100 * ratio.max():.2g} %"
+        return f"every band is below a twentieth of its healthy level ({most}): the machine stands, or the sensor is dead"
+    if edges is None:
+        return None
+    lost = ratio < _MUFFLED
+    first = int(np.flatnonzero(~lost)[-1]) + 1
+    if ratio.shape[0] - first < 2:
+        return None
+    edge = float(np.asarray(edges, dtype=float)[first])
+    return (
+        f"above {edge:.0f} Hz less than a tenth of the healthy level is heard: the mounting is loose, or a filter keeps it away"
+    )
+
+
+def without_spikes(x: npt.ArrayLike) -> tuple[Array, int]:
+    """The signal with each spike of a single sample replaced by the mean of its neighbours, and how many there were.
+
+    What strikes a machine rings on for several samples, since a sensor and its filter pass less than half the sampling rate;
+    a sample that leaps alone comes from the line. Spikes at even intervals stay: a fault's impacts are even too.
+
+    Parameters
+    ----------
+    x : array, shape (n,), no missing samples; float32 stays float32; not copied when there is no spike
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).standard_normal(12000)
+    >>> x[[2000, 6000, 6500]] += 50.0
+    >>> clean, spikes = without_spikes(x)
+    >>> spikes, bool(np.abs(clean).max() < 6.0)
+    (3, True)
+    """
+    x = np.asarray(x)
+    places = spike_places(x)
+    if not places.size:
+        return x, 0
+    clean = np.array(x)
+    clean[places] = (x[places - 1] + x[places + 1]) / 2
+    return clean, int(places.size)
+
+
+def spike_places(x: Array) -> npt.NDArray[np.intp]:
+    """Where single samples leap far from both neighbours, without any ringing beside them; none where they come evenly."""
+    if x.shape[0] < _FEWEST_IN_BLOCK:
+        return np.empty(0, dtype=np.intp)
+    leap = x[1:-1] - (x[:-2] + x[2:]) / 2  # of sample k + 1
+    sigma = float(np.quantile(np.abs(leap), 0.75)) / 1.1503  # of the louder half, where the other one is silent
+    places = np.flatnonzero(np.abs(leap) > max(_SPIKE * sigma, float(np.finfo(leap.dtype).tiny)))
+    places = places[(places >= 3) & (places < leap.shape[0] - 3)]
+    height = np.abs(leap[places])
+    beside = np.max([np.abs(leap[places + k]) for k in (-3, -2, 2, 3)], axis=0, initial=0.0)
+    answering = np.max([np.abs(leap[places + k] + leap[places] / 2) for k in (-1, 1)], axis=0, initial=0.0)
+    alone = places[np.maximum(beside, answering) < _ALONE * height] + 1
+    intervals = np.diff(alone)
+    even = alone.size > 3 and float(intervals.std()) < _EVEN * float(intervals.mean())
+    return np.empty(0, dtype=np.intp) if even else alone
+
+
+def remarks(x: npt.ArrayLike, sampling_rate: float, unit: str, spikes: int = 0) -> list[str]:
+    """What a reader of any verdict has to know of the signal, a sentence each; often none.
+
+    * spikes that `without_spikes` left out;
+    * an offset that gravity does not explain, five RMS or more (the sensor's bias or its zero);
+    * one line that holds over half of the power: what beats with it looks like a fault's modulation.
+
+    Parameters
+    ----------
+    x : array, shape (n,), no missing samples
+    sampling_rate : float [Hz]
+    unit : str
+        `m/s²`, or "" where nothing is known of the signal's size.
+    spikes : int
+        How many were left out of it.
+    """
+    signal: Array = np.asarray(x, dtype=float)
+    mean, told = float(signal.mean()), []
+    if spikes:
+        told.append(f"spikes of single samples were left out, {spikes} of {signal.shape[0]}: a loose contact or interference")
+    if unit == "m/s²" and abs(mean) > max(1.5 * _GRAVITY, 5 * float(signal.std())):
+        told.append(f"the mean lies at {mean:.3g} m/s², which gravity does not explain: the sensor's bias or its zero is off")
+    frequency, share = strongest_line(signal, sampling_rate)
+    if share > _LINE:
+        told.append(f"one line, at {frequency:.4g} Hz, holds {100 * share:.0f} % of the power")
+    return told
+
+
+def strongest_line(x: Array, sampling_rate: float, low: float = 0.0, high: float = np.inf) -> tuple[float, float]:
+    """The strongest line between two frequencies: where it stands [Hz], and its share of the power between them."""
+    n = fft.prev_fast_len(x.shape[0], real=True)
+    power = np.abs(fft.rfft((x[:n] - x[:n].mean()) * np.hanning(n))) ** 2
+    first, last = int(np.ceil(low * n / sampling_rate)), int(min(high * n / sampling_rate, n // 2)) + 1
+    inside = power[max(first, 1) : last]
+    if not inside.size or not inside.sum() > 0:
+        return low, 0.0
+    peak = int(inside.argmax())
+    share = float(inside[max(0, peak - 2) : peak + 3].sum() / inside.sum())
+    return (max(first, 1) + peak) * sampling_rate / n, share
+
+
 def clipped_share(x: Array) -> float:
     """Share of the samples at a rail; 0 unless the extreme value holds more samples than the 5 % of range below it.
 
@@ -130,6 +288,46 @@ def _piled_up(x: Array) -> int:
     below = near[near < high - 1e-6 * span]
     width = max(0.05 * span, high - float(below.max())) if below.size else span
     return at_rail if at_rail > int((below >= high - width * (1 + 1e-9)).sum()) else 0
+
+
+def _repeated(x: Array) -> str | None:
+    """A link that drops out, or a sensor that is asked more often than it answers."""
+    starts = np.flatnonzero(np.append(True, x[1:] != x[:-1]))
+    lengths = np.diff(np.append(starts, x.shape[0]))
+    long = lengths >= _DROPPED_RUN
+    dropped = int(lengths[long].sum())
+    if dropped > _DROPPED_SHARE * x.shape[0] and np.unique(x[starts[long]]).size == 1 and float(np.median(lengths)) < 2:
+        share, value = 100 * dropped / x.shape[0], float(x[starts[long]][0]) + 0.0
+        return f"the accelerometer drops out: {int(long.sum())} stretches, {share:.2g} % of the samples, stand at {value:g}"
+    usual = int(np.median(lengths))
+    if usual > 1 and (lengths == usual).mean() > _HELD_SHARE:
+        return (
+            f"each value stands for {usual} samples: the sensor is read {usual} times as often as it answers; "
+            "give the record at its own rate"
+        )
+    return None
+
+
+def _stuck_value(x: Array) -> str | None:
+    """One value again and again among values that hardly ever repeat: what a bad line hands on in place of a sample."""
+    values, counts = np.unique(x[:4096], return_counts=True)
+    most = int(counts.argmax())
+    others = np.delete(counts, most).max(initial=0)
+    if counts[most] > _FLAT_SHARE * counts.sum() and counts[most] > 10 * others:
+        share = 100 * counts[most] / counts.sum()
+        return f"{share:.2g} % of the samples are {values[most] + 0.0:g}, a value of the line and not of the sensor"
+    return None
+
+
+def _coarse(x: Array) -> str | None:
+    """A converter whose step is larger than the vibration's RMS."""
+    values = np.unique(x[:4096])
+    if values.size < 2 or values.size > 64:
+        return None
+    step = float(np.diff(values).min())
+    if float(x.std(dtype=np.float64)) > _STEPS * step:
+        return None
+    return f"the vibration is smaller than a step of its converter, {step:.3g}: its RMS is {x.std(dtype=np.float64):.3g}"
 
 
 @njit()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.io import loadmat
 from sklearn.metrics import roc_auc_score
 
@@ -47,8 +48,9 @@ def healthy_machine(kind, n, rate, shaft, rng):
     if kind == "gear":
         return x + (1 + 0.6 * np.cos(2 * np.pi * shaft * t)) * 2 * np.cos(2 * np.pi * 23 * shaft * t)
     if kind == "knocks":
-        x[rng.integers(0, n, 24)] += 30
-        return x
+        struck = np.bincount(rng.integers(0, n, 24), minlength=n)
+        ring = 30 * np.exp(-np.arange(40) / 8) * np.cos(2 * np.pi * 0.2 * np.arange(40))
+        return x + np.convolve(struck, ring)[:n]
     if kind == "modulated":
         return x * (1 + 0.5 * np.cos(2 * np.pi * shaft * t))
     return x
@@ -256,3 +258,26 @@ def test_a_strong_fault_does_not_hide_itself_among_its_own_controls():
     for seed in range(4):
         x = faulty_bearing(3 * 48_828, 48_828, 25.0, orders, "bpfi", snr_db=-6.0, seed=seed)
         assert judge.score(acceleration(x, 48_828)).fault_class == "inner-race"
+
+
+def test_two_lines_that_beat_are_no_fault_and_hide_none():
+    """A drive at 100 Hz beside the shaft's 30 Hz beats at 70 Hz, near twice the ball's rotation: no ball is damaged."""
+    t = np.arange(24000) / 12000
+    for seed, (fault, expected) in enumerate([(None, None), (None, None), ("bpfo", "outer-race")]):
+        x = faulty_bearing(24000, 12000, 30.0, ORDERS, fault, seed=60 + seed)
+        judged = Bearing(orders=ORDERS, speed_rpm=1800).score(acceleration(x + 3 * x.std() * np.sin(2 * np.pi * 100 * t), 12000))
+        assert judged.fault_class == expected
+        assert "one line, at 100 Hz, holds" in judged.reason
+
+
+def test_a_sensor_that_nothing_reaches_is_never_healthy():
+    judge, noise = baseline(), np.random.default_rng(1).standard_normal(24000)
+    healthy = faulty_bearing(24000, 12000, 30.0, ORDERS, None, seed=61)
+    padded = signal.lfilter(*signal.butter(2, 500, fs=12000), healthy)
+    for x, says in ((1e-3 * noise, "dead"), (padded, "above 2000 Hz"), (0.2 * healthy, "another sensitivity")):
+        judged = judge.score(acceleration(x, 12000))
+        assert judged.verdict is Verdict.NOT_ASSESSABLE and says in judged.reason
+    spiky = healthy.copy()
+    spiky[[4000, 9000, 17000]] += 60 * healthy.std()
+    judged = judge.score(acceleration(spiky, 12000))
+    assert judged.verdict is Verdict.HEALTHY and "3 of 24000" in judged.reason

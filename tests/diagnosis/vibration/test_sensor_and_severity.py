@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
-from residuum.diagnosis.vibration.sensor_health import clipped_share, suspect, unusable
+from residuum.diagnosis.vibration.sensor_health import clipped_share, not_heard, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.vibration_severity import severity
 from residuum.identification.errors import BadInput
 
@@ -65,3 +65,56 @@ def test_severity_does_not_count_what_lies_below_10_hz():
         severity(a, FS, "V")
     with pytest.raises(BadInput, match="need 2000 Hz"):
         severity(a, 500, "I")
+
+
+def _dropping_out() -> np.ndarray:
+    x = NOISE.copy()
+    for start in range(300, x.size - 200, 1000):
+        x[start : start + 60] = 0.0
+    return x
+
+
+@pytest.mark.parametrize(
+    ("x", "says"),
+    [
+        (_dropping_out(), "drops out: 24 stretches, 6 % of the samples, stand at 0"),
+        (np.repeat(NOISE[::4], 4), "each value stands for 4 samples"),
+        (np.round(NOISE / 1.5) * 1.5, "smaller than a step of its converter, 1.5"),
+        (np.where(np.arange(NOISE.size) % 4 == 0, 0.0, NOISE), "25 % of the samples are 0"),
+        (np.where(np.random.default_rng(3).random(NOISE.size) < 0.004, 30.0 + NOISE, NOISE), "single samples stand far beside"),
+    ],
+)
+def test_a_line_that_hands_on_other_than_the_sensors_values_is_told(x, says):
+    assert says in unusable(x)
+
+
+def test_a_sensor_that_falls_silent_is_told():
+    for silent in (T > 1.0, (T > 0.5) & (T < 0.7)):
+        assert "silent for" in suspect(np.where(silent, 1e-4, 1.0) * NOISE, FS)
+
+
+def test_spikes_are_left_out_and_what_rings_stays():
+    x, at = NOISE.copy(), np.array([900, 5000, 5600, 20000])
+    x[at] += 40.0
+    clean, spikes = without_spikes(x)
+    assert spikes == 4 and clean[at] == pytest.approx((x[at - 1] + x[at + 1]) / 2)
+    assert np.array_equal(np.delete(clean, at), np.delete(x, at))
+    ring = 40 * np.exp(-np.arange(60) / 10) * np.cos(0.5 * np.arange(60))
+    struck = NOISE + np.convolve(np.bincount(at, minlength=NOISE.size), ring)[: NOISE.size]
+    assert without_spikes(struck)[1] == 0
+
+
+def test_a_sensor_that_hears_less_than_it_did_calls_nothing_healthy():
+    edges = [10, 100, 1000, 2000, 4000]
+    assert "dead" in not_heard([1, 2, 3, 4], [0.01, 0.03, 0.001, 0.04], edges)
+    assert "above 1000 Hz" in not_heard([1, 2, 3, 4], [1, 2, 0.1, 0.04], edges)
+    assert not_heard([1, 2, 3, 4], [1, 2, 3, 0.04], edges) is None  # one band may fall: a gear's line that moved
+    assert not_heard([1, 2, 3, 4], [0.2, 0.4, 0.6, 0.8], edges) is None
+
+
+def test_what_no_verdict_depends_on_is_remarked():
+    assert remarks(NOISE + 9.8, FS, "m/s²") == []
+    assert "mean lies at 50" in remarks(NOISE + 50, FS, "m/s²")[0]
+    assert remarks(NOISE + 50, FS, "") == []
+    assert "at 1234 Hz, holds 9" in remarks(NOISE + 6 * np.cos(2 * np.pi * 1234 * T), FS, "m/s²")[0]
+    assert remarks(NOISE, FS, "m/s²", spikes=3)[0].startswith("spikes of single samples were left out, 3 of 24000")

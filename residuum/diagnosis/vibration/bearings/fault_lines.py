@@ -20,6 +20,7 @@ from scipy import fft
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from residuum.diagnosis.vibration.bearings.bearing_frequencies import BearingFrequencies
+from residuum.diagnosis.vibration.sensor_health import strongest_line
 from residuum.diagnosis.vibration.spectra.envelope import envelope_of_spectrum, padded_spectrum
 from residuum.identification.errors import BadInput
 
@@ -37,6 +38,7 @@ _FLAT_LINES = 48  # lines of a segment's spectrum that share a median: a gear's 
 _FEWEST_FLATTENED = 2  # parts: narrower bands hold few resonances that could outweigh each other
 _WORTH_CLEANING = 2.0  # deciles: below, a family cannot have spoilt its own controls
 _BANDS_CLEANED = 4
+_TONAL = 0.25  # of a band's power in one line: what beats with it is a modulation of no impact
 _STRONG = 20.0  # times the floor: a line that no noise makes, so that cutting it favours no healthy machine
 _FEWEST_CONTROLS = 50
 _SIDEBANDS = 5
@@ -109,12 +111,24 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     for lines, periods in ((others, _PERIODS), (cage, _PERIODS_OF_CAGE)):  # the cage, ten times slower, needs a finer spectrum
         resolved = {name: f for name, f in lines.items() if signal.shape[0] * f >= _FEWEST_PERIODS * sampling_rate}
         if resolved:
-            found |= _evidence(signal, sampling_rate, resolved, frequencies, periods)
+            evidence = _evidence(signal, sampling_rate, resolved, frequencies, periods)
+            if any(_beats(signal, sampling_rate, line) for line in evidence.values()):
+                flat = _evidence(signal, sampling_rate, resolved, frequencies, periods, tonal=True)
+                evidence = {
+                    name: min(line, flat[name], key=lambda one: one.prominence) if _beats(signal, sampling_rate, line) else line
+                    for name, line in evidence.items()
+                }
+            found |= evidence
     return found
 
 
+def _beats(x: Array, rate: float, line: LineEvidence) -> bool:
+    """Whether a family that stands out does so in a band that one line fills."""
+    return line.prominence > _WORTH_CLEANING and strongest_line(x, rate, line.low, line.high)[1] > _TONAL
+
+
 def _evidence(
-    x: Array, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int
+    x: Array, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int, tonal: bool = False
 ) -> dict[str, LineEvidence]:
     centres = {name: [variant * f for variant in _VARIANTS[name]] for name, f in lines.items()}
     all_centres = [f for variants in centres.values() for f in variants]
@@ -129,6 +143,8 @@ def _evidence(
     if control.sum() < _FEWEST_CONTROLS:
         raise BadInput("bearing: the fault lines leave too few frequencies between them to compare with; are they right?")
     bands, flattened = _bands(rate, fastest)
+    if tonal:
+        bands, flattened = [], bands
     spectra = averaged_spectra(x, rate, bands, length, LINES_OF_A_FAMILY * float(grid[-1]), flattened)
     bands += flattened
     floored = [
