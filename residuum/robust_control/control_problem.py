@@ -118,6 +118,9 @@ class Solution:
 class ControlProblem:
     """The plant in the middle, the weight of its uncertainty, and the grid on which a controller is sought.
 
+    A controller cannot answer a measurement within the sample in which the input already moves it: the loop of a plant that acts
+    at once (a model with delay 0) would be algebraic, and any gain would look stable. Such plants are met one sample later.
+
     Parameters
     ----------
     models : sequence of IdentifiedModel
@@ -131,6 +134,8 @@ class ControlProblem:
 
     Attributes
     ----------
+    computation_samples : int
+        1 where a plant acts at once and every model is taken one sample later, else 0.
     W_T : TransferFunction
     largest : array
         Ω, the largest relative error of the drawn plants on the grid `loop.omega`.
@@ -153,7 +158,12 @@ class ControlProblem:
         joined: IdentifiedModel | None = None,
         weight: WeightChoice | None = None,
     ) -> None:
-        _refuse_unfit([*models] if joined is None else [*models, joined])
+        every = [*models] if joined is None else [*models, joined]
+        _refuse_unfit(every)
+        self.computation_samples = int(any(model.delay < 1 for model in every))
+        if self.computation_samples:
+            models = [model.one_sample_later() for model in models]
+            joined = None if joined is None else joined.one_sample_later()
         self.models, self.seed, self.joined, self.choice = tuple(models), seed, joined, weight or WeightChoice()
         mean = average_plant([*models] if joined is None else [*models, joined])  # refuses unequal sample times
         self.plant = mean if joined is None else joined.transfer_function()
@@ -179,7 +189,11 @@ class ControlProblem:
         other = None if self.joined is None else float(self._uncertainty(mean, frequency_grid([mean]))[1].max())
         largest = float(self.largest.max())
         about = {"joined": None, "mean": largest} if self.joined is None else {"joined": largest, "mean": other}
-        return {"nominal": "mean" if self.joined is None else "joined", "largest_uncertainty_about": about}
+        return {
+            "nominal": "mean" if self.joined is None else "joined",
+            "largest_uncertainty_about": about,
+            "computation_samples": self.computation_samples,
+        }
 
     @property
     def response_time(self) -> float:

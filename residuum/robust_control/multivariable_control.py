@@ -137,7 +137,7 @@ class MultivariableProblem:
                 f"multivariable control: the model has {q} inputs and {p} outputs; needs as many of both, at least two"
             )
         if any(path.delay < 1 for row in model.models for path in row):
-            raise BadInput("multivariable control: a path acts within its sample; needs a delay of at least one sample")
+            raise BadInput("multivariable control: a path acts within its sample; identify it with delay 1 or more")
         self.sample_time = model.models[0][0].sample_time
         gains = model.frequency_response([0.0])[0].real
         if np.linalg.matrix_rank(gains, tol=1e-9 * float(np.abs(gains).max(initial=1e-300))) < p:

@@ -6,7 +6,7 @@ Its file is written and read by `residuum.identification.linear_models.identifie
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -227,6 +227,20 @@ class IdentifiedModel:
         denominator = np.zeros(self.delay + self.order)
         denominator[0] = 1.0
         return TransferFunction(self.impulse_response, denominator, self.sample_time)
+
+    def one_sample_later(self) -> IdentifiedModel:
+        """z⁻¹ G: what a controller meets that writes its signal one sample after the measurement that it answers.
+
+        >>> at_once = IdentifiedModel(method="by hand", sample_time=1.0, impulse_response=[2.0], covariance=[[0.01]],
+        ...                           noise_variance=0.1, delay=0)
+        >>> at_once.one_sample_later().simulate([1.0, 0.0]).tolist()
+        [0.0, 2.0]
+        """
+        denominator, covariance = self.denominator, self.parameter_covariance
+        if denominator is not None:
+            denominator = np.append(denominator, 0.0)
+            covariance = None if covariance is None else np.pad(covariance, ((0, 1), (0, 1)))
+        return replace(self, delay=self.delay + 1, denominator=denominator, parameter_covariance=covariance)
 
     def to_control(self) -> Any:
         """G as a python-control `TransferFunction` (needs the package `control`)."""

@@ -75,10 +75,15 @@ def _margin_text(margin: dict[str, float | None] | None) -> list[str]:
 
 
 def _about(result: dict[str, Any]) -> list[str]:
-    about = result["largest_uncertainty_about"]
+    about, told = result["largest_uncertainty_about"], []
+    if result["computation_samples"]:
+        told = ["  the plant acts within its sample: the loop is closed one sample later, as a controller can answer"]
     if about["joined"] is None:
-        return []
-    return [f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}"]
+        return told
+    return [
+        *told,
+        f"  largest uncertainty about the joined model {about['joined']:.4g}, about the models' mean {about['mean']:.4g}",
+    ]
 
 
 def design_text(result: dict[str, Any]) -> str:
