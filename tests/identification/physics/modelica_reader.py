@@ -10,7 +10,8 @@ _TOKEN = re.compile(r"\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?|[A-Z
 _WORDS = {"and": " and ", "or": " or ", "not": " not "}
 _KNOWN = {
     "abs": abs, "min": min, "max": max, "sqrt": math.sqrt, "exp": math.exp, "log": math.log, "sin": math.sin, "cos": math.cos,
-    "tanh": math.tanh, "floor": math.floor, "sign": lambda a: (a > 0) - (a < 0), "noEvent": lambda a: a,
+    "tan": math.tan, "asin": math.asin, "acos": math.acos, "atan": math.atan, "atan2": math.atan2, "sinh": math.sinh,
+    "cosh": math.cosh, "tanh": math.tanh, "floor": math.floor, "sign": lambda a: (a > 0) - (a < 0), "noEvent": lambda a: a,
 }  # fmt: skip
 
 

@@ -39,6 +39,31 @@ effects:
   - {id: input-saturation, input: force, parameters: {u_max: 5.5}}
   - {id: output-lag, output: position, parameters: {tau: 0.05}}
 """
+PUMP = """
+name: pump with a curve
+inputs: {n: 1/s}
+states: {h: {unit: m}, x: {unit: m}}
+parameters:
+  A: {value: 2.0, unit: m**2}
+  b: {value: 0.1, unit: m*s}
+  top: {value: 3.0, unit: m**3/s}
+  k: {value: 0.4, unit: 1/s}
+  T: {value: 2.0, unit: s}
+constants: {most: 5, R: 0.5 m}
+let: {s: n * T / most, open: "where((n > 1 or n < -3) and not n == 2, 0.8, 0.1)"}
+balances:
+  tank:
+    kind: volume
+    storage: A * der(h)
+    terms: {curve: "table(n, [-2, 0, 1, 2, 5], [-1, 0, 1, top, 2.5])", out: -k * A * h * open}
+  lag:
+    kind: signal
+    storage: T * der(x)
+    terms:
+      a: hypot(h, R) - x + b * floor(n) + 0.1 * h * atan2(h, x) + 0.01 * h * mod(n * T, 3)
+      b: 0.02 * h * (atan(s) + cosh(s) - sinh(s) + asin(s / 9) + acos(s / 9) + tan(s / 9))
+outputs: {level: {value: h, unit: m}, angle: {value: "where(n != 1 and n <= 4, atan2(h, R), 1)"}}
+"""
 DT, SUBSTEPS, CLOSE = 0.01, 500, 1e-6
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 
@@ -47,6 +72,7 @@ def models():
     drive, axis = load_model("gate-drive"), load_model("linear-axis")
     mended = [
         read_model(AXIS),
+        read_model(PUMP),
         drive.with_effect("viscous-friction", "shaft", {"d": 3e-5}).with_effect("inductance", "winding", {"L": 1e-3}),
         drive.with_effect("coulomb-friction", "shaft", {"tau_c": 0.05}).with_effect("brush-drop", "winding", {"V_b": 1.0}),
         axis.with_effect("coulomb-friction", "axis", {"tau_c": 0.5}).with_effect("output-quantisation", "position", {"q": 1e-3}),

@@ -92,8 +92,11 @@ def test_equations_of_sympy_are_a_model_in_which_effects_act():
     U = steps()
     np.testing.assert_allclose(moved(made.physical, U), moved(axis, U), atol=1e-10)
     assert made.with_effect("coulomb-friction", "v", tau_c=0.2).effects == ("coulomb-friction@v",)
-    with pytest.raises(rs.BadModel, match="Piecewise"):
-        rs.equations_model({q: sympy.Piecewise((v, v > 0), (0, True))}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
+    cases = sympy.Piecewise((v, (v > 0) & ~(v > 2)), (0, True))
+    one_way = rs.equations_model({q: cases}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
+    assert one_way.physical.balances["q"].terms["rate"].text == "where((v <= 2) and (v > 0), v, 0)"
+    with pytest.raises(rs.BadModel, match="last case"):
+        rs.equations_model({q: sympy.Piecewise((v, v > 0))}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
     with pytest.raises(rs.BadModel, match="besselj is not known"):
         rs.equations_model({q: sympy.besselj(0, v)}, {"y": q}, states={"q": "m"}, inputs={"v": "m/s"})
 

@@ -36,6 +36,8 @@ _FLAT = (sp.sign, sp.floor, sp.Heaviside)
 """Functions whose slope is nothing, a jump included."""
 
 
+_LIBRARY = {sp.tanh: "tanh", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos", sp.atan: "atan", sp.sinh: "sinh", sp.cosh: "cosh"}
+"""Functions of the C library."""
 _INTRINSICS = {sp.sin: "sin", sp.cos: "cos", sp.exp: "exp", sp.log: "log", sp.Abs: "fabs", sp.floor: "floor"}
 
 
@@ -68,7 +70,8 @@ def generate(equations: Equations) -> tuple[str, ...]:
     declared = [f"declare double @llvm.{f}.f64({', '.join(['double'] * (2 if f == 'pow' else 1))})" for f in sorted(used)]
     declared += [f"declare double @{SYMBOLS[0]}(i64, ptr)", f"declare double @{SYMBOLS[1]}(i64, i64, ptr)"]
     bodies = [function.text() for function in functions]
-    own = "\n\n".join(["declare double @tanh(double)", *declared, *bodies, stepping(nx, nu, n_p, ny)])
+    declared += [f"declare double @{f}(double)" for f in _LIBRARY.values()] + ["declare double @atan2(double, double)"]
+    own = "\n\n".join([*declared, *bodies, stepping(nx, nu, n_p, ny)])
     slopes = functions[FUNCTIONS.index("slopes")]
     return own, *columns_of(nx, ny, slopes.places("r1", nx), slopes.places("r2", n_p + nx))
 
@@ -166,6 +169,9 @@ class _Function:
             return _ONE
         if e.is_Mul:
             return self.value(sp.Mul(*e.args[:i], *e.args[i + 1 :], evaluate=False))
+        if isinstance(e, sp.atan2):
+            y, x = e.args
+            return self.value((x, -y)[i] / (x**2 + y**2))
         if not e.is_Pow:
             return self.value(sp.sympify(e.fdiff(i + 1)))
         if i == 1:
@@ -193,6 +199,8 @@ class _Function:
             return _constant(_real_number(e))
         if type(e) in _INTRINSICS:
             return self._call(f"llvm.{_INTRINSICS[type(e)]}.f64", e.args[0])
+        if type(e) in _LIBRARY:
+            return self._call(_LIBRARY[type(e)], e.args[0])
         if e.is_Relational:
             return self._new(f"fcmp {_COMPARISONS[e.rel_op]} double {self.value(e.lhs)}, {self.value(e.rhs)}")
         rule = self._RULES.get(type(e))
@@ -225,8 +233,8 @@ class _Function:
             return product if exponent > 0 else self._new(f"fdiv {FREE} double {_ONE}, {product}")
         return self._new(f"call double @llvm.pow.f64(double {self.value(base)}, double {self.value(exponent)})")
 
-    def _tanh(self, a: sp.Expr) -> str:
-        return self._call("tanh", a)
+    def _atan2(self, y: sp.Expr, x: sp.Expr) -> str:
+        return self._new(f"call double @atan2(double {self.value(y)}, double {self.value(x)})")
 
     def _sign(self, a: sp.Expr) -> str:
         negative = self._select(self._compare("olt", a, sp.S.Zero), _constant(-1.0), _ZERO)
@@ -288,6 +296,9 @@ class _Function:
     def _or(self, *conditions: Any) -> str:
         return self._fold_bits("or", conditions)
 
+    def _not(self, condition: Any) -> str:
+        return self._new(f"xor i1 {self.value(condition)}, true")
+
     def _if_then_else(self, condition: Any, yes: Any, no: Any) -> str:
         return self._new(f"select i1 {self.value(condition)}, i1 {self.value(yes)}, i1 {self.value(no)}")
 
@@ -318,7 +329,7 @@ class _Function:
         sp.Add: _add,
         sp.Mul: _mul,
         sp.Pow: _pow,
-        sp.tanh: _tanh,
+        sp.atan2: _atan2,
         sp.sign: _sign,
         sp.Heaviside: _heaviside,
         sp.DiracDelta: _nothing,
@@ -330,6 +341,7 @@ class _Function:
         sp.Piecewise: _piecewise,
         sp.And: _and,
         sp.Or: _or,
+        sp.Not: _not,
         sp.ITE: _if_then_else,
     }
 

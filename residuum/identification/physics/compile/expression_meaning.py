@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 from residuum.identification.physics.compile import symbolic as sp
@@ -12,6 +13,13 @@ from residuum.identification.physics.files.expression import Call, Name, Node, N
 EXTERNAL = "external"
 """Name of the function that a compiled library holds; no model file can call it."""
 _FUNCTIONS: Mapping[str, str] = {"abs": "Abs", "min": "Min", "max": "Max"}
+_WRITTEN: Mapping[str, Callable[..., Any]] = {
+    "hypot": lambda a, b: sp.sqrt(a**2 + b**2),
+    "mod": lambda a, b: a - b * sp.floor(a / b),
+    "where": lambda condition, a, b: sp.Piecewise((a, condition), (b, True)),
+    "table": lambda x, *knots: _straight_lines(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
+}
+"""What is put together from other operations."""
 _OPERATORS: Mapping[str, Callable[..., Any]] = {
     "+": lambda a, b: a + b,
     "-": lambda a, b: a - b,
@@ -20,16 +28,25 @@ _OPERATORS: Mapping[str, Callable[..., Any]] = {
     "**": lambda a, b: a**b,
     "neg": lambda a: -a,
 }
+_CONDITIONS: Mapping[str, str] = {
+    "<": "Lt", "<=": "Le", ">": "Gt", ">=": "Ge", "==": "Eq", "!=": "Ne", "and": "And", "or": "Or", "not": "Not",
+}  # fmt: skip
 
 
 def meaning(node: Operation | Call) -> Callable[..., Any]:
     """The operation or function of a node, on SymPy expressions."""
     if isinstance(node, Operation):
-        return _OPERATORS[node.operator]
+        return _OPERATORS.get(node.operator) or getattr(sp, _CONDITIONS[node.operator])
     if node.function == EXTERNAL:
         value = import_module("residuum.identification.physics.compile.external").ExternalValue
         return lambda number, *operands: value(number, sp.Symbol("t", real=True), *operands)
-    return getattr(sp, _FUNCTIONS.get(node.function, node.function))
+    return _WRITTEN.get(node.function) or getattr(sp, _FUNCTIONS.get(node.function, node.function))
+
+
+def _straight_lines(x: Any, places: Sequence[Any], values: Sequence[Any]) -> Any:
+    """y₁ + Σ_k (y_{k+1} − y_k) / (x_{k+1} − x_k) · (min(max(x, x_k), x_{k+1}) − x_k): held beyond the places."""
+    knots = zip(pairwise(places), pairwise(values), strict=True)
+    return values[0] + sum((b - a) / (right - left) * (sp.Min(sp.Max(x, left), right) - left) for (left, right), (a, b) in knots)
 
 
 def number(node: Number) -> Any:

@@ -42,6 +42,12 @@ def _code(expression: Any) -> str:
         *cases, (last, _) = expression.args
         parts = [f"{'else' if k else ''}if {_code(condition)} then {_code(value)} " for k, (value, condition) in enumerate(cases)]
         return f"(noEvent({''.join(parts)}else {_code(last)}))" if parts else _code(last)
+    if expression.is_Relational:
+        return f"{_code(expression.lhs)} {'<>' if expression.rel_op == '!=' else expression.rel_op} {_code(expression.rhs)}"
+    if isinstance(expression, sp.And | sp.Or):
+        return (" and " if isinstance(expression, sp.And) else " or ").join(f"({_code(part)})" for part in expression.args)
+    if isinstance(expression, sp.Not):
+        return f"not ({_code(expression.args[0])})"
     piecewise = [e for e in sp.preorder_traversal(expression) if isinstance(e, sp.Piecewise | sp.Min | sp.Max)]
     texts = {}
     if piecewise and expression is not piecewise[0]:
@@ -54,7 +60,7 @@ def _code(expression: Any) -> str:
         for other in rest:
             text = f"{name}({text}, {_code(other)})"
         return text
-    printed = sp.sstr(expression if expression.is_Relational else expression.evalf(17))
+    printed = sp.sstr(expression.evalf(17))
     text = str(printed).replace("**", "^").replace("Abs(", "abs(")
     for name, value in texts.items():
         text = text.replace(name, value)

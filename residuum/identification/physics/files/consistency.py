@@ -46,7 +46,7 @@ def _expressions(model: PhysicalModel) -> list[Expression]:
 
 def _unique_names(tree: Table) -> None:
     seen: dict[str, str] = {}
-    for section in ("inputs", "states", "parameters"):
+    for section in ("inputs", "states", "parameters", "constants", "let"):
         for name, place in tree.table(section, "model file").keys.items():
             if name in seen:
                 raise place.refuse(f"{name!r} is declared in {seen[name]} already")

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from residuum.identification.physics.files.expression import Call, Name, Node, Number, Operation
+from residuum.identification.physics.files.expression import COMPARISONS, Call, Name, Node, Number, Operation
 from residuum.identification.units import is_own, parse_unit
 
 _PLAIN = {"%", "percent"}
@@ -91,6 +91,11 @@ def dimension_of(tree: Node, names: Mapping[str, Dimension]) -> Dimension:
         return _of_call(tree, operands)
     if tree.operator in ("+", "-"):
         return _alike(tree, operands)
+    if tree.operator in COMPARISONS:
+        _alike(tree, operands)
+        return PLAIN
+    if tree.operator in ("and", "or", "not"):
+        return PLAIN
     if tree.operator == "*":
         return operands[0] * operands[1]
     if tree.operator == "/":
@@ -99,13 +104,20 @@ def dimension_of(tree: Node, names: Mapping[str, Dimension]) -> Dimension:
 
 
 def _of_call(tree: Call, operands: list[Dimension]) -> Dimension:
-    if tree.function in ("min", "max"):
+    if tree.function in ("min", "max", "mod", "hypot"):
         return _alike(tree, operands)
+    if tree.function == "atan2":
+        _alike(tree, operands)
+        return PLAIN
+    if tree.function == "where":
+        return _alike(tree, operands[1:])
+    if tree.function == "table":
+        return _alike(tree, operands[1 + len(operands) // 2 :])
     if tree.function == "der":
         return operands[0] / dimension_of_unit(_SECOND)
     if tree.function == "sqrt":
         return operands[0] ** Fraction(1, 2)
-    if tree.function == "abs":
+    if tree.function in ("abs", "floor"):
         return operands[0]
     if tree.function == "sign":
         return PLAIN

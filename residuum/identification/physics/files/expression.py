@@ -2,21 +2,27 @@
 
 Grammar, lowest precedence first::
 
-    sum     = product (("+" | "-") product)*
-    product = sign (("*" | "/") sign)*
-    sign    = ("+" | "-") sign | power
-    power   = atom ("**" sign)?
-    atom    = number | name | function "(" sum ("," sum)* ")" | "(" sum ")"
+    sum       = product (("+" | "-") product)*
+    product   = sign (("*" | "/") sign)*
+    sign      = ("+" | "-") sign | power
+    power     = atom ("**" sign)?
+    atom      = number | name | function "(" sum ("," sum)* ")" | "(" sum ")"
+              | "where" "(" condition "," sum "," sum ")" | "table" "(" sum "," list "," list ")"
+    list      = "[" sum ("," sum)* "]"
+    condition = both ("or" both)*
+    both      = either ("and" either)*
+    either    = "not" either | sum ("<" | "<=" | ">" | ">=" | "==" | "!=") sum | "(" condition ")"
 
-Functions: `der sin cos tanh exp log sqrt abs sign min max`. Everything else is refused with its place.
+Functions: those of `FUNCTIONS`. Everything else is refused with its place.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 from residuum.identification.errors import BadModel
 from residuum.nearest_names import known_names
@@ -25,21 +31,36 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {
     "der": (1, 1),
     "sin": (1, 1),
     "cos": (1, 1),
+    "tan": (1, 1),
+    "asin": (1, 1),
+    "acos": (1, 1),
+    "atan": (1, 1),
+    "atan2": (2, 2),
+    "sinh": (1, 1),
+    "cosh": (1, 1),
     "tanh": (1, 1),
     "exp": (1, 1),
     "log": (1, 1),
     "sqrt": (1, 1),
     "abs": (1, 1),
     "sign": (1, 1),
+    "floor": (1, 1),
+    "mod": (2, 2),
+    "hypot": (2, 2),
     "min": (2, 8),
     "max": (2, 8),
+    "where": (3, 3),
+    "table": (3, 3),
 }
+COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
+MOST_KNOTS = 200
+"""Of a table."""
 LONGEST_EXPRESSION = 4000
 DEEPEST_EXPRESSION, LARGEST_EXPONENT = 60, 20
 
 _INSTEAD = {"|": "; write abs(x)", "^": "; write x**2", "·": "; write *", "×": "; write *", "²": "; write **2"}
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[-+*/(),])|(?P<bad>\S))"
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z_0-9]*)|(?P<mark>\*\*|[<>=!]=|[-+*/(),<>\[\]])|(?P<bad>\S))"
 )
 
 
@@ -78,7 +99,7 @@ class Name:
 
 @dataclass(frozen=True)
 class Operation:
-    """`+ - * / **` of two nodes, or unary `-` (operator "neg") of one."""
+    """`+ - * / **` of two nodes, unary `-` (operator "neg") of one; in a `where`'s condition comparisons, `and or not`, too."""
 
     operator: str
     operands: tuple[Node, ...]
@@ -87,7 +108,7 @@ class Operation:
 
 @dataclass(frozen=True)
 class Call:
-    """One of `FUNCTIONS` applied to its arguments."""
+    """One of `FUNCTIONS` applied to its arguments; of a table they are what is looked up, the places, and the values there."""
 
     function: str
     operands: tuple[Node, ...]
@@ -157,6 +178,31 @@ def parse(text: str | float, place: Place | None = None) -> Expression:
     return Expression(source.strip(), _Parser(source, start).parse())
 
 
+def with_definitions(expression: Expression, definitions: Mapping[str, Expression]) -> Expression:
+    """The expression with each name that is defined replaced by what it stands for, in brackets.
+
+    >>> with_definitions(parse("2 * Re"), {"Re": parse("rho*v + 1")}).text
+    '2 * (rho*v + 1)'
+    """
+    used = expression.names & definitions.keys()
+    if not used:
+        return expression
+    text = re.sub(r"[A-Za-z_]\w*", lambda name: f"({definitions[name[0]].text})" if name[0] in used else name[0], expression.text)
+    if len(text) > LONGEST_EXPRESSION:
+        raise expression.place.refuse(
+            f"with its definitions it has {len(text)} characters; at most {LONGEST_EXPRESSION} are allowed"
+        )
+    return Expression(text, _replaced(expression.tree, {name: definitions[name].tree for name in used}))
+
+
+def _replaced(tree: Node, trees: Mapping[str, Node]) -> Node:
+    if isinstance(tree, Name):
+        return trees.get(tree.name, tree)
+    if isinstance(tree, Number):
+        return tree
+    return replace(tree, operands=tuple(_replaced(operand, trees) for operand in tree.operands))
+
+
 def evaluate(tree: Node, values: Mapping[str, float]) -> float:
     """The number that the tree gives for these names; nan where it is undefined (a division by zero, a negative root).
 
@@ -194,7 +240,42 @@ _MEANING: Mapping[str, Callable[..., float]] = {
     "sign": lambda a: math.copysign(1.0, a) if a else 0.0,
     "min": min,
     "max": max,
+    "tan": math.tan,
+    "asin": math.asin,
+    "acos": math.acos,
+    "atan": math.atan,
+    "atan2": math.atan2,
+    "sinh": math.sinh,
+    "cosh": math.cosh,
+    "floor": math.floor,
+    "mod": lambda a, b: a - b * math.floor(a / b),
+    "hypot": math.hypot,
+    "where": lambda condition, a, b: a if condition else b,
+    "table": lambda x, *knots: interpolated(x, knots[: len(knots) // 2], knots[len(knots) // 2 :]),
+    "<": lambda a, b: a < b,
+    "<=": lambda a, b: a <= b,
+    ">": lambda a, b: a > b,
+    ">=": lambda a, b: a >= b,
+    "==": lambda a, b: a == b,
+    "!=": lambda a, b: a != b,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "not": lambda a: not a,
 }
+
+
+def interpolated(x: float, places: Sequence[float], values: Sequence[float]) -> float:
+    """The straight line between the values at neighbouring places; the first and the last value hold beyond them.
+
+    >>> interpolated(1.5, [0.0, 1.0, 2.0], [0.0, 10.0, 30.0]), interpolated(9.0, [0.0, 1.0], [0.0, 10.0])
+    (20.0, 10.0)
+    """
+    if x <= places[0]:
+        return values[0]
+    for (left, right), (low, high) in zip(pairwise(places), pairwise(values), strict=True):
+        if x <= right:
+            return low + (high - low) * (x - left) / (right - left)
+    return values[-1]
 
 
 @dataclass(frozen=True)
@@ -298,7 +379,9 @@ class _Parser:
             raise function.place.refuse(
                 f"function {function.text!r} is not known; {known_names(function.text, FUNCTIONS, 'there are')}"
             )
-        operands = [self._sum()]
+        if function.text == "table":
+            return self._table(function)
+        operands = [self._condition() if function.text == "where" else self._sum()]
         while self._accept(","):
             operands.append(self._sum())
         self._expect(")")
@@ -307,3 +390,72 @@ class _Parser:
             count = str(fewest) if fewest == most else f"{fewest} to {most}"
             raise function.place.refuse(f"{function.text}() takes {count} argument(s), not {len(operands)}")
         return Call(function.text, tuple(operands), function.place)
+
+    def _table(self, function: _Token) -> Node:
+        looked_up = self._sum()
+        self._expect(",")
+        places = self._list()
+        self._expect(",")
+        values = self._list()
+        self._expect(")")
+        if len(places) != len(values) or not 2 <= len(places) <= MOST_KNOTS:
+            raise function.place.refuse(
+                f"table() has {len(places)} places and {len(values)} values; must be as many of both, 2 to {MOST_KNOTS}"
+            )
+        numbers = [evaluate(place, {}) for place in places]
+        if not all(left < right for left, right in pairwise(numbers)):
+            raise function.place.refuse("the places of a table() must be numbers that rise; only its values may hold names")
+        known = tuple(Number(number, place.place) for number, place in zip(numbers, places, strict=True))
+        return Call("table", (looked_up, *known, *values), function.place)
+
+    def _list(self) -> list[Node]:
+        self._expect("[")
+        items = [self._sum()]
+        while self._accept(","):
+            items.append(self._sum())
+        self._expect("]")
+        return items
+
+    def _condition(self) -> Node:
+        tree = self._both()
+        while token := self._accept_word("or"):
+            tree = Operation("or", (tree, self._both()), token.place)
+        return tree
+
+    def _both(self) -> Node:
+        tree = self._either()
+        while token := self._accept_word("and"):
+            tree = Operation("and", (tree, self._either()), token.place)
+        return tree
+
+    def _either(self) -> Node:
+        self._depth += 1
+        if self._depth > DEEPEST_EXPRESSION:
+            raise self._peek.place.refuse(f"conditions are nested more than {DEEPEST_EXPRESSION} deep")
+        if token := self._accept_word("not"):
+            tree: Node = Operation("not", (self._either(),), token.place)
+        else:
+            tree = self._comparison()
+        self._depth -= 1
+        return tree
+
+    def _comparison(self) -> Node:
+        start, depth = self._next, self._depth
+        if self._accept("("):  # a condition in brackets, or a sum that begins with one
+            try:
+                tree = self._condition()
+                self._expect(")")
+            except BadModel:
+                self._next, self._depth = start, depth
+            else:
+                if self._peek.text not in (*COMPARISONS, "+", "-", "*", "/", "**"):
+                    return tree
+                self._next = start
+        left = self._sum()
+        token = self._accept(*COMPARISONS)
+        if token is None:
+            raise self._peek.place.refuse(f"a condition compares two values ({' '.join(COMPARISONS)})")
+        return Operation(token.text, (left, self._sum()), token.place)
+
+    def _accept_word(self, word: str) -> _Token | None:
+        return self._take() if self._peek.kind == "name" and self._peek.text == word else None

@@ -18,7 +18,7 @@ from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Parameter
 from residuum.identification.physics.files.consistency import check
 from residuum.identification.physics.files.effect_file import WrittenEffect, effects_of
-from residuum.identification.physics.files.expression import Expression, parse
+from residuum.identification.physics.files.expression import Expression, parse, with_definitions
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
 from residuum.identification.physics.model import (
     BALANCE_KINDS,
@@ -35,13 +35,26 @@ from residuum.nearest_names import known_names
 BUILT_IN = ("gate-drive", "oven", "linear-axis", "oscillator", "two-tanks", "process")
 LINEAR = (".json", ".mat")
 """Endings of files that hold a transfer function or a state space."""
-KEYS = ("name", "notes", "inputs", "states", "parameters", "balances", "outputs", "own_effects", "effects", "initial")
+KEYS = (
+    "name",
+    "notes",
+    "inputs",
+    "states",
+    "parameters",
+    "constants",
+    "let",
+    "balances",
+    "outputs",
+    "own_effects",
+    "effects",
+    "initial",
+)
 INPUT_KEYS, STATE_KEYS, OUTPUT_KEYS = ("unit", "default"), ("unit", "rate"), ("value", "unit")
 PARAMETER_KEYS = ("value", "unit", "lower", "upper", "fixed", "meaning", "std")
 EFFECT_KEYS = ("id", "balance", "input", "output", "parameters", "provenance")
 """What each entry of a section may hold; balances also name the variables of their kind."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
-_RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max"}
+_RESERVED = {"der", "sin", "cos", "tanh", "exp", "log", "sqrt", "abs", "sign", "min", "max", "and", "or", "not"}
 
 
 def load_model(name_or_path: str | Path) -> PhysicalModel:
@@ -91,8 +104,12 @@ def read_model(text: str, source: str = "model") -> PhysicalModel:
     inputs = {name: _input(name, tree.table("inputs", "model file")) for name in _names(tree, "inputs")}
     states = {name: _state(name, tree.table("states", "model file")) for name in _names(tree, "states")}
     parameters = {name: _parameter(name, tree.table("parameters", "model file")) for name in _names(tree, "parameters")}
-    balances = {name: _balance(name, tree.table("balances", "model file", required=True)) for name in _names(tree, "balances")}
-    outputs = {name: _output(name, tree.table("outputs", "model file", required=True)) for name in _names(tree, "outputs")}
+    parameters |= {name: _constant(name, tree.table("constants", "model file")) for name in _names(tree, "constants")}
+    let = _definitions(tree)
+    balances = {
+        name: _balance(name, tree.table("balances", "model file", required=True), let) for name in _names(tree, "balances")
+    }
+    outputs = {name: _output(name, tree.table("outputs", "model file", required=True), let) for name in _names(tree, "outputs")}
     name = tree.scalar("name", "model file").text
     model = PhysicalModel(
         name,
@@ -208,11 +225,32 @@ def _bound(text: Scalar | None, what: str, infinite: int) -> float:
     return infinite * math.inf if text is None else text.number(what)
 
 
-def _expression(text: Scalar) -> Expression:
-    return parse(text.text, text.place)
+def _constant(name: str, section: Table) -> Parameter:
+    """`g: 9.81 m/s**2`: a number with its unit, which nothing estimates."""
+    text = section.scalar(name, "constants")
+    number, _, unit = text.text.partition(" ")
+    value = Scalar(number, text.place).number(f"constant {name!r}")
+    return Parameter(
+        name, value, _unit(Scalar(unit.strip(), text.place.right(len(number) + 1))) if unit.strip() else "", fixed=True
+    )
 
 
-def _balance(name: str, section: Table) -> Balance:
+def _definitions(tree: Table) -> Mapping[str, Expression]:
+    """The names under `let`, each with those before it put in."""
+    table, found = tree.table("let", "model file"), dict[str, Expression]()
+    for name in _names(tree, "let"):
+        defined = _expression(table.scalar(name, "let"), found)
+        if name in defined.names:
+            raise defined.place.refuse(f"let: {name!r} is defined by itself")
+        found[name] = defined
+    return found
+
+
+def _expression(text: Scalar, let: Mapping[str, Expression]) -> Expression:
+    return with_definitions(parse(text.text, text.place), let)
+
+
+def _balance(name: str, section: Table, let: Mapping[str, Expression]) -> Balance:
     what = f"balance {name!r}"
     table = section.table(name, "balances")
     kind = table.scalar("kind", what)
@@ -224,18 +262,18 @@ def _balance(name: str, section: Table) -> Balance:
     return Balance(
         name,
         kind.text,
-        _expression(table.scalar("storage", what)),
-        MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms")) for term in terms}),
+        _expression(table.scalar("storage", what), let),
+        MappingProxyType({term: _expression(terms.scalar(term, f"{what}, terms"), let) for term in terms}),
         MappingProxyType({role: table.scalar(role, what).text for role in roles if role in table.entries}),
         BALANCE_KINDS[kind.text][0],
     )
 
 
-def _output(name: str, section: Table) -> Output:
+def _output(name: str, section: Table, let: Mapping[str, Expression]) -> Output:
     table = section.table(name, "outputs")
     table.only(OUTPUT_KEYS, f"output {name!r}")
     value, unit = table.scalar("value", f"output {name!r}"), table.optional("unit", f"output {name!r}")
-    return Output(name, _expression(value), _unit(unit) if unit else "")
+    return Output(name, _expression(value, let), _unit(unit) if unit else "")
 
 
 def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:

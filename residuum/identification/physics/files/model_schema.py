@@ -40,6 +40,8 @@ def model_schema() -> dict[str, Any]:
         "inputs": _named({"anyOf": [_TEXT, _object(INPUT_KEYS, ["unit"])]}),
         "states": _named(_object(STATE_KEYS, ["unit"])),
         "parameters": _named(parameter),
+        "constants": _named({"type": ["number", "string"]}),
+        "let": _named(_EXPRESSION),
         "balances": {"type": "object", "minProperties": 1, "additionalProperties": {"oneOf": _balances()}},
         "outputs": {
             "type": "object",

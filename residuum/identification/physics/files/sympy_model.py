@@ -15,7 +15,15 @@ from residuum.nearest_names import known_names
 _FUNCTIONS = {
     sp.sin: "sin",
     sp.cos: "cos",
+    sp.tan: "tan",
+    sp.asin: "asin",
+    sp.acos: "acos",
+    sp.atan: "atan",
+    sp.atan2: "atan2",
+    sp.sinh: "sinh",
+    sp.cosh: "cosh",
     sp.tanh: "tanh",
+    sp.floor: "floor",
     sp.exp: "exp",
     sp.log: "log",
     sp.Abs: "abs",
@@ -49,7 +57,23 @@ class _Text(StrPrinter):
         return f"{expression.p}/{expression.q}"
 
     def _print_Piecewise(self, expression: Any) -> str:
-        raise BadModel("equations: cases (Piecewise) are not known in models; write them with min, max, abs or sign")
+        *cases, (last, condition) = expression.args
+        if condition != sp.true:
+            raise BadModel("equations: the last case of a Piecewise must hold whatever else does (True)")
+        text = self._print(last)
+        for value, condition in reversed(cases):
+            text = f"where({self._condition(condition)}, {self._print(value)}, {text})"
+        return text
+
+    def _condition(self, condition: Any) -> str:
+        if condition.is_Relational:
+            return f"{self._print(condition.lhs)} {condition.rel_op} {self._print(condition.rhs)}"
+        parts = [f"({self._condition(part)})" for part in condition.args]
+        if isinstance(condition, sp.Not):
+            return f"not {parts[0]}"
+        if isinstance(condition, sp.And | sp.Or):
+            return (" and " if isinstance(condition, sp.And) else " or ").join(parts)
+        raise BadModel(f"equations: the condition {condition} is not known in models; write it with comparisons, and, or, not")
 
 
 def model_table(

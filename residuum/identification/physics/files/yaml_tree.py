@@ -153,7 +153,7 @@ def _tree(node: yaml.Node, source: str) -> Tree:
     for key_node, value_node in node.value:
         key = _tree(key_node, source)
         if not isinstance(key, Scalar):
-            raise key.place.refuse("a key must be a single word")
+            raise key.place.refuse("a key must be a single word; in braces, a text with a comma or [ ] stands in quotation marks")
         before = entries.get(last)
         if isinstance(before, Scalar) and before.text.count("(") > before.text.count(")"):
             entries[last] = Scalar(f"{before.text}, {key.text}", before.place)  # `{a: max(b, 0)}`: YAML split at the comma

@@ -26,7 +26,23 @@ const GREEK = {
   Theta: "Θ",
   Phi: "Φ",
 };
-const STRENGTH = { "+": 1, "-": 1, "*": 2, "/": 3, neg: 2, "**": 4 };
+const STRENGTH = {
+  "<": 0,
+  "<=": 0,
+  ">": 0,
+  ">=": 0,
+  "==": 0,
+  "!=": 0,
+  and: 0,
+  or: 0,
+  not: 0,
+  "+": 1,
+  "-": 1,
+  "*": 2,
+  "/": 3,
+  neg: 2,
+  "**": 4,
+};
 
 function m(tag, ...children) {
   const element = document.createElementNS(MATH, tag);
@@ -57,15 +73,22 @@ const SHAPES = {
   der: (a) => m("mover", typeset(a), operator("˙")),
   sqrt: (a) => m("msqrt", typeset(a)),
   abs: (a) => m("mrow", operator("|"), typeset(a), operator("|")),
+  not: (a) => m("mrow", operator("not"), inside(a, 5)),
+  "[]": (...values) => m("mrow", operator("["), listed(values), operator("]")),
 };
+for (const [sign, shown] of Object.entries({ "<": "<", "<=": "≤", ">": ">", ">=": "≥", "==": "=", "!=": "≠" }))
+  SHAPES[sign] = (a, b) => m("mrow", typeset(a), operator(shown), typeset(b));
+for (const word of ["and", "or"]) SHAPES[word] = (a, b) => m("mrow", inside(a, 5), operator(word), inside(b, 5));
+
+const listed = (operands) =>
+  operands.flatMap((operand, index) => (index ? [operator(","), typeset(operand)] : [typeset(operand)]));
 
 export function typeset(tree) {
   if (typeof tree === "number") return m("mn", String(Number(tree.toPrecision(6))));
   if (typeof tree === "string") return name(tree);
   const [head, ...operands] = tree;
   if (SHAPES[head]) return SHAPES[head](...operands);
-  const listed = operands.flatMap((operand, index) => (index ? [operator(","), typeset(operand)] : [typeset(operand)]));
-  return m("mrow", m("mi", head), operator("("), listed, operator(")"));
+  return m("mrow", m("mi", head), operator("("), listed(operands), operator(")"));
 }
 
 // The tree without the minus that its first factor carries; null when there is none.

@@ -1,0 +1,128 @@
+"""What engineers write into a model: tables, cases, constants, names for formulas; beside plain Python, or refused."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import residuum as rs
+from residuum.identification.errors import BadModel
+from residuum.identification.physics import Experiment, Simulator, read_model
+from residuum.identification.physics.files.expression import evaluate, parse
+from residuum.identification.physics.files.model_file import write_model
+
+TANK = """
+name: pumped tank
+inputs: {speed: 1/s}
+states: {h: {unit: m}}
+parameters: {A: {value: 2.0, unit: m**2}, c: {value: 0.1, unit: m**2, lower: 0}, top: {value: 0.9, unit: m**3/s, lower: 0}}
+constants: {g: 9.81 m/s**2, low: 0.1 m}
+let:
+  v: sqrt(2 * g * max(h, 0))
+  outflow: c * v
+balances:
+  tank:
+    kind: volume
+    storage: A * der(h)
+    terms:
+      pump: table(speed, [0, 10, 25, 50], [0, 0.1, 0.4, top])
+      valve: where(speed > 5 or h < -low, -outflow, -0.5 * outflow)
+    level: h
+outputs: {level: {value: h, unit: m}, angle: {value: "atan2(h, low)"}}
+initial: {h: 0.5}
+"""
+
+
+def driven(n=400):
+    return np.repeat(np.random.default_rng(0).uniform(-5.0, 60.0, n // 20), 20)[:, None]
+
+
+def run(model, U, slopes=()):
+    experiment = Experiment(U, np.full((len(U), 2), np.nan), np.zeros(2), 0.1)
+    return Simulator(model).run(experiment, slopes=slopes)
+
+
+def reference(U, top=0.9, c=0.1, steps=200):
+    h, seen = 0.5, []
+    for (speed,) in U:
+        seen.append((h, math.atan2(h, 0.1)))
+        for _ in range(steps):
+            for part in (0.5, 1.0):
+                at = h if part == 0.5 else middle  # noqa: F821  the midpoint of this step
+                out = c * math.sqrt(2 * 9.81 * max(at, 0.0)) * (1.0 if speed > 5 else 0.5)
+                rate = (np.interp(speed, [0, 10, 25, 50], [0, 0.1, 0.4, top]) - out) / 2.0
+                middle = h + part * 0.1 / steps * rate
+            h = middle
+    return np.array(seen)
+
+
+def test_tables_cases_and_names_for_formulas_are_simulated_as_they_are_meant():
+    U = driven()
+    assert np.abs(run(read_model(TANK), U).Y - reference(U)).max() < 1e-5
+
+
+def test_a_value_of_a_table_has_exact_slopes_and_is_estimated():
+    model, U = read_model(TANK), driven()
+    moved = run(model, U, slopes=("top", "c"))
+    for k, name in enumerate(("top", "c")):
+        h = 1e-6 * model.values[name]
+        up, down = (run(model.with_values({name: model.values[name] + s * h}), U).Y for s in (1, -1))
+        assert moved.dY[:, :, k] == pytest.approx((up - down) / (2 * h), abs=1e-4)
+    y = reference(U, top=1.2, c=0.12)[:, 0] + 0.002 * np.random.default_rng(1).standard_normal(len(U))
+    record = rs.Record({"speed": U[:, 0], "level": y}, {"speed": "1/s", "level": "m"}, 0.1)
+    found = rs.Model(model).estimate(record).parameters
+    assert found["top"]["value"] == pytest.approx(1.2, rel=0.01) and found["c"]["value"] == pytest.approx(0.12, rel=0.01)
+
+
+def test_a_written_model_is_the_same():
+    model, U = read_model(TANK), driven(60)
+    again = read_model(write_model(model))
+    assert again.parameters["g"].fixed and again.parameters["g"].unit == "m/s**2"
+    assert np.array_equal(run(again, U).Y, run(model, U).Y)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("table(x, [0, 1, 3], [0, 10, -10])", 5.0),
+        ("table(9, [0, 1, 3], [0, 10, -10])", -10.0),
+        ("where(x > 0.4 and not x > 1, 2, 3)", 2.0),
+        ("where((x + 1) * 2 < 2 or (x == 0.5), 2, 3)", 2.0),
+        ("where((x > 1 or x < -1), 2, 3)", 3.0),
+        ("mod(-7, 3) + floor(-x) + hypot(3, 4)", 6.0),
+    ],
+)
+def test_an_expression_has_the_value_that_is_meant(text, value):
+    assert evaluate(parse(text).tree, {"x": 0.5}) == value
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("[0, 10, 25, 50]", "[0, 25, 10, 50]", "must be numbers that rise"),
+        ("[0, 10, 25, 50]", "[0, 10, c, 50]", "must be numbers that rise"),
+        ("[0, 10, 25, 50]", "[0, 10, 50]", "3 places and 4 values"),
+        ("speed > 5 or h < -low", "speed", "a condition compares two values"),
+        ("speed > 5 or h < -low", "speed > h", "unit clash: '>'"),
+        ("-0.5 * outflow", "-0.5 * h", "unit clash: 'where()'"),
+        ("[0, 0.1, 0.4, top]", "[0, 0.1, h, top]", "unit clash: 'table()'"),
+        ("v: sqrt(2 * g * max(h, 0))", "v: sqrt(2 * g * v)", "'v' is defined by itself"),
+        ("low: 0.1 m}", "low: 0.1 m, h: 1 m}", "'h' is declared in states already"),
+        ("low: 0.1 m}", "low: much m}", "constant 'low'"),
+        ('angle: {value: "atan2(h, low)"}', 'angle: {value: "(h > low) * 2"}', "'>' is not expected|is missing"),
+    ],
+)
+def test_refusals_say_what_and_where(old, new, says):
+    assert old in TANK
+    with pytest.raises(BadModel, match=r"line \d+, column \d+: .*(" + says.replace("()", r"\(\)") + ")"):
+        read_model(TANK.replace(old, new))
+
+
+def test_the_cases_of_a_table_cover_every_place():
+    """The straight pieces meet at the knots."""
+    places, values = [0.0, 1.0, 4.0], [2.0, 3.0, 0.0]
+    written = parse(f"table(x, {places}, {values})").tree
+    for (left, right), (a, b) in zip(pairwise(places), pairwise(values), strict=True):
+        assert evaluate(written, {"x": left}) == a and evaluate(written, {"x": right}) == b
+        assert evaluate(written, {"x": (left + right) / 2}) == pytest.approx((a + b) / 2)
