@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 def share(before: Array, after: Array) -> tuple[float, float]:
     """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
     total = before.sum(axis=0)
+    if not (total > 0.0).any():
+        return 0.0, 0.0  # there was no error
     each = ((before - after)[:, total > 0.0] / total[total > 0.0]).mean(axis=1)
     return float(each.sum()), float(np.sqrt(len(each)) * each.std(ddof=1))
 
@@ -51,7 +53,7 @@ def paired(new: OnBlocks, old: OnBlocks, scale: Scale) -> tuple[float, float]:
     """Mean over blocks of the logarithm by which the new one's error is smaller, and its standard error."""
     p, q = scale.by_block(new.power), scale.by_block(old.power)
     floor = MERITLESS * min(float(p.mean()), float(q.mean())) + 1e-300
-    d = 0.5 * np.log((q + floor) / (p + floor))
+    d = 0.5 * (np.log(q + floor) - np.log(p + floor))
     return float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d)))
 
 
@@ -125,9 +127,9 @@ def simplest(ranked: Sequence[Judged], scale: Scale) -> Judged:
     """
     lead = min(ranked, key=lambda one: one.cost)
     if scale.nats:
-        near = [one for one in ranked if one.cost < lead.cost + TIE]
+        near = [one for one in ranked if one is lead or one.cost < lead.cost + TIE]
     else:
-        near = [one for one in ranked if one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
+        near = [one for one in ranked if one is lead or one.cost < 1.1 * lead.cost or _beside(one, lead, scale)]
     chosen = min(near, key=lambda one: (one.parameters, one.cost))
     return _physics_first(chosen, ranked, scale) if scale.nats else chosen
 

@@ -131,7 +131,8 @@ def own_terms(model: PhysicalModel, balance: str, along: Track) -> Array:
     terms = [z for name, z in look.items() if name.startswith(f"{balance}.") and name != f"{balance}.missing" and np.any(z)]
     if not terms or not np.all(np.isfinite(terms)):
         return np.zeros((len(along.X), 0))
-    u, s, _ = np.linalg.svd(np.column_stack([z / np.linalg.norm(z) for z in terms]), full_matrices=False)
+    scaled = [z / np.abs(z).max() for z in terms]  # the squares of what is next to nothing would be nothing
+    u, s, _ = np.linalg.svd(np.column_stack([z / np.linalg.norm(z) for z in scaled]), full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 

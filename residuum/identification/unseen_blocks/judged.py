@@ -177,7 +177,8 @@ def equations(found: Fit, rung: Rung, scale: Scale) -> Equations | None:
     J = scale.whitened(np.where(known[..., None], dY, 0.0) * scale.weights[:, None], starts)[:, measured]
     known = known[:, measured]
     R[~known], J[~known] = 0.0, 0.0
-    huber = np.sqrt(np.minimum(1.0, scale.clip[measured] / np.maximum(np.abs(R), 1e-300)))
+    clip = np.maximum(scale.clip[measured], 1e-300)
+    huber = np.sqrt(clip / np.maximum(np.abs(R), clip))
     J *= huber[..., None]
     values = model.all_parameters
     theta, lower, upper = (np.array([getattr(values[n], side) for n in names]) for side in ("value", "lower", "upper"))

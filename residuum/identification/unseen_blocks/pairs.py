@@ -50,11 +50,11 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
     """The pairs of these effects that promise most beside a structure, fitted and judged."""
     begun = court.begun(parent.structure)
     own = None if begun is None else equations(begun, court.last, court.scale)
-    if own is None:
+    if own is None or not own.errors.any():  # nothing is left that a pair could explain
         return []
     there = each_beside(lambda key: _at_rest(key, parent, along, court), list(keys))
     slopes = [one for shapes in there for one in shapes]
-    unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else court.scale.unit
+    unit = np.ones(own.errors.shape[1]) if court.scale.unit is None else np.maximum(court.scale.unit, 1e-300)
     T = np.concatenate([own.slopes, *(one.columns for one in slopes)], axis=2) / np.sqrt(unit)[:, None]
     H, g = normal_equations(T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block])
     places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(one.names) for one in slopes)])[:-1])

@@ -69,6 +69,10 @@ def region_json(region: Region) -> dict[str, Any]:
     }
 
 
+def _percent(fit: float) -> str:
+    return f"{fit:.1f} %" if math.isfinite(fit) else "unknown (the record stands still)"
+
+
 def comparison_text(comparison: Comparison) -> str:
     """The short human report."""
     lines = [f"{name}: simulated by itself, because an input is missing before or after it" for name in _parts(comparison)]
@@ -77,7 +81,7 @@ def comparison_text(comparison: Comparison) -> str:
     for name, output in comparison.outputs.items():
         noise = "at most" if output.noise_at_most else "floor"
         lines.append(
-            f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {output.fit_percent:.1f} %, "
+            f"{name}: RMS error {output.rmse:.4g} {output.unit}, fit {_percent(output.fit_percent)}, "
             f"bias {output.bias:.3g} {output.unit}, noise {noise} {output.noise_floor:.3g} {output.unit}"
         )
     for name, balance in comparison.balances.items():

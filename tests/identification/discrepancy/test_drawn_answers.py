@@ -13,6 +13,14 @@ def test_every_question_is_answered_or_refused(seed):
     assert list(broken(case, answers)) == []
 
 
+@pytest.mark.parametrize("seed", (7019, 7042, 7059))
+def test_records_that_leave_nothing_or_stand_still_are_answered(seed):
+    """A channel at rest has no fit in percent; a machine that is met exactly leaves errors of zero to choose among."""
+    case = drawn(seed, effects=4, samples=400, parts=2)
+    answers, _ = asked(case)
+    assert list(broken(case, answers)) == []
+
+
 def test_machines_of_every_kind_are_drawn():
     cases = [drawn(seed, effects=2) for seed in range(10)]
     inputs, parts = {len(c.model.inputs) for c in cases}, {c.text.count("kind: ") for c in cases}

@@ -22,7 +22,7 @@ def _bend(position: Array, force: Array) -> float:
         return end
     q = np.linspace(middle, end, 60, endpoint=False)
     beyond = [np.maximum(position - each, 0.0) for each in q]
-    explained = [min(float(force @ b), 0.0) ** 2 / float(b @ b) for b in beyond]
+    explained = [min(float(force @ b), 0.0) ** 2 / max(float(b @ b), 1e-300) for b in beyond]  # a travel of 1e-160 m squares to 0
     return float(q[int(np.argmax(explained))])
 
 
