@@ -9,12 +9,16 @@ from typer.main import get_command
 import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, asks, choices, field, help_of
+from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
 from residuum.service.app import create_app
 from residuum.service.commands import asked as options
 from residuum.service.settings import Settings
 
-DOORS = {Identify: ("identify", "/api/v1/identify", rs.identify)}
+DOORS = {
+    Identify: ("identify", "identify", rs.identify),
+    DesignController: ("control design", "control-designs", rs.control.design),
+}
 """Question → command, route, function."""
 
 
@@ -31,8 +35,10 @@ def body_of(described, path):
 @pytest.mark.parametrize("question", DOORS)
 def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
     command, path, function = DOORS[question]
-    shown = {p.name: p for p in get_command(import_module(f"residuum.service.commands.{command}").app).params}
-    body, keywords = body_of(described, path), inspect.signature(function).parameters
+    module, *verb = command.split()
+    asked = get_command(import_module(f"residuum.service.commands.{module}").app)
+    shown = {p.name: p for p in (asked.commands[verb[0]] if verb else asked).params}
+    body, keywords = body_of(described, f"/api/v1/{path}"), inspect.signature(function).parameters
     for name, declared in question.model_fields.items():
         default = inspect.Parameter.empty if declared.is_required() else declared.default
         assert keywords[name].default == default
@@ -43,7 +49,7 @@ def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
         key = body["properties"][name]
         assert key.get("default", None) == (None if declared.is_required() else default)
         assert key["description"] == declared.description and key.get("enum", []) == choices(declared)
-        assert (name in body["required"]) == declared.is_required()
+        assert (name in body.get("required", ())) == declared.is_required()
 
 
 class Weigh(Question):

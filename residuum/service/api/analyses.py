@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
-from residuum.library.questions import part_of
+from residuum.library.questions import field, part_of
+from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
+from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
@@ -133,28 +134,27 @@ class Residuals(BaseModel, extra="forbid"):
     )
 
 
-class ControlDesign(BaseModel, extra="forbid"):
-    """Which models a controller is designed for."""
+class ModelVersion(BaseModel, extra="forbid"):
+    """A stored identified model."""
 
-    models: list[Annotated[str, Field(pattern=NAME)]] = Field(
-        min_length=1, max_length=16, description="Stored identified models."
-    )
-    aim: Literal["nominal", "robust"] = Field("nominal", description="Best behaviour, or every model of the band.")
-    joined: str | None = Field(None, pattern=NAME, description="The nominal plant, of all operating points' records.")
-    structure: Literal["pidn", "pid", "pi", "lead-lag", "rational"] = Field("pidn", description="Form of the controller.")
-    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: overshoot below which less brings no benefit (0.01 = 1 %).")
-    settling_time: float | None = Field(None, gt=0, le=1e12, description="nominal: longest settling time [s].")
-    slack: float = Field(0.1, gt=0, le=100, description="nominal: slack of the mixed-sensitivity bound.")
-    in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time.")
-    low_gain: float = Field(120.0, gt=0, le=400, description="robust: l_g [dB].")
-    high_gain: float = Field(-50.0, lt=-0.5, ge=-400, description="robust: least h_g [dB].")
-    critical_frequency: float | None = Field(None, gt=0, le=1e12, description="robust: least ω_c [rad/s].")
-    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of plants drawn.")
-    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of plants drawn.")
-    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
-    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
-    points: int = Field(600, ge=50, le=5000, description="Frequencies of the grid.")
-    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest frequency of the grid [rad/s].")
+    model: str = Field(pattern=NAME)
+    version: int | None = Field(None, ge=1, le=10**9, description="Null: the newest.")
+
+
+def _as_version(given: object) -> object:
+    return {"model": given} if isinstance(given, str) else given
+
+
+Identified = Annotated[ModelVersion, BeforeValidator(_as_version, json_schema_input_type=ModelName | ModelVersion)]
+"""A stored identified model, by its name where the newest version is meant."""
+
+
+class ControlDesign(DesignController):
+    """The question `control design` of stored models."""
+
+    models: list[Identified] = Field(min_length=1, max_length=16, description="Stored identified models, one an operating point.")
+    joined: Identified | None = Field(None, description="The nominal plant, of all operating points' records.")
+    export: str | None = field(None, "Language of the controller as source text, in `exported`.", choices=LANGUAGES)
 
 
 @router.get("/effects")
@@ -238,26 +238,18 @@ def residuals(running: Running, asked: Residuals) -> Response:
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
-    models = [(name, _content(running, name, "identified", None)) for name in asked.models]
-    joined = None if asked.joined is None else _content(running, asked.joined, "identified", None)
-    weight = WeightChoice(asked.epsilon, asked.zeta, asked.rule, asked.weight_order, asked.points, asked.lowest)
-    options = asked.model_dump(include=set(_AIM))
-    work = (models, joined, weight, options)
+    names = [each.model for each in asked.models]
+    work = (names, *models_of(running, asked), part_of(asked, DesignController), asked.export)
     return accepted(running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file))
 
 
-_AIM = (
-    "aim",
-    "structure",
-    "overshoot",
-    "settling_time",
-    "slack",
-    "in_time",
-    "low_gain",
-    "high_gain",
-    "critical_frequency",
-)
-"""What is asked of a controller beside the models and the uncertainty weight."""
+def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
+    """The files of the models that a controller is designed for, and that of the nominal plant."""
+    contents = [_content(running, each.model, "identified", each.version) for each in asked.models]
+    joined = asked.joined
+    return contents, None if joined is None else _content(running, joined.model, "identified", joined.version)
+
+
 Keep = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
@@ -317,5 +309,5 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
     found = running.store.model_versions(model)[0].kind
     if found != kind:
-        raise Conflict(f"model {model!r}: is a {found} model; this needs a {kind} one")
+        raise Conflict(f"model {model!r}: is a {found} model; this needs {'an' if kind == 'identified' else 'a'} {kind} one")
     return running.store.model_content(model, version)

@@ -14,15 +14,16 @@ from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight
+from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.library import control
 from residuum.library.answers.plain import to_plain
 from residuum.library.answers.residual import design_json, run_json
 from residuum.library.model import Model
-from residuum.library.plant import Plant, identified
+from residuum.library.plant import identified
+from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
+from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.views.model_view import model_of
 from residuum.service.views.residual_view import read_identified
@@ -57,7 +58,7 @@ class ResidualChoice:
     gamma: float = 0.1
     epsilon: float = 0.05
     zeta: float = 0.05
-    rule: Rule = "chernoff"
+    rule: str = "chernoff"
     weight_order: int = WEIGHT_ORDER
     points: int | None = None
     lowest: float | None = None
@@ -157,26 +158,24 @@ def residuals(
 
 def design_controller(
     progress: Progress,
-    models: Sequence[tuple[str, bytes]],
+    names: Sequence[str],
+    models: Sequence[bytes],
     joined: bytes | None,
-    weight: WeightChoice,
-    options: Mapping[str, Any],
+    asked: DesignController,
+    export: str | None = None,
 ) -> Mapping[str, Any]:
-    """`result`: the `control design` object, infeasible or with the controller; `models` are names and contents.
-
-    `options` are those of `rs.control.design`.
-    """
+    """`result`: the `control design` object, infeasible or with the controller, and its source text in the language `export`."""
     progress(0.0, "control")
-    plants = [Plant(model, model.method.split("-")[0]) for model in (read_identified(text) for _, text in models)]
     middle = None if joined is None else read_identified(joined)
-    nominal = None if middle is None else Plant(middle, middle.method.split("-")[0])
-    named = {"models": [name for name, _ in models]}
     try:
-        controller = control.design(plants, joined=nominal, weight=weight, **options)
+        controller = control.designed(names, [read_identified(text) for text in models], middle, asked)
     except Infeasible as no:
-        asked = {name: options[name] for name in ("aim", "structure")}
-        return {"result": asked | named | {"feasible": False, "reason": str(no)}}
-    return {"result": json.loads(json.dumps(controller.to_dict() | named | {"file": "controller.json"}))}
+        described = {"aim": asked.aim, "structure": asked.structure, "models": list(names)}
+        return {"result": described | {"feasible": False, "reason": str(no)}}
+    found = controller.to_dict() | {"file": "controller.json"}
+    if export is not None:
+        found["exported"] = LANGUAGES[export](controller.difference_equation())
+    return {"result": json.loads(json.dumps(found))}
 
 
 def _records(records: Sequence[RecordParts]) -> list[Record]:

@@ -9,6 +9,7 @@ import pytest
 
 import residuum as rs
 from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
+from residuum.service.commands import as_option
 
 OWN_TO_A_DOOR = ("file", "model_file", "stored", "record", "records", "models", "seconds")
 """Where each door puts files, what it calls records and models, and how long it took."""
@@ -42,6 +43,22 @@ REFUSED = {
     "what no path alone has": ({"output": ["velocity", "position"], "check": True}, "", "need the method kernel, "),
 }
 """What is asked, which field is refused, and how it goes on."""
+DESIGNED = {
+    "a controller": {},
+    "few plants": {"rule": "worst-case", "epsilon": 0.1, "zeta": 0.2, "weight_order": 1, "points": 80, "lowest": 0.05, "seed": 3},
+    "robust": {"aim": "robust", "low_gain": 60, "high_gain": -6, "critical_frequency": 0.02, "only": "high-gain"},
+    "held in time": {"in_time": True, "overshoot": 0.05},
+    "one wish": {"only": "settling-time", "slack": 0.2, "settling_time": 100},
+    "parameters held": {"structure": "pidn", "fix": {"k_d": 0, "N_d": 1}, "within": {"k_i": [0, 5000]}},
+    "limits": {"limits": [-2.5, 2.5]},
+}
+NOT_DESIGNED = {
+    "an unknown structure": ({"structure": "pidm"}, "structure", "'pidm': there is none of this name; did you mean 'pid'"),
+    "too few plants": ({"epsilon": 0.001}, "epsilon", "must be ≥ 0.005"),
+    "a wish of the other aim": ({"only": "high-gain"}, "only", "is a wish of the aim robust; say "),
+    "limits turned round": ({"limits": [3, 2.5]}, "limits", "3 2.5: must have the lower one first"),
+    "a text for a number": ({"fix": {"k_d": "none"}}, "fix.k_d", "'none': must be a number"),
+}
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
@@ -106,8 +123,11 @@ def options(asked):
             yield f"--no-{name}"
         elif name in ("input", "output"):
             yield from (word for channel in np.ravel(value) for word in (f"--{name}", channel))
-        elif name == "map":
-            yield from (word for pair in value.items() for word in ("--map", "=".join(pair)))
+        elif isinstance(value, dict):
+            texts = {key: ":".join(map(str, np.ravel(part))) for key, part in value.items()}
+            yield from (word for pair in texts.items() for word in (as_option(name), "=".join(pair)))
+        elif name == "limits":
+            yield from (as_option(name), *value)
         else:
             yield from (f"--{name.replace('_', '-')}", ",".join(value) if isinstance(value, list) else value)
 
@@ -130,7 +150,7 @@ def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, client, r
     shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
     status, http = refused("POST", "/api/v1/identify", json=asked | {"records": [number]})
     assert status == 422
-    for told, name in (str(python.value), field), (shell, f"--{field.replace('_', '-')}"), (http, f'"{field}"'):
+    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
         assert told.startswith(name if field else "several"), told
         assert says in told, told
 
@@ -145,15 +165,40 @@ def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
     assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
 
 
-def test_a_controller(axis, client, capsys, tmp_path):
+@pytest.fixture(scope="module")
+def plant_file(axis, client, tmp_path_factory):
+    """The axis as an output-error model: its file, and at the service `axis`."""
     path, number = axis["position"]
     asked = AXIS | {"method": "oe", "order": 1, "delay": 1}
-    rs.identify(path, **asked).save(tmp_path / "axis.json")
+    file = tmp_path_factory.mktemp("plant") / "axis.json"
+    rs.identify(path, **asked).save(file)
     answered(client, "identify", asked | {"records": [number], "save_as": "axis"})
-    told = shared(rs.control.design(tmp_path / "axis.json", structure="pi").to_dict())
-    out = tmp_path / "controller.json"
-    assert shared(printed(capsys, "control", "design", tmp_path / "axis.json", "--structure", "pi", "--out", out)) == told
-    assert shared(answered(client, "control-designs", {"models": ["axis"], "structure": "pi"})) == told
+    return file
+
+
+@pytest.mark.parametrize("case", DESIGNED)
+def test_a_controller(case, plant_file, client, capsys, tmp_path):
+    asked = {"structure": "pi"} | DESIGNED[case]
+    told = shared(rs.control.design(plant_file, **asked).to_dict())
+    out = ["--out", tmp_path / "controller.json"]
+    assert shared(printed(capsys, "control", "design", plant_file, *options(asked), *out)) == told
+    assert shared(answered(client, "control-designs", {"models": ["axis"]} | asked)) == told
+    if case == "limits":
+        exported = answered(client, "control-designs", {"models": [{"model": "axis"}], "export": "c"} | asked)["exported"]
+        assert "controller_step" in exported and "2.5" in exported
+
+
+@pytest.mark.parametrize("case", NOT_DESIGNED)
+def test_a_controller_is_refused_alike(case, plant_file, client, refused, capsys, tmp_path):
+    asked, field, says = NOT_DESIGNED[case]
+    with pytest.raises(rs.BadInput) as python:
+        rs.control.design(plant_file, **asked)
+    assert run(["control", "design", str(plant_file), "--out", str(tmp_path / "k"), *map(str, options(asked))]) == BAD_INPUT
+    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
+    status, http = refused("POST", "/api/v1/control-designs", json=asked | {"models": ["axis"]})
+    assert status == 422
+    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
+        assert told.startswith(name) and says in told, told
 
 
 @pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])

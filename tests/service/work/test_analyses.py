@@ -9,8 +9,8 @@ from residuum.identification.linear_models.identified_model_file import identifi
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified
+from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked, ResidualChoice
 from residuum.service.work.record_parts import parts_of
@@ -66,8 +66,8 @@ def test_every_run_is_a_part_of_the_residuals_work(plant):
 
 def test_a_design_that_cannot_be_is_an_answer(plant):
     model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
-    impossible = {"aim": "nominal", "structure": "pi", "overshoot": 1e-6, "settling_time": 1e-6, "slack": 1e-6}
-    _, found = told_by(analyses.design_controller, [("press", model)], None, WeightChoice(), impossible)
+    impossible = DesignController(structure="pi", overshoot=1e-6, settling_time=1e-6, slack=1e-6)
+    _, found = told_by(analyses.design_controller, ["press"], [model], None, impossible)
     assert found["result"]["feasible"] is False and found["result"]["reason"]
     assert found["result"]["models"] == ["press"]
 
