@@ -25,10 +25,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _RULES = {
     "missing": "is missing",
     "finite_number": "must be a finite number",
-    "greater_than_equal": "must be ≥ {ge}",
-    "greater_than": "must be > {gt}",
-    "less_than_equal": "must be ≤ {le}",
-    "less_than": "must be < {lt}",
+    "greater_than_equal": "must be ≥ {ge:.10g}",
+    "greater_than": "must be > {gt:.10g}",
+    "less_than_equal": "must be ≤ {le:.10g}",
+    "less_than": "must be < {lt:.10g}",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
@@ -108,7 +108,9 @@ def choices(field: FieldInfo) -> list[str]:
 def help_of(field: FieldInfo) -> str:
     """What a field means, the names that it takes, and its bounds."""
     names = choices(field)
-    limits = [f"{sign} {getattr(rule, key):g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)]
+    limits = [
+        f"{sign} {getattr(rule, key):.10g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)
+    ]
     more = [f"One of {', '.join(names)}."] if names else [f"Must be {' and '.join(limits)}."] if limits else []
     return " ".join([str(field.description), *more])
 

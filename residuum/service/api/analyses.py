@@ -15,6 +15,7 @@ from residuum.library.answers.effect import effect_json
 from residuum.library.questions import field, part_of
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
@@ -24,7 +25,7 @@ from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work import analyses
-from residuum.service.work.analyses import Asked, ResidualChoice
+from residuum.service.work.analyses import Asked
 from residuum.service.work.record_parts import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
@@ -109,29 +110,12 @@ class Identification(Identify):
         return self
 
 
-WEIGHT_FIELDS = ("epsilon", "zeta", "rule", "weight_order", "points", "lowest")
-"""What a user chooses of an uncertainty weight."""
-
-
-class Residuals(BaseModel, extra="forbid"):
-    """A residual design and the records it runs on."""
+class Residuals(DesignResidual, RunResidual):
+    """The questions `residual design` of a stored model and `residual run` of stored records."""
 
     model: str = Field(pattern=NAME, description="A stored identified model.")
     healthy: RecordNumbers
     records: RecordNumbers
-    fault: Literal["sensor", "actuator"] = Field("sensor", description="Kind of fault to be most sensitive to.")
-    threshold: Literal["posterior", "peak", "source", "calibrated"] = Field("posterior", description="Kind of threshold.")
-    false_alarms_per_day: float = Field(1.0, gt=0, le=86400, description="For the posterior and the calibrated threshold.")
-    gamma: float = Field(0.1, gt=0, le=1e6, description="Largest gain from model error and noise to the residual, γ.")
-    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of models drawn.")
-    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of models drawn.")
-    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
-    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
-    points: int | None = Field(None, ge=2, le=5000, description="Frequencies that the grid begins with; null: refined anyway.")
-    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest of these frequencies [rad/s].")
-    method: Literal["robust", "observer", "kalman", "parity", "h-infinity"] = Field(
-        "robust", description="Method for the post-filter: Algorithm 5, or a classical residual generator."
-    )
 
 
 class ModelVersion(BaseModel, extra="forbid"):
@@ -224,14 +208,13 @@ def residuals(running: Running, asked: Residuals) -> Response:
     """Design a residual generator from an identified model and run it on records: `design`, and a `run` a record."""
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
     content = _content(running, asked.model, "identified", None)
-    choice = ResidualChoice(**asked.model_dump(include={"fault", "gamma", "method", *WEIGHT_FIELDS}))
-    threshold = {"threshold": asked.threshold, "false_alarms_per_day": asked.false_alarms_per_day}
+    questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         runs = zip(outcome["runs"], asked.records, strict=True)
         return {"design": outcome["design"], "runs": [found | {"record": number} for found, number in runs]}
 
-    work = (content, healthy, records, choice, threshold)
+    work = (content, healthy, records, *questions)
     return accepted(running.jobs.submit("residuals", analyses.residuals, *work, then=named))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from fastapi import APIRouter, Response
 from pydantic import model_validator
@@ -23,7 +24,7 @@ router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEM
 class ControlView(ControlDesign):
     """The same question, to look at; source text in every language comes with it."""
 
-    renamed = {  # noqa: RUF012  # a class's constant, as in the class above
+    renamed: ClassVar[Mapping[str, str]] = {
         "low_gain_db": "low_gain",
         "smallest_high_gain_db": "high_gain",
         "lowest_critical_frequency": "critical_frequency",

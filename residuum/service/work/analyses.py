@@ -8,13 +8,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
-from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.library import control
 from residuum.library.answers.plain import to_plain
@@ -23,6 +19,7 @@ from residuum.library.model import Model
 from residuum.library.plant import identified
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.views.model_view import model_of
@@ -48,29 +45,6 @@ class Asked:
         """Model and records as the library takes them; BadModel for a text that is none."""
         name = self.model if self.text is None else MODEL_FILE
         return Model(model_of(name, self.text), name), _records(self.records)
-
-
-@dataclass(frozen=True)
-class ResidualChoice:
-    """How a residual generator is designed: for which fault, its γ, and its uncertainty weight's ε, ζ, rule, order and grid."""
-
-    fault: Literal["sensor", "actuator"] = "sensor"
-    gamma: float = 0.1
-    epsilon: float = 0.05
-    zeta: float = 0.05
-    rule: str = "chernoff"
-    weight_order: int = WEIGHT_ORDER
-    points: int | None = None
-    lowest: float | None = None
-    method: str = "robust"
-
-    def made(self, model: IdentifiedModel, healthy: Sequence[Record]) -> ResidualDesign:
-        """The design for a model, its noise learned from healthy records."""
-        grid, sure = asked_grid(model.sample_time, self.points, self.lowest), 1 - self.zeta
-        weight = design_uncertainty_weight(
-            model, omega=grid, accuracy=self.epsilon, confidence=sure, rule=self.rule, order=self.weight_order
-        )
-        return design_residual(model, weight.weight, healthy, fault=self.fault, gamma=self.gamma, method=self.method)
 
 
 def compare(progress: Progress, asked: Asked) -> Mapping[str, Any]:
@@ -141,18 +115,18 @@ def residuals(
     model: bytes,
     healthy: Sequence[RecordParts],
     records: Sequence[RecordParts],
-    choice: ResidualChoice,
-    threshold: Mapping[str, Any],
+    asked: DesignResidual,
+    judged: RunResidual,
 ) -> Mapping[str, Any]:
-    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `threshold` goes to `detect`."""
+    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `judged` is asked of these."""
     steps = 1 + len(records)
     progress(0.0, "residual")
     known = _records(healthy)
-    made = choice.made(read_identified(model), known)
+    made = residual_for(read_identified(model), known, asked)
     runs = []
     for number, record in enumerate(_records(records), start=1):
         progress(number / steps, "residual")
-        runs.append(to_plain(run_json(made, record, detect(made, record, **threshold))))
+        runs.append(to_plain(run_json(made, record, detect(made, record, **judged.model_dump()))))
     return {"design": to_plain(design_json(made, known, identified="model.json", file="design.json")), "runs": runs}
 
 

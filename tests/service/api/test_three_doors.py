@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import residuum as rs
+from residuum.library.questions.residual import DesignResidual
 from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
 from residuum.service.commands import as_option
 
-OWN_TO_A_DOOR = ("file", "model_file", "stored", "record", "records", "models", "seconds")
+OWN_TO_A_DOOR = ("file", "model_file", "identified", "stored", "record", "records", "models", "seconds")
 """Where each door puts files, what it calls records and models, and how long it took."""
 AXIS = {"input": "force", "output": "velocity"}
 IDENTIFIED = {
@@ -58,6 +59,20 @@ NOT_DESIGNED = {
     "a wish of the other aim": ({"only": "high-gain"}, "only", "is a wish of the aim robust; say "),
     "limits turned round": ({"limits": [3, 2.5]}, "limits", "3 2.5: must have the lower one first"),
     "a text for a number": ({"fix": {"k_d": "none"}}, "fix.k_d", "'none': must be a number"),
+}
+WATCHED = {
+    "a residual": ({}, {}),
+    "an actuator's": ({"fault": "actuator", "gamma": 0.2, "rule": "worst-case", "weight_order": 1}, {"threshold": "peak"}),
+    "a classical one": ({"method": "kalman"}, {"false_alarms_per_day": 5}),
+    "another evaluation": ({}, {"evaluation": "rms", "false_alarms_per_day": 2}),
+    "a bound of the noise": ({}, {"threshold": "source", "noise_bound": 0.5}),
+}
+"""What is asked of the design, and of its run."""
+NOT_WATCHED = {
+    "an unknown method": ({"method": "kalmann"}, "method", "'kalmann': there is none of this name; did you mean 'kalman'"),
+    "no gain": ({"gamma": 0}, "gamma", ": must be > 0"),
+    "an unknown threshold": ({"threshold": "peek"}, "threshold", "'peek': there is none of this name; did you mean 'peak'"),
+    "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
 }
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
@@ -176,6 +191,17 @@ def plant_file(axis, client, tmp_path_factory):
     return file
 
 
+@pytest.fixture(scope="module")
+def short_plant(axis, client, tmp_path_factory):
+    """The axis as an impulse response of 20 samples: its file, and at the service `short`."""
+    path, number = axis["position"]
+    asked = AXIS | {"order": 20, "delay": 1}
+    file = tmp_path_factory.mktemp("short") / "axis.json"
+    rs.identify(path, **asked).save(file)
+    answered(client, "identify", asked | {"records": [number], "save_as": "short"})
+    return file
+
+
 @pytest.mark.parametrize("case", DESIGNED)
 def test_a_controller(case, plant_file, client, capsys, tmp_path):
     asked = {"structure": "pi"} | DESIGNED[case]
@@ -198,6 +224,29 @@ def test_a_controller_is_refused_alike(case, plant_file, client, refused, capsys
     status, http = refused("POST", "/api/v1/control-designs", json=asked | {"models": ["axis"]})
     assert status == 422
     for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
+        assert told.startswith(name) and says in told, told
+
+
+@pytest.mark.parametrize("case", WATCHED)
+def test_a_residual(case, axis, short_plant, client, capsys, tmp_path):
+    (path, number), (designed, judged) = axis["position"], WATCHED[case]
+    out = ["--out", tmp_path / "design"]
+    design = printed(capsys, "residual", "design", short_plant, "--healthy", path, *options(designed), *out)
+    ran = printed(capsys, "residual", "run", tmp_path / "design", path, *options(judged))
+    body = {"model": "short", "healthy": [number], "records": [number]} | designed | judged
+    http = answered(client, "residuals", body)
+    assert shared(http["design"]) == shared(design) and shared(http["runs"][0]) == shared(ran)
+
+
+@pytest.mark.parametrize("case", NOT_WATCHED)
+def test_a_residual_is_refused_alike(case, plant_file, refused, capsys, tmp_path):
+    asked, field, says = NOT_WATCHED[case]
+    verb = ["design", plant_file, "--out", tmp_path / "d"] if field in DesignResidual.model_fields else ["run", "d", "r.csv"]
+    assert run(["residual", *map(str, verb), *map(str, options(asked))]) == BAD_INPUT
+    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
+    status, http = refused("POST", "/api/v1/residuals", json={"model": "axis", "healthy": [1], "records": [1]} | asked)
+    assert status == 422
+    for told, name in (shell, as_option(field)), (http, f'"{field}"'):
         assert told.startswith(name) and says in told, told
 
 

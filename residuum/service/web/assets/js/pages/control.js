@@ -343,7 +343,7 @@ function body(asked) {
     aim: asked.aim,
     structure: asked.structure,
     ...wishes,
-    ...weightParameters(asked, "weight_order"),
+    ...weightParameters(asked),
     ...(asked.only ? { only: asked.only } : {}),
     limits: [bound(asked.lower), bound(asked.upper)],
   };
