@@ -10,6 +10,7 @@ import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, asks, choices, field, help_of
 from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.library.questions.uncertainty import Uncertainty
@@ -19,6 +20,7 @@ from residuum.service.settings import Settings
 
 DOORS = {
     Identify: ("identify", "identify", rs.identify),
+    Estimate: ("estimate", "models/{model}/estimate", rs.Model.estimate),
     DesignController: ("control design", "control-designs", rs.control.design),
     DesignResidual: ("residual design", "residuals", None),
     RunResidual: ("residual run", "residuals", None),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, BeforeValidator, Field, model_validator
@@ -14,6 +14,7 @@ from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
 from residuum.library.questions import field, part_of
 from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
@@ -90,10 +91,9 @@ class Improvement(Comparison):
         return self
 
 
-class Estimation(Comparison):
-    """Which records the parameters are estimated from."""
+class Estimation(Estimate, Comparison):
+    """The question `estimate` of a stored model and stored records."""
 
-    method: Literal["simulation", "prediction", "kalman"] = Field("simulation", description="What error is minimised.")
     save_as: SaveAs = None
 
 
@@ -192,7 +192,7 @@ def estimate(request: Request, running: Running, model: ModelName, asked: Estima
     """Estimate the model's parameters, its structure as it is."""
     keep = _keep(request, running, asked.save_as, "physical")
     work = _asked(running, model, asked)
-    return accepted(running.jobs.submit("estimate", analyses.estimate, work, asked.method, then=keep))
+    return accepted(running.jobs.submit("estimate", analyses.estimate, work, part_of(asked, Estimate), then=keep))
 
 
 @router.post("/identify", status_code=202, response_model=JobAnswer)

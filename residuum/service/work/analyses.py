@@ -18,6 +18,7 @@ from residuum.library.answers.residual import design_json, run_json
 from residuum.library.model import Model
 from residuum.library.plant import identified
 from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.robust_control.controller_export import LANGUAGES
@@ -95,12 +96,13 @@ def improve(
     return {"result": found.to_dict(), "file": found.model.text.encode()}
 
 
-def estimate(progress: Progress, asked: Asked, method: str) -> Mapping[str, Any]:
-    """`result`: the `estimate` object; `file`: the model's text with the values, none where they have not settled."""
+def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[str, Any]:
+    """`result`: the `estimate` object; `file`: the model's text, where its values have not settled only with `anyway`."""
     progress(0.0, "estimate")
     model, records = asked.opened()
-    found = model.estimate(records, map=asked.mapping, method=method)
-    return {"result": found.to_dict(), "file": None if found.unsettled else found.model.text.encode()}
+    found = model.estimate(records, map=asked.mapping, **question.model_dump())
+    written = question.anyway or not found.unsettled
+    return {"result": found.to_dict(), "file": None if not written else found.model.text.encode()}
 
 
 def identify(progress: Progress, records: Sequence[RecordParts], asked: Identify) -> Mapping[str, Any]:

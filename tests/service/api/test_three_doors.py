@@ -78,7 +78,7 @@ ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
     "estimate": ("estimate", {}),
-    "estimate by prediction": ("estimate", {"method": "prediction"}),
+    "estimate by prediction": ("estimate", {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True}),
     "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
     "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
