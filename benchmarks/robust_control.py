@@ -23,6 +23,7 @@ from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
+from residuum.library.questions.control_design import DesignController
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
@@ -232,7 +233,7 @@ def control_view() -> None:
     for aim in ("nominal", "robust"):
 
         def view(aim: str = aim) -> dict[str, Any]:
-            return dict(view_control_design(lambda *_: None, [content], "pidn", {"aim": aim}, (None, None), 0))
+            return dict(view_control_design(lambda *_: None, [content], None, DesignController(aim=aim)))
 
         points = len(view()["points"])
         print(f"| {aim} | {points} | {cpu_seconds(view, 3):.1f} |")

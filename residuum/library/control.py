@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from residuum.identification.errors import BadInput
+from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_design import design_json, design_text
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.picture import Curve, Panel, Picture
 from residuum.library.plant import Plant, load_plant, to_control
+from residuum.library.questions import asks
+from residuum.library.questions.control_design import DesignController
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
-from residuum.nearest_names import known_names
 from residuum.robust_control.certificates.time_domain import Measured, StepResponse, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
@@ -45,6 +46,8 @@ class Controller(Result):
         What it was designed for.
     problem, found
         The control problem (plant, weights, grid), and the Pareto front with the point that was chosen.
+    limits : (lower, upper)
+        Of the actuator, in exported code.
 
     Examples
     --------
@@ -61,6 +64,7 @@ class Controller(Result):
     problem: ControlProblem
     wishes: Wishes
     found: Solution
+    limits: tuple[float, float] = _NO_LIMITS
 
     @property
     def transfer_function(self) -> TransferFunction:
@@ -100,13 +104,13 @@ class Controller(Result):
         """
         return to_control(self.transfer_function)
 
-    def difference_equation(self, limits: tuple[float, float] = _NO_LIMITS) -> DifferenceEquation:
+    def difference_equation(self, limits: tuple[float, float] | None = None) -> DifferenceEquation:
         """What the target computes each sample; `limits` of the actuator are kept without wind-up.
 
         Parameters
         ----------
         limits : (lower, upper)
-            Of the actuator, in the unit of the plant's input.
+            Of the actuator, in the unit of the plant's input; None: those it was designed with.
 
         Returns
         -------
@@ -125,16 +129,16 @@ class Controller(Result):
         >>> "u" in controller.difference_equation().text()
         True
         """
-        return DifferenceEquation(self.transfer_function, *limits)
+        return DifferenceEquation(self.transfer_function, *(self.limits if limits is None else limits))
 
-    def export_c(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] = _NO_LIMITS) -> str:
+    def export_c(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] | None = None) -> str:
         """The controller as C99 without dependencies, with its self-test; written to `path` when one is given.
 
         Parameters
         ----------
         path : str or path
         limits : (lower, upper)
-            Of the actuator, in the unit of the plant's input.
+            Of the actuator, in the unit of the plant's input; None: those it was designed with.
 
         Returns
         -------
@@ -155,14 +159,16 @@ class Controller(Result):
         """
         return self._exported("c", path, limits)
 
-    def export_structured_text(self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] = _NO_LIMITS) -> str:
+    def export_structured_text(
+        self, path: str | PathLike[str] | None = None, *, limits: tuple[float, float] | None = None
+    ) -> str:
         """The controller as IEC 61131-3 structured text; `path` and `limits` as in `export_c`.
 
         Parameters
         ----------
         path : str or path
         limits : (lower, upper)
-            Of the actuator, in the unit of the plant's input.
+            Of the actuator, in the unit of the plant's input; None: those it was designed with.
 
         Returns
         -------
@@ -183,7 +189,7 @@ class Controller(Result):
         """
         return self._exported("st", path, limits)
 
-    def _exported(self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float]) -> str:
+    def _exported(self, language: str, path: str | PathLike[str] | None, limits: tuple[float, float] | None) -> str:
         text = LANGUAGES[language](self.difference_equation(limits))
         if path is not None:
             write_whole(Path(path), text)
@@ -218,24 +224,12 @@ class Controller(Result):
         return step_response(plant, self.transfer_function, duration)
 
 
+@asks(DesignController)
 def design(
     plants: Plant | str | PathLike[str] | Sequence[Plant | str | PathLike[str]],
     *,
-    aim: str = "nominal",
-    structure: str = "pidn",
-    overshoot: float = 0.01,
-    settling_time: float | None = None,
-    slack: float = 0.1,
-    only: str | None = None,
-    in_time: bool = False,
-    low_gain: float = 120.0,
-    high_gain: float = -50.0,
-    critical_frequency: float | None = None,
     joined: Plant | str | PathLike[str] | None = None,
-    weight: WeightChoice | None = None,
-    fix: Mapping[str, float] | None = None,
-    within: Mapping[str, tuple[float, float]] | None = None,
-    seed: int = 0,
+    **given: Any,
 ) -> Controller:
     """A controller of fixed structure that keeps its promise for every plant that the data do not exclude.
 
@@ -243,32 +237,8 @@ def design(
     ----------
     plants : Plant, file, or a list of these
         One an operating point, of one sample time.
-    aim : str
-        `nominal` (performance of the plant in the middle, Algorithm 2) or `robust` (of all of them, Algorithm 3).
-    structure : str
-        `pidn`, `pid`, `pi`, `lead-lag` or `rational`.
-    overshoot : float
-        Nominal aim: the least that is worth having (0.01 = 1 %).
-    settling_time : float
-        Nominal aim: the longest [s]; None: ten times the longest impulse response.
-    slack : float
-        Nominal aim: γ of the mixed-sensitivity bound 1 + γ.
-    only : str
-        One wish alone: `overshoot` or `settling-time`; with the robust aim `high-gain` or `critical-frequency`.
-    in_time : bool
-        Nominal aim: overshoot and settling time hold in time, on the nominal loop and 95 % of the drawn plants.
-    low_gain, high_gain : float
-        Robust aim: l_g, and the smallest h_g, of the performance weight [dB].
-    critical_frequency : float
-        Robust aim: the lowest ω_c [rad/s]; None: a thousandth of where |W_T| reaches 1.
     joined : Plant or file
         The nominal plant: one model of all operating points' records; None: the models' mean.
-    weight : WeightChoice
-        ε, ζ, the rule of the number of plants, the order and the grid of the uncertainty weight; None: the defaults.
-    fix, within : mapping of name to value, or to (low, high)
-        Parameters of the controller to hold, or to keep between limits.
-    seed : int
-        Of the drawn plants.
 
     Returns
     -------
@@ -290,19 +260,37 @@ def design(
     >>> rs.control.design(plant, structure="pi").structure
     'pi'
     """
-    if structure not in STRUCTURES:
-        raise BadInput(f"structure {structure!r}: there is none of this name; {known_names(structure, STRUCTURES)}")
-    wishes = Wishes(aim, overshoot, settling_time, slack, only, in_time, low_gain, high_gain, critical_frequency)
-    given: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
-    loaded = [plant if isinstance(plant, Plant) else load_plant(plant) for plant in given]
-    names = [_described(plant) if isinstance(plant, Plant) else str(plant) for plant in given]
-    middle = joined if joined is None or isinstance(joined, Plant) else load_plant(joined)
-    nominal = None if middle is None else middle.identified
-    problem = ControlProblem([plant.identified for plant in loaded], seed, joined=nominal, weight=weight)
-    law: ControllerStructure = STRUCTURES[structure](problem.loop.sample_time)
-    if fix or within:
-        law = Constrained(law, fixed=dict(fix or {}), within=dict(within or {}))
-    return Controller(structure, aim, tuple(names), problem, wishes, problem.solve(law, wishes))
+    asked = DesignController.of(given)
+    listed: list[Plant | str | PathLike[str]] = [plants] if isinstance(plants, Plant | str | PathLike) else list(plants)
+    names = [_described(plant) if isinstance(plant, Plant) else str(plant) for plant in listed]
+    middle = None if joined is None else _loaded(joined).identified
+    return designed(names, [_loaded(plant).identified for plant in listed], middle, asked)
+
+
+def designed(
+    names: Sequence[str], models: Sequence[IdentifiedModel], joined: IdentifiedModel | None, asked: DesignController
+) -> Controller:
+    """The controller for models of these names; `joined` as in `design`."""
+    problem = posed(models, joined, asked)
+    wishes = asked.handed_to(Wishes)
+    return Controller(
+        asked.structure, asked.aim, tuple(names), problem, wishes, problem.solve(law(problem, asked), wishes), asked.actuator
+    )
+
+
+def posed(models: Sequence[IdentifiedModel], joined: IdentifiedModel | None, asked: DesignController) -> ControlProblem:
+    """The control problem that is asked."""
+    return ControlProblem(models, asked.seed, joined=joined, weight=asked.handed_to(WeightChoice))
+
+
+def law(problem: ControlProblem, asked: DesignController) -> ControllerStructure:
+    """The structure whose parameters are sought, those that are held or kept between limits among them."""
+    whole: ControllerStructure = STRUCTURES[asked.structure](problem.loop.sample_time)
+    return Constrained(whole, fixed=asked.fix, within=asked.within) if asked.fix or asked.within else whole
+
+
+def _loaded(plant: Plant | str | PathLike[str]) -> Plant:
+    return plant if isinstance(plant, Plant) else load_plant(plant)
 
 
 def _described(plant: Plant) -> str:

@@ -25,6 +25,8 @@ from residuum.identification.residual_analysis.odd_readings import records_witho
 from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
 from residuum.library.progress import Progress, told
+from residuum.library.questions import asks
+from residuum.library.questions.estimate import Estimate
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 
@@ -263,32 +265,19 @@ class Model(DescribedModel):
             )
         return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, given, map)), *left_out))
 
-    def estimate(
-        self,
-        records: Records,
-        *,
-        map: Mapped = None,
-        method: str = "simulation",
-        steps: int = 50,
-        hold: str = "auto",
-        anyway: bool = False,
-    ) -> Estimation[Model]:
+    @asks(Estimate)
+    def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:
         """Estimate the free parameters, the structure as it is; a record's note `split: 0.7` keeps its rest for validation.
 
         Parameters
         ----------
         records : Record, file, or a list of these
         map : mapping of model name to column
-        method : str
-            The error that is minimised: `simulation`, `prediction` (of `steps` samples) or `kalman`.
-        hold : str
-            Inputs between samples: `auto`, `linear` or `zero-order`.
-        anyway : bool
-            Give the model also where the search did not come to rest; else `Estimation.model` refuses and says why.
 
         Returns
         -------
         Estimation
+            Its `model` refuses and says why where the search has not come to rest, but `anyway`.
 
         Raises
         ------
@@ -309,11 +298,12 @@ class Model(DescribedModel):
         from residuum.library.estimation import estimated  # noqa: PLC0415
         from residuum.library.improvement import Estimation  # noqa: PLC0415
 
-        given, left_out = self._sensed(self._measured(records, map), map)
-        found = estimated(self.physical, given, map, method=method, steps=steps, hold=hold)
+        asked = Estimate.of(given)
+        measured, left_out = self._sensed(self._measured(records, map), map)
+        found = estimated(self.physical, measured, map, method=asked.method, steps=asked.steps, hold=asked.hold)
         result, fitted = found.estimate, Model(found.estimate.model)
-        answer = self._given, _names(given), method, found.held_out_rmse, result, found.experiments
-        return Estimation(fitted, *answer, found.unsettled, anyway, left_out)
+        answer = self._given, _names(measured), asked.method, found.held_out_rmse, result, found.experiments
+        return Estimation(fitted, *answer, found.unsettled, asked.anyway, left_out)
 
     def simulate(self, record: MeasuredRecord, *, map: Mapped = None, initial: Mapping[str, float] | None = None) -> Record:
         """The outputs as the model computes them from the record's inputs.

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES, Rule
-from residuum.nearest_names import known_names
+from residuum.identification.linear_models.uncertainty import SAMPLE_SIZE_RULES
 from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
 from residuum.robust_control.certificates.time_domain import Measured, measured
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
@@ -55,7 +54,7 @@ class Wishes:
         γ of the mixed-sensitivity bound 1 + γ.
     only : str or None
         One wish alone (Remark 2.7).
-    low_gain_db, smallest_high_gain_db, lowest_critical_frequency : float
+    low_gain, high_gain, critical_frequency : float
         robust: l_g, h_g,min [dB] and ω_c,min [rad/s] of (2.37); the last None: a thousandth of where |W_T| reaches 1.
     in_time : bool
         nominal: overshoot and settling time are limits on step responses, not parameters of a weight (`design_in_time`).
@@ -67,17 +66,9 @@ class Wishes:
     slack: float = 0.1
     only: str | None = None
     in_time: bool = False
-    low_gain_db: float = 120.0
-    smallest_high_gain_db: float = -50.0
-    lowest_critical_frequency: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.aim not in AIMS:
-            raise BadInput(f"aim {self.aim!r}: {known_names(self.aim, ['nominal', 'robust'], 'must be one of')}")
-        if self.in_time and (self.aim != "nominal" or self.only is not None):
-            raise BadInput("in time: needs the aim nominal, and holds both wishes; leave `only` out")
-        if self.in_time and not (0 < self.overshoot < 1 and (self.settling_time is None or self.settling_time > 0)):
-            raise BadInput("in time: the overshoot must lie between 0 and 1, and the settling time be positive")
+    low_gain: float = 120.0
+    high_gain: float = -50.0
+    critical_frequency: float | None = None
 
     @property
     def names(self) -> tuple[str, str]:
@@ -96,8 +87,8 @@ class WeightChoice:
 
     epsilon: float = 0.05
     zeta: float = 0.05
-    rule: Rule = "chernoff"
-    order: int = 2
+    rule: str = "chernoff"
+    weight_order: int = 2
     points: int = 600
     lowest: float | None = None
 
@@ -175,7 +166,7 @@ class ControlProblem:
 
     def _uncertainty(self, plant: TransferFunction, omega: FloatArray) -> tuple[TransferFunction, FloatArray]:
         """W_T and Ω; two orders more where the fit alone, not Ω, is over 100 % at the lowest frequency."""
-        for order in (self.choice.order, self.choice.order + _MORE_ORDER):
+        for order in (self.choice.weight_order, self.choice.weight_order + _MORE_ORDER):
             W_T, largest = overall_uncertainty(
                 self.models, plant, omega, n_samples=self.choice.samples, order=order, seed=self.seed
             )
@@ -267,8 +258,8 @@ class ControlProblem:
         return plants
 
     def _robust_aim(self, wishes: Wishes) -> RobustAim:
-        lowest = self.crossing / 1000.0 if wishes.lowest_critical_frequency is None else wishes.lowest_critical_frequency
-        return RobustAim(wishes.low_gain_db, wishes.smallest_high_gain_db, lowest_critical_frequency=lowest, only=wishes.only)
+        lowest = self.crossing / 1000.0 if wishes.critical_frequency is None else wishes.critical_frequency
+        return RobustAim(wishes.low_gain, wishes.high_gain, lowest_critical_frequency=lowest, only=wishes.only)
 
 
 def _refuse_unfit(models: Sequence[IdentifiedModel]) -> None:

@@ -185,7 +185,7 @@ class MultivariableProblem:
             difference = decoupled[:, i, j] - (own if i == j else 0.0)
             errors = DrawnErrors(difference, own[None], self.sample_time, "multiplicative")
             grid, largest = refined_grid(errors.envelope, plant.frequency_response, errors.lags, self.sample_time, omega)
-            weight, sure = weight_above(errors, grid, largest, self.choice.order)
+            weight, sure = weight_above(errors, grid, largest, self.choice.weight_order)
             weights.append(weight)
             proven &= sure
         return DecoupledLoop(self.model.outputs[i], plant, tuple(weights), proven, Loop([plant], omega))
@@ -201,7 +201,7 @@ class MultivariableProblem:
             Wishes other than those of the nominal aim by weights; a loop that is too uncertain at the lowest frequency.
         """
         if wishes.aim != "nominal" or wishes.in_time:
-            raise BadInput("multivariable control: has the nominal aim alone, by weights (no --in-time)")
+            raise BadInput("multivariable control: has the nominal aim alone, by weights; leave in_time out")
         longest = wishes.settling_time or 10.0 * self.nominal.shape[3] * self.sample_time
         aim = NominalAim(wishes.overshoot, longest, wishes.slack, only=wishes.only)
         points = []

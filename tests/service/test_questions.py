@@ -9,13 +9,24 @@ from typer.main import get_command
 import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, asks, choices, field, help_of
+from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.residual import DesignResidual, RunResidual
+from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service.app import create_app
 from residuum.service.commands import asked as options
 from residuum.service.settings import Settings
 
-DOORS = {Identify: ("identify", "/api/v1/identify", rs.identify)}
-"""Question → command, route, function."""
+DOORS = {
+    Identify: ("identify", "identify", rs.identify),
+    Estimate: ("estimate", "models/{model}/estimate", rs.Model.estimate),
+    DesignController: ("control design", "control-designs", rs.control.design),
+    DesignResidual: ("residual design", "residuals", None),
+    RunResidual: ("residual run", "residuals", None),
+    Uncertainty: ("uncertainty", "models/{model}/uncertainty", None),
+}
+"""Question → command, route, function of the library where there is one."""
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +35,9 @@ def described(tmp_path_factory):
 
 
 def body_of(described, path):
+    if "get" in described["paths"][path]:
+        keys = [key for key in described["paths"][path]["get"]["parameters"] if key["in"] == "query"]
+        return {"properties": {key["name"]: key["schema"] | {"description": key["description"]} for key in keys}}
     content = described["paths"][path]["post"]["requestBody"]["content"]["application/json"]["schema"]
     return described["components"]["schemas"][content["$ref"].rsplit("/", 1)[1]]
 
@@ -31,19 +45,22 @@ def body_of(described, path):
 @pytest.mark.parametrize("question", DOORS)
 def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
     command, path, function = DOORS[question]
-    shown = {p.name: p for p in get_command(import_module(f"residuum.service.commands.{command}").app).params}
-    body, keywords = body_of(described, path), inspect.signature(function).parameters
+    module, *verb = command.split()
+    asked = get_command(import_module(f"residuum.service.commands.{module}").app)
+    shown = {p.name: p for p in (asked.commands[verb[0]] if verb else asked).params}
+    body, keywords = body_of(described, f"/api/v1/{path}"), function and inspect.signature(function).parameters
     for name, declared in question.model_fields.items():
         default = inspect.Parameter.empty if declared.is_required() else declared.default
-        assert keywords[name].default == default
-        assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
+        if function is not None:
+            assert keywords[name].default == default
+            assert " ".join(help_of(declared).split()) in " ".join(function.__doc__.split())
         assert shown[name].help.replace("\\[", "[").startswith(help_of(declared))
         if isinstance(default, bool) or (declared.default is not None and not declared.is_required()):
             assert str(shown[name].default) == str(default)
         key = body["properties"][name]
         assert key.get("default", None) == (None if declared.is_required() else default)
         assert key["description"] == declared.description and key.get("enum", []) == choices(declared)
-        assert (name in body["required"]) == declared.is_required()
+        assert (name in body.get("required", ())) == declared.is_required()
 
 
 class Weigh(Question):

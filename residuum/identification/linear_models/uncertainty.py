@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS, DrawnErrors, Form
+from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS, DrawnErrors
 from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
 from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.error_bounds.weight_certificate import largest_excess
@@ -23,7 +22,6 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
 FloatArray = npt.NDArray[np.float64]
-Rule = Literal["chernoff", "worst-case"]
 WEIGHT_ORDER = 2
 """Order of W_T where nothing else is asked for, as in the source."""
 _LAGS_A_POLE = 20
@@ -104,8 +102,8 @@ def design_uncertainty_weight(
     omega: npt.ArrayLike | None = None,
     accuracy: float = 0.05,
     confidence: float = 0.95,
-    rule: Rule = "chernoff",
-    form: Form = "multiplicative",
+    rule: str = "chernoff",
+    form: str = "multiplicative",
     order: int | None = None,
     seed: int = 0,
 ) -> UncertaintyWeight:
@@ -175,7 +173,7 @@ def _lags(model: IdentifiedModel) -> int:
 
 
 def drawn_errors(
-    model: IdentifiedModel, n_samples: int, *, form: Form = "multiplicative", seed: int | np.random.Generator = 0
+    model: IdentifiedModel, n_samples: int, *, form: str = "multiplicative", seed: int | np.random.Generator = 0
 ) -> DrawnErrors:
     """The errors of `n_samples` random models against the model itself."""
     return DrawnErrors.of(model.sample_polynomials(n_samples, seed), model.polynomials(), model.sample_time, form)

@@ -7,6 +7,7 @@ command, and a route takes the question itself as its body.
 from __future__ import annotations
 
 import inspect
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from textwrap import TextWrapper
@@ -19,14 +20,15 @@ from pydantic.fields import FieldInfo
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 
+Value = TypeVar("Value")
 Function = TypeVar("Function", bound=Callable[..., Any])
 _RULES = {
     "missing": "is missing",
     "finite_number": "must be a finite number",
-    "greater_than_equal": "must be ≥ {ge}",
-    "greater_than": "must be > {gt}",
-    "less_than_equal": "must be ≤ {le}",
-    "less_than": "must be < {lt}",
+    "greater_than_equal": "must be ≥ {ge:.10g}",
+    "greater_than": "must be > {gt:.10g}",
+    "less_than_equal": "must be ≤ {le:.10g}",
+    "less_than": "must be < {lt:.10g}",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
@@ -35,6 +37,8 @@ _RULES = {
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 _LONGEST = 60
 """Of a value in a refusal."""
+_LAST = re.compile(r"(\nprogress :|\n\nReturns\n)")
+"""What comes after a question's fields in a docstring."""
 _LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 
@@ -45,6 +49,8 @@ class Question(BaseModel):
 
     earlier: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Field → how a value was written before → how it is written now."""
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """How a field was called before → how it is called now."""
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:
@@ -59,17 +65,26 @@ class Question(BaseModel):
     def _as_written_now(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
+        for old in [name for name, new in cls.renamed.items() if name in given and new not in given]:
+            warnings.warn(f"{old}: will not be read much longer; say {cls.renamed[old]}", FutureWarning, stacklevel=4)
+            given = {cls.renamed.get(name, name) if name == old else name: value for name, value in given.items()}
         now = {name: values[given[name]] for name, values in cls.earlier.items() if given.get(name) in list(values)}
         for name, value in now.items():
             instead = "leave it out" if value == cls.model_fields[name].default else f"write {value!r}"
             warnings.warn(f"{name} {given[name]!r}: will not be read much longer; {instead}", FutureWarning, stacklevel=4)
         return given | now
 
+    def handed_to(self, kind: Callable[..., Value]) -> Value:
+        """What a dataclass or function of the rooms below takes of the fields, by their names."""
+        return kind(
+            **{name: getattr(self, name) for name in inspect.signature(kind).parameters if name in type(self).model_fields}
+        )
+
     @field_validator("*")
     @classmethod
     def _is_known(cls, value: Any, info: ValidationInfo) -> Any:
         name = str(info.field_name)
-        if (names := choices(cls.model_fields[name])) and value not in names:
+        if value is not None and (names := choices(cls.model_fields[name])) and value not in names:
             raise BadInput(repr(value), name, f"there is none of this name; {known_names(value, names)}")
         return value
 
@@ -93,7 +108,9 @@ def choices(field: FieldInfo) -> list[str]:
 def help_of(field: FieldInfo) -> str:
     """What a field means, the names that it takes, and its bounds."""
     names = choices(field)
-    limits = [f"{sign} {getattr(rule, key):g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)]
+    limits = [
+        f"{sign} {getattr(rule, key):.10g}" for key, sign in _BOUNDS.items() for rule in field.metadata if hasattr(rule, key)
+    ]
     more = [f"One of {', '.join(names)}."] if names else [f"Must be {' and '.join(limits)}."] if limits else []
     return " ".join([str(field.description), *more])
 
@@ -117,8 +134,8 @@ def part_of(asked: BaseModel, question: type[Asked]) -> Asked:
 
 
 def asks(question: type[Question]) -> Callable[[Function], Function]:
-    """Give the fields of a question to a function that takes them as `**given`: to its signature, and to its docstring before
-    the parameter `progress`.
+    """Give the fields of a question to a function that takes them as `**given`: to its signature, and to its docstring after
+    the parameters of its own, but for `progress`, which is the last.
     """
 
     def told(function: Function) -> Function:
@@ -130,7 +147,8 @@ def asks(question: type[Question]) -> Callable[[Function], Function]:
             f"{each.name} : {each.annotation.replace(' | ', ' or ')}\n{_LINES.fill(help_of(question.model_fields[each.name]))}"
             for each in _keywords(question)
         )
-        function.__doc__ = inspect.cleandoc(function.__doc__ or "").replace("\nprogress :", f"\n{fields}\nprogress :")
+        before, ending, after = _LAST.split(inspect.cleandoc(function.__doc__ or ""), maxsplit=1)
+        function.__doc__ = f"{before}\n{fields}{ending}{after}"
         return function
 
     return told
@@ -143,6 +161,10 @@ def _keywords(question: type[Question]) -> Iterator[inspect.Parameter]:
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_kind(hints[name]))
 
 
+def kinds(hint: Any) -> tuple[Any, ...]:
+    """The alternatives of a type."""
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+
+
 def _kind(hint: Any) -> str:
-    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    return " | ".join("None" if each is NoneType else inspect.formatannotation(each) for each in kinds)
+    return " | ".join("None" if each is NoneType else inspect.formatannotation(each) for each in kinds(hint))

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
-from residuum.library.questions import part_of
+from residuum.library.questions import field, part_of
+from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
+from residuum.library.questions.residual import DesignResidual, RunResidual
+from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
@@ -23,7 +26,7 @@ from residuum.service.services import Running, Services, caller_of
 from residuum.service.store import Conflict, NotFound
 from residuum.service.views.model_view import model_of
 from residuum.service.work import analyses
-from residuum.service.work.analyses import Asked, ResidualChoice
+from residuum.service.work.analyses import Asked
 from residuum.service.work.record_parts import RecordParts, parts_of
 
 router = APIRouter(tags=["analyses"], route_class=StrictRoute, responses=PROBLEMS)
@@ -88,10 +91,9 @@ class Improvement(Comparison):
         return self
 
 
-class Estimation(Comparison):
-    """Which records the parameters are estimated from."""
+class Estimation(Estimate, Comparison):
+    """The question `estimate` of a stored model and stored records."""
 
-    method: Literal["simulation", "prediction", "kalman"] = Field("simulation", description="What error is minimised.")
     save_as: SaveAs = None
 
 
@@ -108,53 +110,35 @@ class Identification(Identify):
         return self
 
 
-WEIGHT_FIELDS = ("epsilon", "zeta", "rule", "weight_order", "points", "lowest")
-"""What a user chooses of an uncertainty weight."""
-
-
-class Residuals(BaseModel, extra="forbid"):
-    """A residual design and the records it runs on."""
+class Residuals(DesignResidual, RunResidual):
+    """The questions `residual design` of a stored model and `residual run` of stored records."""
 
     model: str = Field(pattern=NAME, description="A stored identified model.")
     healthy: RecordNumbers
     records: RecordNumbers
-    fault: Literal["sensor", "actuator"] = Field("sensor", description="Kind of fault to be most sensitive to.")
-    threshold: Literal["posterior", "peak", "source", "calibrated"] = Field("posterior", description="Kind of threshold.")
-    false_alarms_per_day: float = Field(1.0, gt=0, le=86400, description="For the posterior and the calibrated threshold.")
-    gamma: float = Field(0.1, gt=0, le=1e6, description="Largest gain from model error and noise to the residual, γ.")
-    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of models drawn.")
-    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of models drawn.")
-    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
-    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
-    points: int | None = Field(None, ge=2, le=5000, description="Frequencies that the grid begins with; null: refined anyway.")
-    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest of these frequencies [rad/s].")
-    method: Literal["robust", "observer", "kalman", "parity", "h-infinity"] = Field(
-        "robust", description="Method for the post-filter: Algorithm 5, or a classical residual generator."
-    )
 
 
-class ControlDesign(BaseModel, extra="forbid"):
-    """Which models a controller is designed for."""
+class ModelVersion(BaseModel, extra="forbid"):
+    """A stored identified model."""
 
-    models: list[Annotated[str, Field(pattern=NAME)]] = Field(
-        min_length=1, max_length=16, description="Stored identified models."
-    )
-    aim: Literal["nominal", "robust"] = Field("nominal", description="Best behaviour, or every model of the band.")
-    joined: str | None = Field(None, pattern=NAME, description="The nominal plant, of all operating points' records.")
-    structure: Literal["pidn", "pid", "pi", "lead-lag", "rational"] = Field("pidn", description="Form of the controller.")
-    overshoot: float = Field(0.01, gt=0, lt=1, description="nominal: overshoot below which less brings no benefit (0.01 = 1 %).")
-    settling_time: float | None = Field(None, gt=0, le=1e12, description="nominal: longest settling time [s].")
-    slack: float = Field(0.1, gt=0, le=100, description="nominal: slack of the mixed-sensitivity bound.")
-    in_time: bool = Field(False, description="nominal: hold overshoot and settling time in time.")
-    low_gain: float = Field(120.0, gt=0, le=400, description="robust: l_g [dB].")
-    high_gain: float = Field(-50.0, lt=-0.5, ge=-400, description="robust: least h_g [dB].")
-    critical_frequency: float | None = Field(None, gt=0, le=1e12, description="robust: least ω_c [rad/s].")
-    epsilon: float = Field(0.05, ge=0.005, le=0.5, description="ε of the number of plants drawn.")
-    zeta: float = Field(0.05, ge=1e-6, le=0.5, description="ζ of the number of plants drawn.")
-    rule: Literal["chernoff", "worst-case"] = Field("chernoff", description="What ε and ζ promise.")
-    weight_order: int = Field(2, ge=0, le=8, description="Order of W_T.")
-    points: int = Field(600, ge=50, le=5000, description="Frequencies of the grid.")
-    lowest: float | None = Field(None, gt=0, le=1e12, description="Lowest frequency of the grid [rad/s].")
+    model: str = Field(pattern=NAME)
+    version: int | None = Field(None, ge=1, le=10**9, description="Null: the newest.")
+
+
+def _as_version(given: object) -> object:
+    return {"model": given} if isinstance(given, str) else given
+
+
+Identified = Annotated[ModelVersion, BeforeValidator(_as_version, json_schema_input_type=ModelName | ModelVersion)]
+"""A stored identified model, by its name where the newest version is meant."""
+
+
+class ControlDesign(DesignController):
+    """The question `control design` of stored models."""
+
+    models: list[Identified] = Field(min_length=1, max_length=16, description="Stored identified models, one an operating point.")
+    joined: Identified | None = Field(None, description="The nominal plant, of all operating points' records.")
+    export: str | None = field(None, "Language of the controller as source text, in `exported`.", choices=LANGUAGES)
 
 
 @router.get("/effects")
@@ -208,7 +192,7 @@ def estimate(request: Request, running: Running, model: ModelName, asked: Estima
     """Estimate the model's parameters, its structure as it is."""
     keep = _keep(request, running, asked.save_as, "physical")
     work = _asked(running, model, asked)
-    return accepted(running.jobs.submit("estimate", analyses.estimate, work, asked.method, then=keep))
+    return accepted(running.jobs.submit("estimate", analyses.estimate, work, part_of(asked, Estimate), then=keep))
 
 
 @router.post("/identify", status_code=202, response_model=JobAnswer)
@@ -224,40 +208,31 @@ def residuals(running: Running, asked: Residuals) -> Response:
     """Design a residual generator from an identified model and run it on records: `design`, and a `run` a record."""
     healthy, records = _records(running, asked.healthy), _records(running, asked.records)
     content = _content(running, asked.model, "identified", None)
-    choice = ResidualChoice(**asked.model_dump(include={"fault", "gamma", "method", *WEIGHT_FIELDS}))
-    threshold = {"threshold": asked.threshold, "false_alarms_per_day": asked.false_alarms_per_day}
+    questions = part_of(asked, DesignResidual), part_of(asked, RunResidual)
 
     def named(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
         runs = zip(outcome["runs"], asked.records, strict=True)
         return {"design": outcome["design"], "runs": [found | {"record": number} for found, number in runs]}
 
-    work = (content, healthy, records, choice, threshold)
+    work = (content, healthy, records, *questions)
     return accepted(running.jobs.submit("residuals", analyses.residuals, *work, then=named))
 
 
 @router.post("/control-designs", status_code=202, response_model=JobAnswer)
 def design_controller(running: Running, asked: ControlDesign) -> Response:
     """Design a controller from identified models, one an operating point; the result holds the controller."""
-    models = [(name, _content(running, name, "identified", None)) for name in asked.models]
-    joined = None if asked.joined is None else _content(running, asked.joined, "identified", None)
-    weight = WeightChoice(asked.epsilon, asked.zeta, asked.rule, asked.weight_order, asked.points, asked.lowest)
-    options = asked.model_dump(include=set(_AIM))
-    work = (models, joined, weight, options)
+    names = [each.model for each in asked.models]
+    work = (names, *models_of(running, asked), part_of(asked, DesignController), asked.export)
     return accepted(running.jobs.submit("control-designs", analyses.design_controller, *work, then=_with_file))
 
 
-_AIM = (
-    "aim",
-    "structure",
-    "overshoot",
-    "settling_time",
-    "slack",
-    "in_time",
-    "low_gain",
-    "high_gain",
-    "critical_frequency",
-)
-"""What is asked of a controller beside the models and the uncertainty weight."""
+def models_of(running: Services, asked: ControlDesign) -> tuple[list[bytes], bytes | None]:
+    """The files of the models that a controller is designed for, and that of the nominal plant."""
+    contents = [_content(running, each.model, "identified", each.version) for each in asked.models]
+    joined = asked.joined
+    return contents, None if joined is None else _content(running, joined.model, "identified", joined.version)
+
+
 Keep = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 
 
@@ -317,5 +292,5 @@ def _records(running: Services, numbers: Sequence[int]) -> list[RecordParts]:
 def _content(running: Services, model: str, kind: str, version: int | None) -> bytes:
     found = running.store.model_versions(model)[0].kind
     if found != kind:
-        raise Conflict(f"model {model!r}: is a {found} model; this needs a {kind} one")
+        raise Conflict(f"model {model!r}: is a {found} model; this needs {'an' if kind == 'identified' else 'a'} {kind} one")
     return running.store.model_content(model, version)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
 
 import numpy as np
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
+from residuum.library.questions import part_of
+from residuum.library.questions.residual import DesignResidual, RunResidual
+from residuum.library.questions.uncertainty import Uncertainty, weight_for
 from residuum.service.api.analyses import RecordNumbers
 from residuum.service.api.answers import PROBLEMS, JobAnswer
 from residuum.service.api.jobs import accepted
@@ -22,7 +24,6 @@ from residuum.service.work.record_parts import parts_of
 
 router = APIRouter(prefix="/models/{model}", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
-Version = Annotated[int | None, Query(description="Version (default: the newest).", ge=1, le=10**9)]
 _POINTS = 200
 _LOWEST = 1e-3  # of the Nyquist frequency
 
@@ -42,49 +43,45 @@ class UncertaintyAnswer(BaseModel):
     certified: bool = Field(description="Whether the weight is proven above all drawn models between the frequencies too.")
 
 
-class ResidualView(BaseModel, extra="forbid"):
+class ResidualView(DesignResidual, RunResidual):
     """Which records a residual generator learns its noise from, and which one it runs on."""
 
     healthy: RecordNumbers
     record: int = Field(ge=1, le=2**53 - 1, description="Number of the record it runs on.")
     offset: float | None = Field(None, gt=0, description="Sensor offset of the characteristic; null: twice the noise.")
-    false_alarms_per_day: float = Field(1.0, gt=0, le=86400, description="Of the posterior threshold.")
     version: int | None = Field(None, ge=1, le=10**9, description="Version of the model (default: the newest).")
+
+
+class StoredUncertainty(Uncertainty):
+    """The question `uncertainty` of a stored model."""
+
+    version: int | None = Field(None, ge=1, le=10**9, description="Version (default: the newest).")
+    samples: int = Field(40, ge=1, le=200, description="Drawn models to show.")
+    order: int | None = Field(None, ge=0, le=20, description="What `weight_order` was called.", deprecated=True)
+
+    renamed: ClassVar[Mapping[str, str]] = {"order": "weight_order"}
 
 
 @router.get("/uncertainty", response_model=UncertaintyAnswer)
 def get_uncertainty(
     running: Running,
     model: ModelName,
-    version: Version = None,
-    shown: Annotated[int, Query(alias="samples", description="Drawn models to show.", ge=1, le=200)] = 40,
-    epsilon: Annotated[float, Query(description="ε of the number of models drawn.", ge=0.005, le=0.5)] = 0.05,
-    zeta: Annotated[float, Query(description="ζ of the number of models drawn.", ge=1e-6, le=0.5)] = 0.05,
-    rule: Annotated[Literal["chernoff", "worst-case"], Query(description="What ε and ζ promise.")] = "chernoff",
-    order: Annotated[int, Query(description="Order of the weight.", ge=0, le=8)] = WEIGHT_ORDER,
-    form: Annotated[
-        Literal["multiplicative", "additive", "inverse-multiplicative"], Query(description="Form of the error that is bounded.")
-    ] = "multiplicative",
-    points: Annotated[int | None, Query(description="Frequencies that the grid begins with.", ge=2, le=5000)] = None,
-    lowest: Annotated[float | None, Query(description="Lowest of these frequencies [rad/s].", gt=0, le=1e12)] = None,
+    asked: Annotated[StoredUncertainty, Query()],
 ) -> Response:
     """The uncertainty weight of an identified model, above the models that its posterior allows."""
-    identified = read_identified(_content(running, model, version))
-    grid = asked_grid(identified.sample_time, points, lowest)
-    made = design_uncertainty_weight(
-        identified, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, form=form, order=order
-    )
+    identified = read_identified(_content(running, model, asked.version))
+    made = weight_for(identified, asked, asked.form, asked.seed)
     omega = 2 * np.pi * np.geomspace(_LOWEST, 1.0, _POINTS) * 0.5 / identified.sample_time
     turn = np.exp(-1j * np.outer(omega * identified.sample_time, np.arange(identified.reach)))
-    drawn = identified.sample_longer(shown, 0) @ turn.T
+    drawn = identified.sample_longer(asked.samples, 0) @ turn.T
     centre = turn[:, : identified.order] @ identified.impulse_response
-    below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[form]
+    below = {"multiplicative": centre, "additive": np.ones(1), "inverse-multiplicative": drawn}[asked.form]
     errors = np.abs(drawn - centre) / np.maximum(np.abs(below), 1e-300)
     critical = made.critical_frequency
     answer = {
         "frequency": (omega / (2 * np.pi)).tolist(),
         "samples": errors.tolist(),
-        "form": form,
+        "form": asked.form,
         "sampled_frequency": (made.omega / (2 * np.pi)).tolist(),
         "largest": made.magnitude.tolist(),
         "weight": np.abs(made.weight.frequency_response(omega)).tolist(),
@@ -102,7 +99,7 @@ def view(running: Running, model: ModelName, asked: ResidualView) -> Response:
     content = _content(running, model, asked.version)
     healthy = [parts_of(running.store.record_samples(number)) for number in asked.healthy]
     record = parts_of(running.store.record_samples(asked.record))
-    arguments = (content, healthy, record, asked.offset, asked.false_alarms_per_day)
+    arguments = (content, healthy, record, asked.offset, part_of(asked, DesignResidual), part_of(asked, RunResidual))
     return accepted(running.jobs.submit("residual-view", view_residual, *arguments))
 
 

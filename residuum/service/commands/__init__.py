@@ -7,7 +7,8 @@ through `residuum.service.commands.report`.
 
 def as_option(field: str, value: object = None) -> str:
     """A field of a question as it is said on the command line."""
-    option = f"--{field.replace('_', '-')}"
+    name, *parts = field.split(".")
+    option = " ".join([f"--{name.replace('_', '-')}", *parts])
     return option if value is None or value is True else f"{option} {value}"
 
 

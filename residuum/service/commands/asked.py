@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import inspect
+import re
 import warnings
 from collections.abc import Callable, Container
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
-from residuum.library.questions import Question, help_of
+from residuum.identification.errors import BadInput
+from residuum.library.questions import Question, help_of, kinds
 from residuum.service.commands import as_option
 from residuum.service.commands.report import progress
 
-_METAVARS = {str: "TEXT", int: "INTEGER", float: "NUMBER"}
+_METAVARS: dict[Any, str | None] = {
+    bool: None,
+    list[str]: "NAME",
+    dict[str, float]: "NAME=VALUE",
+    dict[str, tuple[float, float]]: "NAME=LOW:HIGH",
+    tuple[float | None, float | None]: "LOW HIGH",
+    str: "TEXT",
+    int: "INTEGER",
+    float: "NUMBER",
+}
+"""What a field may take → what stands for it in the help; the first that it takes is shown."""
+_FORMS: dict[Any, Any] = {list: list[str] | None, dict: list[str] | None, tuple: tuple[str, str] | None}
+"""What is written several times, or as two words."""
 
 
 def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -33,7 +47,9 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
             said = {field: given.pop(field) for field in options}
             with warnings.catch_warnings(record=True) as told:
                 warnings.simplefilter("always")
-                made = question.of({field: value for field, value in said.items() if value not in (None, [])})
+                made = question.of(
+                    {field: _read(question, field, value) for field, value in said.items() if value not in (None, [])}
+                )
             for warning in told:
                 progress(f"--{warning.message}")
             return function(**given, **{name: made})
@@ -49,17 +65,30 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
     return command
 
 
+def _read(question: type[Question], name: str, value: Any) -> Any:
+    """A value as the question reads it: of texts `NAME=VALUE` or `NAME=LOW:HIGH` a mapping."""
+    taken = next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+    if get_origin(taken) is not dict:
+        return value
+    form, read = _METAVARS[taken] or "", {}
+    for text in value:
+        parts = re.fullmatch(re.sub("[A-Z]+", "(.+?)", form), text)
+        if parts is None:
+            raise BadInput(repr(text), name, f"must have the form {form}")
+        key, *values = parts.groups()
+        read[key] = values[0] if len(values) == 1 else values
+    return read
+
+
 def _option(question: type[Question], name: str) -> inspect.Parameter:
     """One option: a flag, or a text; several texts where the field takes a list."""
     field, kind = question.model_fields[name], get_type_hints(question)[name]
-    option, kinds = as_option(name), get_args(kind) or (kind,)
+    option = as_option(name)
     default: Any = None if field.is_required() or field.default is None else str(field.default)
-    form: Any = str | None
-    metavar = next((says for each, says in _METAVARS.items() if each in kinds), None)
-    if bool in kinds:
-        option, default, form, metavar = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool, None
-    elif list[str] in kinds:
-        form, metavar = list[str] | None, "NAME"
-    told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if metavar == "NAME" else "")
+    taken, metavar = next(each for each in _METAVARS.items() if each[0] in kinds(kind))
+    form: Any = _FORMS.get(get_origin(taken), str | None)
+    if taken is bool:
+        option, default, form = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool
+    told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] | None else "")
     annotation = Annotated[form, typer.Option(option, help=told, metavar=metavar)]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -5,12 +5,11 @@ from typing import Annotated
 
 import typer
 
-from residuum.identification.errors import BadInput
 from residuum.library.answers.estimation import estimate_text
-from residuum.library.estimation import METHODS
 from residuum.library.model import model as read
-from residuum.nearest_names import known_names
+from residuum.library.questions.estimate import Estimate
 from residuum.service.cli import ANSWER_IS_NO
+from residuum.service.commands.asked import asks
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -33,14 +32,12 @@ _NOT_WRITTEN = "not written (--anyway writes the model all the same)"
 
 
 @app.command(name="estimate")
+@asks()
 def estimate_command(
     model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the model with the estimated parameters (YAML).")],
-    method: Annotated[str, typer.Option(help=f"What error is minimised: {', '.join(METHODS)}.")] = "simulation",
-    steps: Annotated[int, typer.Option(min=2, help="Samples predicted ahead (method prediction).")] = 50,
-    hold: Annotated[str, typer.Option(help="Inputs between samples: auto, linear or zero-order.")] = "auto",
-    anyway: Annotated[bool, typer.Option("--anyway", help="Write the model also where the search has not converged.")] = False,
+    asked: Estimate,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -51,15 +48,12 @@ def estimate_command(
     as_json: AsJson = False,
 ) -> None:
     """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for validation."""
-    if method not in METHODS:
-        raise BadInput(f"--method {method!r}: there is none of this name; {known_names(method, METHODS)}")
     check_output_file(out)
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
-    given, columns = read(model), signals(channel_map)
-    estimation = given.estimate(loaded, map=columns, method=method, steps=steps, hold=hold, anyway=anyway)
-    written = anyway or not estimation.unsettled
+    estimation = read(model).estimate(loaded, map=signals(channel_map), **asked.model_dump())
+    written = asked.anyway or not estimation.unsettled
     if written:
         estimation.model.save(out)
     found = estimation.to_dict() | {"model_file": str(out) if written else None}

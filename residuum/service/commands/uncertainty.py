@@ -1,60 +1,35 @@
 """`residuum uncertainty`: the weight above the error of the models that an identified model's distribution allows."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import (
-    WEIGHT_ORDER,
-    UncertaintyWeight,
-    design_uncertainty_weight,
-)
+from residuum.identification.linear_models.uncertainty import UncertaintyWeight
+from residuum.library.questions.uncertainty import Uncertainty, weight_for
+from residuum.service.commands.asked import asks
 from residuum.service.commands.report import AsJson, report
-from residuum.service.commands.weight_options import (
-    EPSILON,
-    ZETA,
-    Epsilon,
-    Lowest,
-    Points,
-    Rule,
-    WeightOrder,
-    Zeta,
-)
 
 app = typer.Typer(add_completion=False)
 
 
 @app.command()
+@asks()
 def uncertainty(
     identified: Annotated[Path, typer.Argument(help="Model file, as `residuum identify` writes it.")],
-    epsilon: Epsilon = EPSILON,
-    zeta: Zeta = ZETA,
-    rule: Rule = "chernoff",
-    form: Annotated[
-        Literal["multiplicative", "additive", "inverse-multiplicative"], typer.Option(help="Form of the error that is bounded.")
-    ] = "multiplicative",
-    weight_order: WeightOrder = WEIGHT_ORDER,
-    points: Points = None,
-    lowest: Lowest = None,
-    seed: Annotated[int, typer.Option(help="Seed of the random models.")] = 0,
+    asked: Uncertainty,
     as_json: AsJson = False,
 ) -> None:
     """Bound the error of a model at every frequency (Algorithm 1)."""
-    model = load_identified(identified)
-    grid = asked_grid(model.sample_time, points, lowest)
-    made = design_uncertainty_weight(
-        model, omega=grid, accuracy=epsilon, confidence=1 - zeta, rule=rule, form=form, order=weight_order, seed=seed
-    )
+    made = weight_for(load_identified(identified), asked, asked.form, asked.seed)
     result = {
         "identified": str(identified),
         "form": made.form,
-        "rule": rule,
-        "epsilon": epsilon,
-        "zeta": zeta,
+        "rule": asked.rule,
+        "epsilon": asked.epsilon,
+        "zeta": asked.zeta,
         "samples": made.n_samples,
         "promise": made.promise,
         "certified": made.certified,

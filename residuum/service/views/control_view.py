@@ -16,9 +16,11 @@ import numpy.typing as npt
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.answers.plain import finite
+from residuum.library.control import law, posed
+from residuum.library.questions.control_design import DesignController
 from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
 from residuum.robust_control.certificates.time_domain import StepResponse, control_response, over_plants, step_response
-from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, WeightChoice, Wishes
+from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
@@ -39,11 +41,8 @@ Follow = Callable[[TransferFunction, TransferFunction, float], FloatArray]
 def view_control_design(
     progress: Progress,
     contents: Sequence[bytes],
-    structure: str,
-    wishes: Mapping[str, Any],
-    limits: tuple[float | None, float | None],
-    seed: int,
-    weight: WeightChoice | None = None,
+    joined: bytes | None,
+    asked: DesignController,
 ) -> Mapping[str, Any]:
     """Design controllers along the Pareto front, and say of each what it promises and how it behaves on drawn plants.
 
@@ -51,14 +50,9 @@ def view_control_design(
     ----------
     contents : sequence of bytes
         Files of identified models, one an operating point.
-    structure : str
-        A name of `STRUCTURES`.
-    wishes : mapping
-        Arguments of `Wishes`.
-    limits : (lower, upper)
-        Of the actuator, for the exported code; None: none.
-    weight : WeightChoice or None
-        How the uncertainty weight is made; None: as the source makes it.
+    joined : bytes or None
+        File of the nominal plant; None: the models' mean.
+    asked : DesignController
 
     Returns
     -------
@@ -71,26 +65,26 @@ def view_control_design(
     Raises
     ------
     BadInput
-        Models of different sample times, too large an uncertainty, limits in the wrong order.
+        Models of different sample times, too large an uncertainty.
     """
-    wanted = Wishes(**wishes)
+    wanted = asked.handed_to(Wishes)
     progress(0.05, "drawing models for the uncertainty weight")
-    problem = ControlProblem([read_identified(content) for content in contents], seed, weight=weight)
+    middle = None if joined is None else read_identified(joined)
+    problem = posed([read_identified(content) for content in contents], middle, asked)
     progress(0.15, "searching for the front")
-    law = STRUCTURES[structure](problem.loop.sample_time)
+    structure = law(problem, asked)
     described = {
-        "structure": structure,
-        "equation": law.equation,
+        "structure": asked.structure,
+        "equation": structure.equation,
         "aim": wanted.aim,
         "wishes": wanted.names,
         "limit": wanted.limit,
     }
     described |= {"sample_time": problem.loop.sample_time, "uncertainty": _uncertainty(problem), **_signals(problem)}
     try:
-        found = problem.solve(law, wanted)
+        found = problem.solve(structure, wanted)
     except Infeasible as no:
         return described | {"feasible": False, "reason": str(no)}
-    saturation = (-math.inf if limits[0] is None else limits[0], math.inf if limits[1] is None else limits[1])
     points, chosen = _with_chosen(problem, wanted, found.front, found.chosen)
     plants = problem.random_plants()
     seen = problem.measured(found, wanted)
@@ -101,7 +95,12 @@ def view_control_design(
     progress(0.9, "preparing the charts")
     picture = _Picture(problem, plants)
     drawn = [
-        {**_promises(problem, point), **picture.of(wanted, point, each), **_exports(point, saturation), "figures": _figures(each)}
+        {
+            **_promises(problem, point),
+            **picture.of(wanted, point, each),
+            **_exports(point, asked.actuator),
+            "figures": _figures(each),
+        }
         for point, each in zip(points, figures, strict=True)
     ]
     common: dict[str, Any] = {"frequency": _plain(picture.frequency), "drawn_plants": len(plants)}

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
+from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import load_identified
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
+from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress
 from residuum.service.work.record_parts import RecordParts
@@ -42,7 +42,8 @@ def view_residual(
     healthy: Sequence[RecordParts],
     record: RecordParts,
     offset: float | None,
-    false_alarms_per_day: float,
+    asked: DesignResidual,
+    judged: RunResidual,
 ) -> Mapping[str, Any]:
     """Design a residual generator, run it on a record, and on its healthy records with and without a sensor offset.
 
@@ -52,8 +53,8 @@ def view_residual(
         File of the identified model.
     offset : float or None
         Sensor offset of the receiver operating characteristic [output unit]; None: twice the noise's standard deviation.
-    false_alarms_per_day : float
-        Of the posterior threshold.
+    asked : DesignResidual
+    judged : RunResidual
 
     Returns
     -------
@@ -69,12 +70,10 @@ def view_residual(
     """
     model = read_identified(content)
     good, looked_at = [Record(*parts) for parts in healthy], Record(*record)
-    progress(0.1, "bounding the model's uncertainty")
-    weight = design_uncertainty_weight(model, order=WEIGHT_ORDER).weight
-    progress(0.5, "designing the residual generator")
-    design = design_residual(model, weight, good)
+    progress(0.1, "designing the residual generator")
+    design = residual_for(model, good, asked)
     progress(0.7, "running it")
-    found = detect(design, looked_at, threshold="posterior", false_alarms_per_day=false_alarms_per_day)
+    found = detect(design, looked_at, **judged.model_dump())
     size = 2 * design.noise.sigma if offset is None else offset
     return {**_over_time(design, looked_at, found), "roc": {"offset": size, **_characteristic(design, good, size)}}
 

@@ -8,21 +8,20 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.identification.linear_models.error_bounds.error_grid import asked_grid
-from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, Rule, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.library import control
 from residuum.library.answers.plain import to_plain
 from residuum.library.answers.residual import design_json, run_json
 from residuum.library.model import Model
-from residuum.library.plant import Plant, identified
+from residuum.library.plant import identified
+from residuum.library.questions.control_design import DesignController
+from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
+from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
+from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.views.model_view import model_of
 from residuum.service.views.residual_view import read_identified
@@ -47,29 +46,6 @@ class Asked:
         """Model and records as the library takes them; BadModel for a text that is none."""
         name = self.model if self.text is None else MODEL_FILE
         return Model(model_of(name, self.text), name), _records(self.records)
-
-
-@dataclass(frozen=True)
-class ResidualChoice:
-    """How a residual generator is designed: for which fault, its γ, and its uncertainty weight's ε, ζ, rule, order and grid."""
-
-    fault: Literal["sensor", "actuator"] = "sensor"
-    gamma: float = 0.1
-    epsilon: float = 0.05
-    zeta: float = 0.05
-    rule: Rule = "chernoff"
-    weight_order: int = WEIGHT_ORDER
-    points: int | None = None
-    lowest: float | None = None
-    method: str = "robust"
-
-    def made(self, model: IdentifiedModel, healthy: Sequence[Record]) -> ResidualDesign:
-        """The design for a model, its noise learned from healthy records."""
-        grid, sure = asked_grid(model.sample_time, self.points, self.lowest), 1 - self.zeta
-        weight = design_uncertainty_weight(
-            model, omega=grid, accuracy=self.epsilon, confidence=sure, rule=self.rule, order=self.weight_order
-        )
-        return design_residual(model, weight.weight, healthy, fault=self.fault, gamma=self.gamma, method=self.method)
 
 
 def compare(progress: Progress, asked: Asked) -> Mapping[str, Any]:
@@ -120,12 +96,13 @@ def improve(
     return {"result": found.to_dict(), "file": found.model.text.encode()}
 
 
-def estimate(progress: Progress, asked: Asked, method: str) -> Mapping[str, Any]:
-    """`result`: the `estimate` object; `file`: the model's text with the values, none where they have not settled."""
+def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[str, Any]:
+    """`result`: the `estimate` object; `file`: the model's text, where its values have not settled only with `anyway`."""
     progress(0.0, "estimate")
     model, records = asked.opened()
-    found = model.estimate(records, map=asked.mapping, method=method)
-    return {"result": found.to_dict(), "file": None if found.unsettled else found.model.text.encode()}
+    found = model.estimate(records, map=asked.mapping, **question.model_dump())
+    written = question.anyway or not found.unsettled
+    return {"result": found.to_dict(), "file": None if not written else found.model.text.encode()}
 
 
 def identify(progress: Progress, records: Sequence[RecordParts], asked: Identify) -> Mapping[str, Any]:
@@ -140,43 +117,41 @@ def residuals(
     model: bytes,
     healthy: Sequence[RecordParts],
     records: Sequence[RecordParts],
-    choice: ResidualChoice,
-    threshold: Mapping[str, Any],
+    asked: DesignResidual,
+    judged: RunResidual,
 ) -> Mapping[str, Any]:
-    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `threshold` goes to `detect`."""
+    """`design`: the `residual design` object; `runs`: the `residual run` object of each record. `judged` is asked of these."""
     steps = 1 + len(records)
     progress(0.0, "residual")
     known = _records(healthy)
-    made = choice.made(read_identified(model), known)
+    made = residual_for(read_identified(model), known, asked)
     runs = []
     for number, record in enumerate(_records(records), start=1):
         progress(number / steps, "residual")
-        runs.append(to_plain(run_json(made, record, detect(made, record, **threshold))))
+        runs.append(to_plain(run_json(made, record, detect(made, record, **judged.model_dump()))))
     return {"design": to_plain(design_json(made, known, identified="model.json", file="design.json")), "runs": runs}
 
 
 def design_controller(
     progress: Progress,
-    models: Sequence[tuple[str, bytes]],
+    names: Sequence[str],
+    models: Sequence[bytes],
     joined: bytes | None,
-    weight: WeightChoice,
-    options: Mapping[str, Any],
+    asked: DesignController,
+    export: str | None = None,
 ) -> Mapping[str, Any]:
-    """`result`: the `control design` object, infeasible or with the controller; `models` are names and contents.
-
-    `options` are those of `rs.control.design`.
-    """
+    """`result`: the `control design` object, infeasible or with the controller, and its source text in the language `export`."""
     progress(0.0, "control")
-    plants = [Plant(model, model.method.split("-")[0]) for model in (read_identified(text) for _, text in models)]
     middle = None if joined is None else read_identified(joined)
-    nominal = None if middle is None else Plant(middle, middle.method.split("-")[0])
-    named = {"models": [name for name, _ in models]}
     try:
-        controller = control.design(plants, joined=nominal, weight=weight, **options)
+        controller = control.designed(names, [read_identified(text) for text in models], middle, asked)
     except Infeasible as no:
-        asked = {name: options[name] for name in ("aim", "structure")}
-        return {"result": asked | named | {"feasible": False, "reason": str(no)}}
-    return {"result": json.loads(json.dumps(controller.to_dict() | named | {"file": "controller.json"}))}
+        described = {"aim": asked.aim, "structure": asked.structure, "models": list(names)}
+        return {"result": described | {"feasible": False, "reason": str(no)}}
+    found = controller.to_dict() | {"file": "controller.json"}
+    if export is not None:
+        found["exported"] = LANGUAGES[export](controller.difference_equation())
+    return {"result": json.loads(json.dumps(found))}
 
 
 def _records(records: Sequence[RecordParts]) -> list[Record]:

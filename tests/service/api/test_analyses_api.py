@@ -60,6 +60,7 @@ def test_identify_then_residuals(client, plant, tmp_path):
     assert job["result"]["runs"][1]["record"] == faulty
 
 
+@pytest.mark.filterwarnings("ignore:order. will not be read much longer:FutureWarning")
 def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault(client, refused, plant, tmp_path):
     healthy, faulty = (upload(client, record, tmp_path / f"{number}.csv") for number, record in enumerate(plant))
     asked = {"records": [healthy], "input": "u", "output": "y", "order": 30, "delay": 1, "save_as": "trusted"}

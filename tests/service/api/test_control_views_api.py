@@ -80,12 +80,20 @@ def test_every_choice_of_the_weight_reaches_it(client, stored, refused):
 
 
 def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refused):
-    asked = {"models": [{"model": stored, "version": 1}], "structure": "pi", "only": "settling-time", "upper": 2.5}
+    asked = {"models": [{"model": stored, "version": 1}], "structure": "pi", "only": "settling-time", "limits": [None, 2.5]}
     made = view(client, **asked)
     assert made["points"][made["chosen"]]["second"] == min(point["second"] for point in made["points"])
     assert "2.5" in made["points"][0]["difference_equation"]
     impossible = view(client, **asked, settling_time=0.3)
     assert not impossible["feasible"] and "aim" in impossible["reason"] and impossible["uncertainty"]["critical_frequency"] > 0
     address = "/api/v1/control-designs/views"
-    assert refused("POST", address, json=asked | {"lower": 3})[0] == 422
+    assert refused("POST", address, json=asked | {"limits": [3, 2.5]})[0] == 422
     assert refused("POST", address, json={"models": [{"model": "none"}]})[0] == 404
+
+
+@pytest.mark.filterwarnings("ignore:.* will not be read much longer:FutureWarning")
+def test_names_of_before_are_still_read(client, stored):
+    asked = {"models": [{"model": stored}], "structure": "pi", "points": 60, "aim": "robust"}
+    before = {"low_gain_db": 100, "smallest_high_gain_db": -6, "lowest_critical_frequency": 0.02, "lower": -9, "upper": 2.5}
+    now = {"low_gain": 100, "high_gain": -6, "critical_frequency": 0.02, "limits": [-9, 2.5]}
+    assert view(client, **asked, **before) == view(client, **asked, **now)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import residuum as rs
+from residuum.library.questions.residual import DesignResidual
 from residuum.service.cli import ANSWER_IS_NO, BAD_INPUT, DONE, run
+from residuum.service.commands import as_option
 
-OWN_TO_A_DOOR = ("file", "model_file", "stored", "record", "records", "models", "seconds")
+OWN_TO_A_DOOR = ("file", "model_file", "identified", "stored", "record", "records", "models", "seconds")
 """Where each door puts files, what it calls records and models, and how long it took."""
 AXIS = {"input": "force", "output": "velocity"}
 IDENTIFIED = {
@@ -42,11 +44,41 @@ REFUSED = {
     "what no path alone has": ({"output": ["velocity", "position"], "check": True}, "", "need the method kernel, "),
 }
 """What is asked, which field is refused, and how it goes on."""
+DESIGNED = {
+    "a controller": {},
+    "few plants": {"rule": "worst-case", "epsilon": 0.1, "zeta": 0.2, "weight_order": 1, "points": 80, "lowest": 0.05, "seed": 3},
+    "robust": {"aim": "robust", "low_gain": 60, "high_gain": -6, "critical_frequency": 0.02, "only": "high-gain"},
+    "held in time": {"in_time": True, "overshoot": 0.05},
+    "one wish": {"only": "settling-time", "slack": 0.2, "settling_time": 100},
+    "parameters held": {"structure": "pidn", "fix": {"k_d": 0, "N_d": 1}, "within": {"k_i": [0, 5000]}},
+    "limits": {"limits": [-2.5, 2.5]},
+}
+NOT_DESIGNED = {
+    "an unknown structure": ({"structure": "pidm"}, "structure", "'pidm': there is none of this name; did you mean 'pid'"),
+    "too few plants": ({"epsilon": 0.001}, "epsilon", "must be ≥ 0.005"),
+    "a wish of the other aim": ({"only": "high-gain"}, "only", "is a wish of the aim robust; say "),
+    "limits turned round": ({"limits": [3, 2.5]}, "limits", "3 2.5: must have the lower one first"),
+    "a text for a number": ({"fix": {"k_d": "none"}}, "fix.k_d", "'none': must be a number"),
+}
+WATCHED = {
+    "a residual": ({}, {}),
+    "an actuator's": ({"fault": "actuator", "gamma": 0.2, "rule": "worst-case", "weight_order": 1}, {"threshold": "peak"}),
+    "a classical one": ({"method": "kalman"}, {"false_alarms_per_day": 5}),
+    "another evaluation": ({}, {"evaluation": "rms", "false_alarms_per_day": 2}),
+    "a bound of the noise": ({}, {"threshold": "source", "noise_bound": 0.5}),
+}
+"""What is asked of the design, and of its run."""
+NOT_WATCHED = {
+    "an unknown method": ({"method": "kalmann"}, "method", "'kalmann': there is none of this name; did you mean 'kalman'"),
+    "no gain": ({"gamma": 0}, "gamma", ": must be > 0"),
+    "an unknown threshold": ({"threshold": "peek"}, "threshold", "'peek': there is none of this name; did you mean 'peak'"),
+    "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
+}
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
     "estimate": ("estimate", {}),
-    "estimate by prediction": ("estimate", {"method": "prediction"}),
+    "estimate by prediction": ("estimate", {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True}),
     "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
     "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
@@ -106,8 +138,11 @@ def options(asked):
             yield f"--no-{name}"
         elif name in ("input", "output"):
             yield from (word for channel in np.ravel(value) for word in (f"--{name}", channel))
-        elif name == "map":
-            yield from (word for pair in value.items() for word in ("--map", "=".join(pair)))
+        elif isinstance(value, dict):
+            texts = {key: ":".join(map(str, np.ravel(part))) for key, part in value.items()}
+            yield from (word for pair in texts.items() for word in (as_option(name), "=".join(pair)))
+        elif name == "limits":
+            yield from (as_option(name), *value)
         else:
             yield from (f"--{name.replace('_', '-')}", ",".join(value) if isinstance(value, list) else value)
 
@@ -130,7 +165,7 @@ def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, client, r
     shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
     status, http = refused("POST", "/api/v1/identify", json=asked | {"records": [number]})
     assert status == 422
-    for told, name in (str(python.value), field), (shell, f"--{field.replace('_', '-')}"), (http, f'"{field}"'):
+    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
         assert told.startswith(name if field else "several"), told
         assert says in told, told
 
@@ -145,15 +180,74 @@ def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
     assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
 
 
-def test_a_controller(axis, client, capsys, tmp_path):
+@pytest.fixture(scope="module")
+def plant_file(axis, client, tmp_path_factory):
+    """The axis as an output-error model: its file, and at the service `axis`."""
     path, number = axis["position"]
     asked = AXIS | {"method": "oe", "order": 1, "delay": 1}
-    rs.identify(path, **asked).save(tmp_path / "axis.json")
+    file = tmp_path_factory.mktemp("plant") / "axis.json"
+    rs.identify(path, **asked).save(file)
     answered(client, "identify", asked | {"records": [number], "save_as": "axis"})
-    told = shared(rs.control.design(tmp_path / "axis.json", structure="pi").to_dict())
-    out = tmp_path / "controller.json"
-    assert shared(printed(capsys, "control", "design", tmp_path / "axis.json", "--structure", "pi", "--out", out)) == told
-    assert shared(answered(client, "control-designs", {"models": ["axis"], "structure": "pi"})) == told
+    return file
+
+
+@pytest.fixture(scope="module")
+def short_plant(axis, client, tmp_path_factory):
+    """The axis as an impulse response of 20 samples: its file, and at the service `short`."""
+    path, number = axis["position"]
+    asked = AXIS | {"order": 20, "delay": 1}
+    file = tmp_path_factory.mktemp("short") / "axis.json"
+    rs.identify(path, **asked).save(file)
+    answered(client, "identify", asked | {"records": [number], "save_as": "short"})
+    return file
+
+
+@pytest.mark.parametrize("case", DESIGNED)
+def test_a_controller(case, plant_file, client, capsys, tmp_path):
+    asked = {"structure": "pi"} | DESIGNED[case]
+    told = shared(rs.control.design(plant_file, **asked).to_dict())
+    out = ["--out", tmp_path / "controller.json"]
+    assert shared(printed(capsys, "control", "design", plant_file, *options(asked), *out)) == told
+    assert shared(answered(client, "control-designs", {"models": ["axis"]} | asked)) == told
+    if case == "limits":
+        exported = answered(client, "control-designs", {"models": [{"model": "axis"}], "export": "c"} | asked)["exported"]
+        assert "controller_step" in exported and "2.5" in exported
+
+
+@pytest.mark.parametrize("case", NOT_DESIGNED)
+def test_a_controller_is_refused_alike(case, plant_file, client, refused, capsys, tmp_path):
+    asked, field, says = NOT_DESIGNED[case]
+    with pytest.raises(rs.BadInput) as python:
+        rs.control.design(plant_file, **asked)
+    assert run(["control", "design", str(plant_file), "--out", str(tmp_path / "k"), *map(str, options(asked))]) == BAD_INPUT
+    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
+    status, http = refused("POST", "/api/v1/control-designs", json=asked | {"models": ["axis"]})
+    assert status == 422
+    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
+        assert told.startswith(name) and says in told, told
+
+
+@pytest.mark.parametrize("case", WATCHED)
+def test_a_residual(case, axis, short_plant, client, capsys, tmp_path):
+    (path, number), (designed, judged) = axis["position"], WATCHED[case]
+    out = ["--out", tmp_path / "design"]
+    design = printed(capsys, "residual", "design", short_plant, "--healthy", path, *options(designed), *out)
+    ran = printed(capsys, "residual", "run", tmp_path / "design", path, *options(judged))
+    body = {"model": "short", "healthy": [number], "records": [number]} | designed | judged
+    http = answered(client, "residuals", body)
+    assert shared(http["design"]) == shared(design) and shared(http["runs"][0]) == shared(ran)
+
+
+@pytest.mark.parametrize("case", NOT_WATCHED)
+def test_a_residual_is_refused_alike(case, plant_file, refused, capsys, tmp_path):
+    asked, field, says = NOT_WATCHED[case]
+    verb = ["design", plant_file, "--out", tmp_path / "d"] if field in DesignResidual.model_fields else ["run", "d", "r.csv"]
+    assert run(["residual", *map(str, verb), *map(str, options(asked))]) == BAD_INPUT
+    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
+    status, http = refused("POST", "/api/v1/residuals", json={"model": "axis", "healthy": [1], "records": [1]} | asked)
+    assert status == 422
+    for told, name in (shell, as_option(field)), (http, f'"{field}"'):
+        assert told.startswith(name) and says in told, told
 
 
 @pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])

@@ -40,10 +40,13 @@ def test_held_and_limited_parameters_reach_the_controller(model, tmp_path):
     ("options", "says"),
     [
         (["--fix", "k_d"], "NAME=VALUE"),
-        (["--fix", "k_d=x"], "not a number"),
+        (["--fix", "k_d=x"], "fix.k_d 'x': must be a number"),
         (["--within", "k_i=1"], "NAME=LOW:HIGH"),
         (["--fix", "gain=1"], "has no parameter"),
-        (["--only", "speed"], "must be one of"),
+        (["--only", "speed"], "only 'speed': there is none of this name"),
+        (["--only", "high-gain"], "is a wish of the aim robust; say aim='robust'"),
+        (["--in-time", "--only", "overshoot"], "leave only out"),
+        (["--limits", "5", "4.5"], "limits 5 4.5: must have the lower one first"),
     ],
 )
 def test_bad_settings_are_refused(model, tmp_path, options, says):

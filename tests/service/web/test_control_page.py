@@ -91,10 +91,10 @@ def test_inputs_of_the_source_are_on_the_page_with_its_defaults(service, open_pa
     with page.expect_request("**/control-designs/views") as sent:
         page.get_by_role("button", name="Design", exact=True).click()
     asked = sent.value.post_data_json
-    assert {key: asked[key] for key in ("epsilon", "zeta", "rule", "weight_order", "points", "low_gain_db")} == {
-        "epsilon": 0.1, "zeta": 0.2, "rule": "worst-case", "weight_order": 1, "points": 100, "low_gain_db": 120
+    assert {key: asked[key] for key in ("epsilon", "zeta", "rule", "weight_order", "points", "low_gain")} == {
+        "epsilon": 0.1, "zeta": 0.2, "rule": "worst-case", "weight_order": 1, "points": 100, "low_gain": 120
     }  # fmt: skip
-    assert asked["smallest_high_gain_db"] == -20 and "epsilon=0.1" in page.url
+    assert asked["high_gain"] == -20 and "epsilon=0.1" in page.url
 
 
 def test_an_impossible_wish_is_refused_with_its_reason(service, open_page):

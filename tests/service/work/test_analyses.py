@@ -9,10 +9,11 @@ from residuum.identification.linear_models.identified_model_file import identifi
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified
+from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
-from residuum.robust_control.control_problem import WeightChoice
+from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.service.work import analyses
-from residuum.service.work.analyses import Asked, ResidualChoice
+from residuum.service.work.analyses import Asked
 from residuum.service.work.record_parts import parts_of
 
 ASKED = Identify(input="u", output="y", order=20, delay=1)
@@ -59,15 +60,15 @@ def test_explaining_tells_what_it_tries_and_names_the_record_as_it_is_told(axis)
 def test_every_run_is_a_part_of_the_residuals_work(plant):
     model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
     runs = [parts_of(plant, "a.csv"), parts_of(plant, "b.csv")]
-    told, found = told_by(analyses.residuals, model, runs[:1], runs, ResidualChoice(), {"threshold": "posterior"})
+    told, found = told_by(analyses.residuals, model, runs[:1], runs, DesignResidual(), RunResidual())
     assert [share for share, _ in told] == pytest.approx([0, 1 / 3, 2 / 3], abs=1e-6)
     assert found["design"]["fault"] == "sensor" and [run["alarm"] for run in found["runs"]] == [False, False]
 
 
 def test_a_design_that_cannot_be_is_an_answer(plant):
     model = identified_text(identified([plant], ASKED, lambda *_: None).identified).encode()
-    impossible = {"aim": "nominal", "structure": "pi", "overshoot": 1e-6, "settling_time": 1e-6, "slack": 1e-6}
-    _, found = told_by(analyses.design_controller, [("press", model)], None, WeightChoice(), impossible)
+    impossible = DesignController(structure="pi", overshoot=1e-6, settling_time=1e-6, slack=1e-6)
+    _, found = told_by(analyses.design_controller, ["press"], [model], None, impossible)
     assert found["result"]["feasible"] is False and found["result"]["reason"]
     assert found["result"]["models"] == ["press"]
 

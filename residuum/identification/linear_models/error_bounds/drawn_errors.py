@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +11,8 @@ import numpy.typing as npt
 from residuum.identification.errors import BadModel
 
 FloatArray = npt.NDArray[np.float64]
-Form = Literal["multiplicative", "additive", "inverse-multiplicative"]
 Polynomials = tuple[FloatArray, FloatArray]
-FORMS: tuple[Form, ...] = ("multiplicative", "additive", "inverse-multiplicative")
+FORMS = ("multiplicative", "additive", "inverse-multiplicative")
 _VALUES_AT_ONCE = 2_000_000
 
 
@@ -37,10 +35,10 @@ class DrawnErrors:
     numerators: FloatArray
     denominators: FloatArray
     sample_time: float
-    form: Form
+    form: str
 
     @classmethod
-    def of(cls, drawn: Polynomials, nominal: Polynomials, sample_time: float, form: Form) -> DrawnErrors:
+    def of(cls, drawn: Polynomials, nominal: Polynomials, sample_time: float, form: str) -> DrawnErrors:
         """Errors of G_i = N_i/D_i against G₀ = N₀/D₀, coefficient rows in ascending powers of z⁻¹."""
         (N, D), (N0, D0) = drawn, nominal
         mixed = _times(N, D0)

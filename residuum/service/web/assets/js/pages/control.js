@@ -324,6 +324,7 @@ function body(asked) {
   });
   const optional = (key, name = key) =>
     asked[key] === "" || !Number.isFinite(Number(asked[key])) ? {} : { [name]: Number(asked[key]) };
+  const bound = (text) => (text === "" || !Number.isFinite(Number(text)) ? null : Number(text));
   const wishes =
     asked.aim === "nominal"
       ? {
@@ -333,19 +334,18 @@ function body(asked) {
           ...optional("settling", "settling_time"),
         }
       : {
-          ...optional("lowGain", "low_gain_db"),
-          ...optional("highGain", "smallest_high_gain_db"),
-          ...optional("critical", "lowest_critical_frequency"),
+          ...optional("lowGain", "low_gain"),
+          ...optional("highGain", "high_gain"),
+          ...optional("critical", "critical_frequency"),
         };
   return {
     models,
     aim: asked.aim,
     structure: asked.structure,
     ...wishes,
-    ...weightParameters(asked, "weight_order"),
+    ...weightParameters(asked),
     ...(asked.only ? { only: asked.only } : {}),
-    ...optional("lower"),
-    ...optional("upper"),
+    limits: [bound(asked.lower), bound(asked.upper)],
   };
 }
 

@@ -70,7 +70,7 @@ export function trustPanels(model, bench) {
   const form = h("label", {}, "error bounded", h("select", { "data-key": "weight-form", onchange: pickForm }, options));
   const fetchWeight = (event) => {
     event?.preventDefault();
-    const query = new URLSearchParams({ version: stored.version, form: chosen.form, ...weightParameters(chosen, "order") });
+    const query = new URLSearchParams({ version: stored.version, form: chosen.form, ...weightParameters(chosen) });
     call(`${path("models", stored.model, "uncertainty")}?${query}`)
       .then((found) => drawWeight(weight, about, found))
       .catch((problem) => notify(problem.message));

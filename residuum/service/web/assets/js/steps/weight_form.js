@@ -43,16 +43,16 @@ export function weightFields(asked, more = []) {
     type("epsilon", "accuracy ε", { min: 0.005, max: 0.5, required: true }),
     type("zeta", "risk ζ", { min: 0.000001, max: 0.5, required: true }),
     rule,
-    type("order", "order of W_T", { min: 0, max: 8, step: 1, required: true }),
+    type("order", "order of W_T", { min: 0, max: 20, step: 1, required: true }),
     type("points", "frequencies of the grid", { min: 50, max: 5000, step: 1, placeholder: "600" }),
     type("lowest", "lowest frequency [rad/s]", { min: 0, placeholder: "5.5 decades below π/Ts" }),
     ...more,
   ];
 }
 
-/** The same as parameters of a request; fields left empty are left out. `order` is what the request calls the order. */
-export function weightParameters(asked, order) {
-  const names = { epsilon: "epsilon", zeta: "zeta", order, points: "points", lowest: "lowest" };
+/** The same as parameters of a request; fields left empty are left out. */
+export function weightParameters(asked) {
+  const names = { epsilon: "epsilon", zeta: "zeta", order: "weight_order", points: "points", lowest: "lowest" };
   const numbers = Object.entries(names).filter(([key]) => asked[key] !== "" && Number.isFinite(Number(asked[key])));
   return { ...Object.fromEntries(numbers.map(([key, name]) => [name, Number(asked[key])])), rule: asked.rule };
 }
