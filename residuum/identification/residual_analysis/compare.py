@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
@@ -19,6 +20,7 @@ from residuum.identification.residual_analysis.error_sizes import (
     output_errors,
     prediction_errors,
 )
+from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
 from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_odd
 from residuum.identification.residual_analysis.places.axes import signal_axes
@@ -133,11 +135,16 @@ def compare(
     BadRecord, BadUnit
         Columns that do not fit the model.
     NotIdentifiable
-        The model diverges on a record.
+        The model diverges on a record, or is unstable along it.
     """
     model, experiments = match(model, records, mapping)
     experiments, odd = without_odd(model, experiments)
-    experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+    try:
+        experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+    except NotIdentifiable:
+        check_followed(model, experiments)
+        raise
+    check_followed(model, experiments, simulation)
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
     smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
