@@ -116,6 +116,14 @@ def test_delay_is_found_and_certain():
     assert estimate.probability[7] > 0.95
 
 
+@pytest.mark.parametrize("length", [1, 3, 280])
+def test_of_a_gentle_beginning_that_one_pulse_or_step_tells_no_lag_is_left_out(length):
+    b, a, _ = signal.cont2discrete(([1.0], [25.0, 10.0, 1.0]), 1.0, method="zoh")
+    u = np.r_[np.zeros(20), np.ones(length), np.zeros(280)][:300]
+    y = signal.lfilter(b.ravel(), a, u) + 0.02 * np.random.default_rng(33).standard_normal(300)
+    assert estimate_delay(Record({"u": u, "y": y}, UNITS, 1.0), "u", "y").delay <= 1
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
