@@ -22,7 +22,7 @@ from residuum.identification.residual_analysis.error_sizes import (
 )
 from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
-from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_odd
+from residuum.identification.residual_analysis.odd_readings import OddReadings, codes_of_inputs, odd_readings, without_odd
 from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.places.locate import Axis, Region
 from residuum.identification.residual_analysis.places.regions import regions
@@ -44,7 +44,7 @@ class Comparison:
 
     `simulation` is the model with its parameters as they are and estimated initial states; `smoothed` has each balance's
     missing term with its band, one a record; `axes` are the signals along which errors were located, one list a record;
-    `structured` is the structured-error test of each measured output.
+    `structured` is the structured-error test of each measured output; `driven_by_codes` says which inputs hold error codes.
     """
 
     model: PhysicalModel
@@ -58,6 +58,7 @@ class Comparison:
     axes: list[list[Axis]]
     where: tuple[Region, ...]
     odd: tuple[OddReadings, ...] = ()
+    driven_by_codes: tuple[str, ...] = ()
 
     @property
     def odd_samples(self) -> bool:
@@ -91,7 +92,8 @@ class Comparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What of the model the records contradict before anything is simulated, and what a sensor says without a value."""
-        return (*begins_elsewhere(self.model, self.experiments), *(text for odd in self.odd for text in odd.says()))
+        says = (text for odd in self.odd for text in odd.says())
+        return (*begins_elsewhere(self.model, self.experiments), *says, *self.driven_by_codes)
 
     @property
     def not_recorded(self) -> dict[str, tuple[str, ...]]:
@@ -169,6 +171,7 @@ def compare(
         smoothed=smoothed,
         axes=seen,
         odd=_beside(model, experiments, simulation, odd),
+        driven_by_codes=codes_of_inputs(model, records, mapping),
         where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
     )
 

@@ -70,6 +70,16 @@ def test_codes_on_end_and_often_are_left_out(rows, code):
     assert any(f"read {code:.10g} degC, an error code" in text for text in found.warnings)
 
 
+@pytest.mark.parametrize("code", [-999.9, 6553.5, -32768.0, 8191.875, 5000.0])
+def test_an_input_that_error_codes_drive_is_named(code):
+    power, y, _ = tank(3)
+    power[[50, 51, 52, 200, 400]] = code
+    known = code != 5000.0  # a power, for all anybody knows
+    said = [text for text in compared(power, y).warnings if "drive the model" in text]
+    assert len(said) == known
+    assert not known or (f"--missing {code:.10g}" in said[0] and "power: 5 samples (numbers 50, 51, 52, 200, 400)" in said[0])
+
+
 def test_one_reading_far_off_is_told_wherever_it_stands():
     for row in (0, 48, 599):
         power, y, _ = tank(3)
