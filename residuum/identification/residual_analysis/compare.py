@@ -120,6 +120,7 @@ def compare(
     *,
     level: float = STRUCTURE_LEVEL,
     seed: int = 0,
+    refuse_unstable: bool = True,
 ) -> Comparison:
     """Hold a model, its parameters as they are, against records.
 
@@ -131,6 +132,8 @@ def compare(
     mapping : mapping of model name to column
     level : float
         False-alarm probability of the structured-error verdict.
+    refuse_unstable : bool
+        Whether a model that is unstable along a record which its simulation leaves is refused; not where it was fitted before.
 
     Raises
     ------
@@ -144,9 +147,11 @@ def compare(
     try:
         experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
     except NotIdentifiable:
-        check_followed(model, experiments)
+        if refuse_unstable:
+            check_followed(model, experiments)
         raise
-    check_followed(model, experiments, simulation)
+    if refuse_unstable:
+        check_followed(model, experiments, simulation)
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
     smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
