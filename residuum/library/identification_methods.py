@@ -66,9 +66,12 @@ def _delay(records: Sequence[Record], asked: Identify) -> int:
     if asked.delay is not None:
         return asked.delay
     longest = max(_LONGEST_DELAY, _first_significant_lag(records, asked) + _DELAYS_BEYOND)
-    return estimate_delay(
-        records, asked.input_name, asked.output_name, kernel=asked.kernel, offset=asked.offset, longest=longest
-    ).delay
+    try:
+        return estimate_delay(
+            records, asked.input_name, asked.output_name, kernel=asked.kernel, offset=asked.offset, longest=longest
+        ).delay
+    except NotIdentifiable:
+        return 1  # too short to compare delays; whether a response can be told at all, its own estimate says
 
 
 def _first_significant_lag(records: Sequence[Record], asked: Identify) -> int:

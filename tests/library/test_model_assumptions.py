@@ -145,6 +145,7 @@ def test_one_sine_tells_no_gain(method):
     y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(600)
     found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method=method)
     assert "static gain       the record does not tell it" in str(found)
+    assert "the record does not tell them" in str(found)  # no coefficient with a narrow band
     assert any("persistently exciting of order 2 only" in text for text in found.identified.warnings)
     assert "persistently exciting" in refused(found)
 
@@ -154,4 +155,14 @@ def test_a_record_that_ends_before_its_step_is_answered_says_so():
     u = (k >= 20) * 1.0
     y = signal.lfilter([0.0, 0.05], [1.0, -0.95], u) + 0.005 * rng.standard_normal(60)
     found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx")
+    assert any("the records end before the response" in text for text in found.identified.warnings)
+
+
+def test_a_step_too_short_to_compare_delays_is_identified_with_a_warning():
+    rng, k = np.random.default_rng(5), np.arange(35)
+    u = (k >= 20) * 1.0
+    y = signal.lfilter([0.0, 0.15], [1.0, -0.85], u) + 0.02 * rng.standard_normal(35)
+    found = rs.identify(Record({"u": u, "y": y}, {"u": "", "y": ""}, 1.0), input="u", output="y", method="arx")
+    spread = np.sqrt(found.identified.frequency_covariance(0.0)[0, 0, 0])
+    assert abs(found.identified.frequency_response(0.0).real - 1.0) < 3 * spread
     assert any("the records end before the response" in text for text in found.identified.warnings)

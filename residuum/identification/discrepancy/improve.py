@@ -133,7 +133,7 @@ def _improvement(
 
 def _verdict(improved: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None) -> str:
     """That of `compare` on the model as it will be written: `adequate`, or what is left has no name."""
-    return "unknown-effect" if compare(improved, records, mapping).present else "adequate"
+    return "unknown-effect" if compare(improved, records, mapping, refuse_unstable=False).present else "adequate"
 
 
 def _with_inputs_of(model: PhysicalModel, knowing: PhysicalModel) -> PhysicalModel:

@@ -35,7 +35,7 @@ def answer_on_blocks(
     free = free_terms(found.base, found.court)
     left = _left(found)
     slow = any(times > SLOW for _, _, times in left.values())  # few answers to few steps look like a walk at random
-    adequate = not slow and not compare(best.model, records, mapping).present
+    adequate = not slow and not compare(best.model, records, mapping, refuse_unstable=False).present
     verdict = verdict_on(found, steps, free, stds, adequate=adequate)
     rest = free_terms(best, found.court) if best.keys else free
     named = {key for step in steps for one in (step.after, *step.group) for key in one.keys}

@@ -1,4 +1,9 @@
-"""Input delay: which lag the response begins at, by the marginal likelihood of each candidate."""
+"""Input delay: which lag the response begins at, by the marginal likelihood of each candidate.
+
+Of a gentle beginning, or one that a single step or pulse hardly tells, the likelihood is flat over several candidates. A delay
+too long leaves out lags that answer, and what lies there is pressed into those behind them, with a narrow band; one too short
+leaves lags more to estimate. So the shortest is taken that the data do not speak against.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +21,15 @@ from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.record import Record
 
+_ABOUT_AS_LIKELY = 2.0
+"""Nats: one seventh of the probability."""
+
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate:
-    """The most likely delay [samples], and for every candidate 0 … longest its −log p and probability."""
+    """The shortest delay [samples] that is about as likely as the most likely one, and for every candidate 0 … longest its −log p
+    and probability.
+    """
 
     delay: int
     negative_log_likelihood: npt.NDArray[np.float64]
@@ -67,4 +77,5 @@ def estimate_delay(
             candidate = scaled_sums(sums.columns(np.arange(delay, delay + order)), 1)[0]
             start, value = maximise(marginal_likelihood(candidate, KERNELS[kernel]), start)
             values.append(value)
-    return DelayEstimate(int(np.argmin(values)), np.array(values))
+    about = np.array(values) <= min(values) + _ABOUT_AS_LIKELY
+    return DelayEstimate(int(np.argmax(about)), np.array(values))

@@ -38,6 +38,7 @@ FloatArray = npt.NDArray[np.float64]
 NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000
+_WALL = 1e100
 _ROUNDING = 1e-20
 """Of a level's square, below which a movement about it is rounding."""
 
@@ -234,14 +235,26 @@ def maximise(
 ) -> tuple[FloatArray, float]:
     """Search variables of the largest marginal likelihood and −log p there.
 
-    A coarse grid of time constants and signal-to-noise ratios (or `start`), then L-BFGS-B on the exact gradient.
+    A coarse grid of time constants and signal-to-noise ratios (or `start`), then L-BFGS-B on the exact gradient. It neither
+    begins where the likelihood is no number nor goes there.
+
+    Raises
+    ------
+    NotIdentifiable
+        The likelihood is a number at none of the starts.
     """
-    x = min(_starts(likelihood), key=likelihood.value) if start is None else start
+    given = None if start is None else _finite_start(likelihood, [start])
+    x = _finite_start(likelihood, _starts(likelihood)) if given is None else given
+    if x is None:
+        raise NotIdentifiable(
+            "the likelihood is no number at any start of its search, so that the record tells no response: record while the "
+            "input moves, or scale the signals to about 1"
+        )
     decay = [item.bounds for item in likelihood.kernel.parameters]
     kappa = [(value - 40.0, value + 40.0) for value in x.reshape(likelihood.n_inputs, -1)[:, -1]]
     bounds = [pair for input_kappa in kappa for pair in [*decay, input_kappa]]
     found = optimize.minimize(
-        likelihood.value_and_gradient,
+        lambda at: _finite(*likelihood.value_and_gradient(at)),
         x,
         jac=True,
         method="L-BFGS-B",
@@ -249,6 +262,20 @@ def maximise(
         options={"ftol": tolerance, "gtol": 1e-6 * likelihood.n},
     )
     return np.asarray(found.x), float(found.fun)
+
+
+def _finite_start(likelihood: MarginalLikelihood, starts: Sequence[FloatArray]) -> FloatArray | None:
+    """Of the starts the likeliest; None where the likelihood is a number at none."""
+    values = [likelihood.value(x) if np.all(np.isfinite(x)) else np.inf for x in starts]
+    known = [(value, k) for k, value in enumerate(values) if np.isfinite(value)]
+    return starts[min(known)[1]] if known else None
+
+
+def _finite(value: float, gradient: FloatArray) -> tuple[float, FloatArray]:
+    """Value and gradient, or a wall where they are no numbers, from which a line search turns back."""
+    if np.isfinite(value) and np.all(np.isfinite(gradient)):
+        return value, gradient
+    return _WALL, np.zeros_like(gradient)
 
 
 def _starts(likelihood: MarginalLikelihood) -> list[FloatArray]:

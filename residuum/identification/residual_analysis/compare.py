@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.identification.blas_threads import one_thread
+from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate, match
 from residuum.identification.physics.simulate.initial_values import begins_elsewhere
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed, tune
@@ -19,8 +20,9 @@ from residuum.identification.residual_analysis.error_sizes import (
     output_errors,
     prediction_errors,
 )
+from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.residual_analysis.input_timing import at_likelier_timing
-from residuum.identification.residual_analysis.odd_readings import OddReadings, odd_readings, without_odd
+from residuum.identification.residual_analysis.odd_readings import OddReadings, codes_of_inputs, odd_readings, without_odd
 from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.places.locate import Axis, Region
 from residuum.identification.residual_analysis.places.regions import regions
@@ -42,7 +44,7 @@ class Comparison:
 
     `simulation` is the model with its parameters as they are and estimated initial states; `smoothed` has each balance's
     missing term with its band, one a record; `axes` are the signals along which errors were located, one list a record;
-    `structured` is the structured-error test of each measured output.
+    `structured` is the structured-error test of each measured output; `driven_by_codes` says which inputs hold error codes.
     """
 
     model: PhysicalModel
@@ -56,6 +58,7 @@ class Comparison:
     axes: list[list[Axis]]
     where: tuple[Region, ...]
     odd: tuple[OddReadings, ...] = ()
+    driven_by_codes: tuple[str, ...] = ()
 
     @property
     def odd_samples(self) -> bool:
@@ -89,7 +92,8 @@ class Comparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What of the model the records contradict before anything is simulated, and what a sensor says without a value."""
-        return (*begins_elsewhere(self.model, self.experiments), *(text for odd in self.odd for text in odd.says()))
+        says = (text for odd in self.odd for text in odd.says())
+        return (*begins_elsewhere(self.model, self.experiments), *says, *self.driven_by_codes)
 
     @property
     def not_recorded(self) -> dict[str, tuple[str, ...]]:
@@ -116,6 +120,7 @@ def compare(
     *,
     level: float = STRUCTURE_LEVEL,
     seed: int = 0,
+    refuse_unstable: bool = True,
 ) -> Comparison:
     """Hold a model, its parameters as they are, against records.
 
@@ -127,17 +132,26 @@ def compare(
     mapping : mapping of model name to column
     level : float
         False-alarm probability of the structured-error verdict.
+    refuse_unstable : bool
+        Whether a model that is unstable along a record which its simulation leaves is refused; not where it was fitted before.
 
     Raises
     ------
     BadRecord, BadUnit
         Columns that do not fit the model.
     NotIdentifiable
-        The model diverges on a record.
+        The model diverges on a record, or is unstable along it.
     """
     model, experiments = match(model, records, mapping)
     experiments, odd = without_odd(model, experiments)
-    experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+    try:
+        experiments, simulation = at_likelier_timing(experiments, lambda turned: estimate(model, turned, free=()))
+    except NotIdentifiable:
+        if refuse_unstable:
+            check_followed(model, experiments)
+        raise
+    if refuse_unstable:
+        check_followed(model, experiments, simulation)
     kalman = Filter(model, tune(model, experiments, simulation.initial))
     runs = list(zip(experiments, simulation.initial, simulation.substeps, strict=True))
     smoothed = [kalman.run(e, x0, substeps=steps) for e, x0, steps in runs]
@@ -162,6 +176,7 @@ def compare(
         smoothed=smoothed,
         axes=seen,
         odd=_beside(model, experiments, simulation, odd),
+        driven_by_codes=codes_of_inputs(model, records, mapping),
         where=regions(model, experiments, simulation.residuals, smoothed, seen, floors, structured),
     )
 

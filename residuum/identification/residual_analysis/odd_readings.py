@@ -1,8 +1,10 @@
 """Readings in which a sensor says that it has nothing to say: single rows far beside their neighbours, spans that stand still.
 
 A row is far beside where it lies off the median of the five rows about it by more than ten robust spreads of the steps between
-rows and by more than half of the range of all other values; a step is none, for the median follows it. A value that comes
-again among such rows is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
+rows and by more than half of the range of all other values; a step is none, for the median follows it. Equal values that follow
+one another are one reading there, so that a code which stands for several rows is seen, if it lies beyond the range of all other
+values and is one that sensors write for none: a machine that is off reads 0 for as long. A value that comes again among such rows
+is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
 A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
 digit. A sensor held it where the reading then jumps to where the machine went meanwhile; a machine that sticks goes on from where
 it stands.
@@ -27,8 +29,12 @@ from residuum.identification.record import Record
 FloatArray = npt.NDArray[np.float64]
 _ABOUT = 5
 _SPREADS, _OF_RANGE = 10.0, 0.5
-_MOST = 0.05
-"""Part of all rows: of more, they are no exceptions."""
+_MOST, _MOST_CODED = 0.05, 0.3
+"""Part of all rows that spikes, and known error codes, may be: of more, they are no exceptions."""
+_ENDS = tuple(whole * digit for whole in (32767, 32768, 65535) for digit in (1.0, 0.5, 0.125, 0.1, 0.01))
+_MARKS = (127.0, 850.0, 999.0, 9999.0, 99999.0, 999.9, 9999.9, *_ENDS)
+"""Sizes of values that are written for none: DS18B20, Pt100, loggers, and the ends of 16 bits in usual scalings."""
+_ZERO_CELSIUS = 273.15
 _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
 """Rows, usual runs and least steps by which a still span stands out."""
 _JUMP = 3.0
@@ -75,15 +81,16 @@ class OddReadings:
             marks = " ".join(f"--missing {code:.10g}" for code in self.codes)
             values = " or ".join(f"{code:.10g}" for code in self.codes)
             found.append(
-                f"{where}: {self._rows(self.coded)} read {values} {self.unit}, an error code beside their neighbours; they are "
-                f"left out here; `residuum inspect FILE {marks}` leaves them out everywhere"
+                f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code beside their neighbours; they "
+                f"are left out here; `residuum inspect FILE {marks}` leaves them out everywhere"
             )
         alone = np.setdiff1d(self.beside, self.coded)
         if alone.size:
             near, far = self.distance
+            lie = f"lie {near:.3g} to {far:.3g}" if len(alone) > 1 else f"lies {near:.3g}"
             found.append(
-                f"{where}: {self._rows(alone)} lie {near:.3g} to {far:.3g} {self.unit} beside their neighbours and make much of "
-                "the error; where they mean no value, say --missing VALUE"
+                f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the "
+                "neighbours and may make much of the error; where they mean no value, say --missing VALUE"
             )
         if self.held:
             found.append(
@@ -95,10 +102,10 @@ class OddReadings:
             found.append(f"{where}: stands still in samples {spans} while the model moves: a sensor that held its last value?")
         return found
 
-    @staticmethod
-    def _rows(rows: npt.NDArray[np.intp]) -> str:
-        shown = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN)
-        return f"{len(rows)} single sample{'s' * (len(rows) > 1)} (number{'s' * (len(rows) > 1)} {shown})"
+
+def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
+    shown, many = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN), "s" * (len(rows) > 1)
+    return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
 
 
 def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
@@ -157,7 +164,36 @@ def records_without_odd(
         out = np.isnan(now.Y) & np.isfinite(was.Y)
         lacking = {name: np.where(out[:, k], np.nan, record[name]) for name, k in columns.items() if out[:, k].any()}
         mended.append(replace(record, channels={**record.channels, **lacking}) if lacking else record)
-    return mended, tuple(text for each in odd for text in each.says())
+    says = (text for each in odd for text in each.says())
+    return mended, (*says, *codes_of_inputs(model, records, mapping))
+
+
+def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """A sentence of each input that holds error codes, in the record's own unit; they stay, for a simulation needs a value.
+
+    A code lies beyond the range of all other values by half of it: the steps of an input are as large as its range.
+    """
+    says = []
+    for record in records:
+        for column in ((mapping or {}).get(name, name) for name in model.inputs):
+            if column not in record.names:
+                continue
+            u = np.asarray(record[column], dtype=float)
+            marked = np.isfinite(u) & is_mark(u)
+            rest = u[np.isfinite(u) & ~marked]
+            if not marked.any() or not rest.size:
+                continue
+            apart = _OF_RANGE * np.ptp(rest)
+            rows = np.flatnonzero(marked & ((u < rest.min() - apart) | (u > rest.max() + apart)))
+            if rows.size:
+                codes = sorted(set(u[rows].tolist()))
+                values, marks = (" or ".join(f"{c:.10g}" for c in codes), " ".join(f"--missing {c:.10g}" for c in codes))
+                says.append(
+                    f"{record.source}, {column}: {_told_rows(rows, '')} read {values} {record.units.get(column, '')}, an error "
+                    f"code beside all other values, and drive the model; nothing here is to be trusted before `residuum inspect "
+                    f"FILE {marks} --out FILE.mapping.yaml` leaves them out"
+                )
+    return tuple(says)
 
 
 def _left_out(
@@ -187,16 +223,31 @@ def far_beside(y: FloatArray) -> tuple[npt.NDArray[np.intp], tuple[float, ...], 
     from scipy.ndimage import median_filter  # noqa: PLC0415
 
     known = np.flatnonzero(np.isfinite(y))
-    values = y[known]
-    off = np.abs(values - median_filter(values, _ABOUT, mode="nearest"))
-    spread = 1.4826 * float(np.median(np.abs(np.diff(values)))) or float(np.median(off[off > 0])) if (off > 0).any() else 0.0
-    far = off > _SPREADS * spread
-    rest = values[~far]
-    low, high = np.quantile(rest, [0.005, 0.995]) if rest.size else (0.0, 0.0)
-    large = far & (off > _OF_RANGE * float(high - low))
-    codes = tuple(sorted(value for value, count in Counter(values[large].tolist()).items() if count > 1))
-    odd = large | (far & np.isin(values, codes))  # a code that is near what the sensor should show is one, too
-    return (known[odd], codes, off[odd]) if 0 < odd.sum() <= _MOST * len(values) else (known[:0], (), off[:0])
+    every = y[known]
+    begins = np.r_[True, every[1:] != every[:-1]][: len(every)]
+    values, lengths = every[begins], np.diff(np.flatnonzero(np.r_[begins, True]))
+    if len(values) < _ABOUT:
+        return known[:0], (), every[:0]
+    off = np.abs(values - median_filter(values, _ABOUT, mode="mirror"))
+    far = off > _SPREADS * 1.4826 * float(np.median(np.abs(np.diff(values))))
+    low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
+    apart = _OF_RANGE * float(high - low)
+    out = ((values < low - apart) | (values > high + apart)) & is_mark(values)
+    large = far & (off > apart) & ((lengths == 1) | out)
+    read = Counter(np.repeat(values[large], lengths[large]).tolist())
+    codes = tuple(sorted(value for value, count in read.items() if count > 1))
+    coded = np.isin(values, codes) & (out | (far & (lengths == 1)))  # one near what the sensor should show is one, too
+    unusual = (large | coded) & ~(coded & out)
+    if lengths[unusual].sum() > _MOST * len(every) or lengths[coded].sum() > _MOST_CODED * len(every):
+        return known[:0], (), every[:0]
+    odd = np.repeat(large | coded, lengths)
+    return known[odd], codes, np.repeat(off, lengths)[odd]
+
+
+def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether values are what sensors and their buses write for none, in kelvin too where a record in degC was."""
+    near = [np.isclose(np.abs(values + shift), mark, rtol=1e-9) for mark in _MARKS for shift in (0.0, -_ZERO_CELSIUS)]
+    return np.asarray(np.any(near, axis=0))
 
 
 def _jumps_on(y: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:

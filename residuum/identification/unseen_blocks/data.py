@@ -13,6 +13,7 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.physics.estimation.gauss_newton import Cells
 from residuum.identification.record import Record
+from residuum.identification.residual_analysis.followed import check_followed
 from residuum.identification.unseen_blocks.policy import (
     BLIND,
     BLOCK_SAMPLES,
@@ -118,6 +119,8 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
     ------
     BadRecord, BadUnit
         Records that do not fit the model, in which nothing changes, or too short for blocks.
+    NotIdentifiable
+        The model is unstable along a record, so that no simulation of it stays there.
     """
     model, experiments = match(model, records, mapping)
     check_moves(experiments)
@@ -125,6 +128,7 @@ def matched(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[st
         e = min(experiments, key=lambda e: e.n)
         least = f"at least {FEWEST_TO_JUDGE} in all and {FOLDS} in each record are needed"
         raise BadRecord(f"record {e.source!r}: {e.n} samples; {least}, to keep parts aside that judge what the rest explains")
+    check_followed(model, experiments)
     return data_of(model, experiments)
 
 

@@ -20,7 +20,7 @@ from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.following import Track
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged, judged
-from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED, LONG_LOOK, PROMISING
+from residuum.identification.unseen_blocks.policy import ABSURD, FOLLOWED_STARTS, GLANCED, LONG_LOOK, PROMISING, RAN_OFF
 from residuum.identification.unseen_blocks.proposals import beginnings, conditions_along, starts
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
@@ -161,8 +161,24 @@ def _lowest(begun: Sequence[Fit], structure: Structure, seen: Glance, court: Cou
     """The lowest of the full fits from where these begin, judged; without those whose values refuse them."""
     tolerance = 1e-6 if court.scale.nats else 1e-4
     each = [descended(one, steps=15, tolerance=tolerance) for one in begun]
+    each += [back for one in each if (back := called_back(one, structure, court)) is not None]
     good = [one for one in each if not _is_refused(one.model, seen, court)]
     return court.judge_fit(structure, min(good, key=lambda one: one.cost)) if good else None
+
+
+def called_back(found: Fit, near: Structure, court: Court) -> Fit | None:
+    """The fit once more with the model's values that ran off put back to where they were given; None where none did.
+
+    What is missing drives a value away (a resistance to infinity), and from there nothing draws it back when the effect is there.
+    """
+    given, model = court.data.model.parameters, found.model
+    off = {
+        name: p.value
+        for name, p in given.items()
+        if not p.fixed and p.value != 0.0 and abs(model.parameters[name].value) > RAN_OFF * abs(p.value)
+    }
+    begun = _on_the_last_rung(model.with_values(off), near, court) if off else None
+    return None if begun is None else descended(begun, steps=15, tolerance=1e-6 if court.scale.nats else 1e-4)
 
 
 def _is_refused(model: PhysicalModel, seen: Glance, court: Court) -> bool:

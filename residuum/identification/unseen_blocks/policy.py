@@ -60,6 +60,8 @@ KEPT = 20
 """Candidates of the first level that are looked at again beside others. Chosen."""
 ABSURD = 100.0
 """Times all its first values at which a value is refused; small ones go a hundred times further. Chosen."""
+RAN_OFF = 1e4
+"""Times its value as it was given at which a model's own value ran off. Chosen."""
 
 USUAL_SHARE = 0.1
 """Share of the counted machines of a kind that lacked an effect from which on it is usual. Chosen."""

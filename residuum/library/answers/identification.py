@@ -86,7 +86,7 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
 def _largest(model: IdentifiedModel, assumed: Mapping[str, Any]) -> str:
     if model.diverges:
         return "grows without bound, for the model is not stable"
-    if model.is_parametric and (assumed.get("excitation") or {}).get("tells_model") is False:
+    if (assumed.get("excitation") or {}).get("tells_model") is False:
         return "the record does not tell them"
     peak = int(np.argmax(np.abs(model.impulse_response)))
     size = f"largest {model.impulse_response[peak]:.4g} ± {model.std[peak]:.2g}{_gain_unit(model)}"

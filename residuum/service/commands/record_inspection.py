@@ -11,10 +11,10 @@ from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_file import LoggerFile
 from residuum.identification.record_formats.read_apart import read_safely
-from residuum.identification.residual_analysis.odd_readings import far_beside
+from residuum.identification.residual_analysis.odd_readings import far_beside, is_mark
 
-_CODES = frozenset((-127.0, 85.0, 850.0, -999.0, -999.9, -9999.0, 999.9, 9999.0, 32767.0, -32768.0, 3276.7, -3276.8, 65535.0))
-"""Of 1-wire and resistance thermometers, meters, and registers of 16 bits."""
+_POWER_ON = 85.0
+"""What a 1-wire thermometer reads before its first conversion."""
 _FEWEST = 30
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
@@ -91,19 +91,20 @@ def _span(shown: dict[str, Any], column: dict[str, Any]) -> str:
 
 
 def _error_codes(signals: Mapping[str, npt.NDArray[np.floating]]) -> list[str]:
-    """What sensors write where they have no value, among single rows far beside their neighbours."""
+    """What sensors write where they have no value, among rows far beside their neighbours."""
     says = []
     for name, signal in signals.items():
         if np.isfinite(signal).sum() < _FEWEST:
             continue
-        rows, _, _ = far_beside(np.asarray(signal, dtype=float))
-        coded = [row for row in rows.tolist() if float(signal[row]) in _CODES]
+        values = np.asarray(signal, dtype=float)
+        rows, _, _ = far_beside(values)
+        coded = rows[is_mark(values[rows]) | (values[rows] == _POWER_ON)].tolist()
         if coded:
-            values = sorted({float(signal[row]) for row in coded})
-            marks = " ".join(f"--missing {value:.10g}" for value in values)
+            codes = sorted({float(values[row]) for row in coded})
+            marks = " ".join(f"--missing {code:.10g}" for code in codes)
             where = ", ".join(map(str, coded[:12])) + ", …" * (len(coded) > 12)
             says.append(
-                f"{name}: {len(coded)} single samples (numbers {where}, from 0) read {' or '.join(f'{v:.10g}' for v in values)} "
+                f"{name}: {len(coded)} samples (numbers {where}, from 0) read {' or '.join(f'{c:.10g}' for c in codes)} "
                 f"beside their neighbours, as sensors write where they have no value; then say {marks}"
             )
     return says

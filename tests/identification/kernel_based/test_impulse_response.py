@@ -8,8 +8,10 @@ from scipy import optimize, signal
 
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.delay import estimate_delay
-from residuum.identification.kernel_based.impulse_response import identify_impulse_response
+from residuum.identification.kernel_based.impulse_response import identify_impulse_response, maximise, scaled_sums
 from residuum.identification.kernel_based.kernels import KERNELS
+from residuum.identification.kernel_based.lagged_data import lagged_data
+from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 
@@ -114,6 +116,42 @@ def test_delay_is_found_and_certain():
     estimate = estimate_delay(Record({"u": u, "y": y}, UNITS, 0.1), "u", "y", order=30, longest=15)
     assert estimate.delay == 7
     assert estimate.probability[7] > 0.95
+
+
+@pytest.mark.parametrize("length", [1, 3, 280])
+def test_of_a_gentle_beginning_that_one_pulse_or_step_tells_no_lag_is_left_out(length):
+    b, a, _ = signal.cont2discrete(([1.0], [25.0, 10.0, 1.0]), 1.0, method="zoh")
+    u = np.r_[np.zeros(20), np.ones(length), np.zeros(280)][:300]
+    y = signal.lfilter(b.ravel(), a, u) + 0.02 * np.random.default_rng(33).standard_normal(300)
+    assert estimate_delay(Record({"u": u, "y": y}, UNITS, 1.0), "u", "y").delay <= 1
+
+
+class NoNumberBeyond:
+    """A likelihood of one kernel that is no number for a signal-to-noise ratio κ above e."""
+
+    def __init__(self, likelihood):
+        self.likelihood = likelihood
+
+    def __getattr__(self, name):
+        return getattr(self.likelihood, name)
+
+    def value(self, x):
+        return np.nan if x[-1] > 1.0 else self.likelihood.value(x)
+
+    def value_and_gradient(self, x):
+        return (np.nan, np.full(len(x), np.nan)) if x[-1] > 1.0 else self.likelihood.value_and_gradient(x)
+
+
+def test_the_search_neither_begins_nor_goes_where_the_likelihood_is_no_number():
+    record = resonant_record(200, 0)
+    sums = scaled_sums(lagged_data(record, ["u"], "y", 20, 1, offset=True).sums, 1)[0]
+    likelihood = marginal_likelihood(sums, KERNELS["tc"])
+    x, value = maximise(NoNumberBeyond(likelihood), np.array([0.0, 5.0]))
+    assert np.isfinite(value) and np.all(np.isfinite(x)) and x[-1] <= 1.0
+    nowhere = NoNumberBeyond(likelihood)
+    nowhere.value = lambda x: np.nan
+    with pytest.raises(NotIdentifiable, match=r"no number at any start.*moves"):
+        maximise(nowhere)
 
 
 @settings(max_examples=40, deadline=None)

@@ -48,7 +48,43 @@ def test_error_codes_are_named_and_left_out(seed):
     found = compared(power, y)
     assert found.outputs["measured"].rmse < 0.08 and not found.present
     (said,) = [text for text in found.warnings if "error code" in text]
-    assert "12 single samples" in said and all(f"--missing {code:.10g}" in said for code in codes)
+    assert "12 samples" in said and all(f"--missing {code:.10g}" in said for code in codes)
+
+
+@pytest.mark.parametrize(
+    ("rows", "code"),
+    [
+        (slice(200, 206), -127.0),
+        (slice(200, 260), -999.9),
+        (slice(596, 600), -32768.0),
+        (slice(0, 4), 850.0),
+        (slice(5, 595, 10), 6553.5),
+    ],
+    ids=["six on end", "a tenth on end", "at the end", "at the begin", "every tenth"],
+)
+def test_codes_on_end_and_often_are_left_out(rows, code):
+    power, y, _ = tank(3)
+    y[rows] = code
+    found = compared(power, y)
+    assert found.outputs["measured"].rmse < 0.08 and not found.present
+    assert any(f"read {code:.10g} degC, an error code" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("code", [-999.9, 6553.5, -32768.0, 8191.875, 5000.0])
+def test_an_input_that_error_codes_drive_is_named(code):
+    power, y, _ = tank(3)
+    power[[50, 51, 52, 200, 400]] = code
+    known = code != 5000.0  # a power, for all anybody knows
+    said = [text for text in compared(power, y).warnings if "drive the model" in text]
+    assert len(said) == known
+    assert not known or (f"--missing {code:.10g}" in said[0] and "power: 5 samples (numbers 50, 51, 52, 200, 400)" in said[0])
+
+
+def test_one_reading_far_off_is_told_wherever_it_stands():
+    for row in (0, 48, 599):
+        power, y, _ = tank(3)
+        y[row] = 85.0 if y[row] < 50 else -127.0
+        assert any(f"1 single sample (number {row}) lies" in text for text in compared(power, y).warnings)
 
 
 def test_spikes_that_differ_are_told_and_judged_by_no_test():
@@ -83,7 +119,10 @@ def test_what_plants_do_is_not_odd(seed):
     steps = np.repeat(rng.standard_normal(40), 25)
     slow = np.cumsum(rng.standard_normal(1000))
     binary = np.repeat(rng.integers(0, 2, 200), 5).astype(float)
-    for y in (steps + 0.01 * rng.standard_normal(1000), slow, binary, rng.standard_normal(1000), rng.laplace(size=1000)):
+    off = np.where(np.repeat(rng.random(50) < 0.2, 20), 0.0, 1450.0 + rng.standard_normal(1000))
+    rest = np.r_[np.zeros(100), 1450.0 + rng.standard_normal(900)]
+    noisy = steps + 0.01 * rng.standard_normal(1000)
+    for y in (noisy, slow, binary, off, rest, rng.standard_normal(1000), rng.laplace(size=1000)):
         assert not far_beside(y)[0].size
 
 

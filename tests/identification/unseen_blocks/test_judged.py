@@ -10,6 +10,9 @@ from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import matched
 from residuum.identification.unseen_blocks.judged import judged
 from residuum.identification.unseen_blocks.ladder import climb
+from residuum.identification.unseen_blocks.looks import Court, called_back
+from residuum.identification.unseen_blocks.scale import plain
+from residuum.identification.unseen_blocks.structure import Structure, fitted
 
 CART = """
 name: cart
@@ -52,3 +55,30 @@ def test_blocks_left_out_are_judged_as_by_a_fit_without_them(friction):
     assert one.power.sum() == pytest.approx(left.sum(), rel=0.01)
     assert one.power.sum() - seen == pytest.approx(left.sum() - seen, rel=0.1)
     assert np.corrcoef(np.log(one.power[:, 0]), np.log(left))[0, 1] > 0.999
+
+
+RESISTANCE = """
+name: room
+inputs: {heat: W}
+states: {T: {unit: degC}}
+parameters: {C: {value: 3.0e6, unit: J/K, lower: 1}, R: {value: 0.006, unit: K/W, lower: 1e-5}}
+balances: {air: {kind: heat, storage: C * der(T), terms: {heater: heat, loss: -T / R}}}
+outputs: {room: {value: T, unit: degC}}
+"""
+
+
+def test_a_value_that_ran_off_is_put_back_where_it_was_given():
+    """From an infinite resistance no slope leads back."""
+    rng = np.random.default_rng(2)
+    heat, T = np.repeat(rng.choice([0.0, 3000.0], 30), 20), np.zeros(600)
+    for k in range(599):
+        T[k + 1] = T[k] + 600.0 / 4.0e6 * (heat[k] - T[k] / 0.01)
+    record = Record({"heat": heat, "room": T + 0.02 * rng.normal(size=600)}, {"heat": "W", "room": "degC"}, 600.0)
+    data = matched(read_model(RESISTANCE), [record], None)
+    rung, scale = data.rungs[-1], plain(data)
+    gone = fitted(data.model.with_values({"R": 1e80}), rung, None, scale, steps=15, tolerance=1e-6)
+    assert gone.model.parameters["R"].value > 1e70
+    court, near = Court(data, rung, rung, scale), Structure((), gone.model, {}, {})
+    back = called_back(gone, near, court)
+    assert back.model.parameters["R"].value == pytest.approx(0.01, rel=0.05) and back.cost < 0.1 * gone.cost
+    assert called_back(back, near, court) is None

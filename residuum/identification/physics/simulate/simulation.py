@@ -254,6 +254,13 @@ class Simulator:
         """Outputs along the states X, shape (n, outputs)."""
         return np.asarray(integration.evaluate_outputs(*self._along(experiment, X, values)))
 
+    def rate_slopes(self, experiment: Experiment, X: Array, samples: Integers) -> Array:
+        """∂f/∂x along the states X at these samples, shape (samples, states, states)."""
+        joined, p = Joined.of([experiment]), self.p()
+        system, X = self.kernel.system, np.ascontiguousarray(X)
+        times = (joined.sample_times, joined.holds)
+        return np.asarray(integration.rate_slopes(system, joined.U, joined.starts, X, p, *times, samples[None])[0])
+
     def _along(self, experiment: Experiment, X: Array, values: Mapping[str, float] | None) -> tuple[Any, ...]:
         """What evaluates along given states; whole arrays, since for strided ones it would be compiled once more."""
         U, X = np.ascontiguousarray(experiment.U), np.ascontiguousarray(X)
