@@ -10,6 +10,7 @@ import inspect
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from textwrap import TextWrapper
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -42,6 +43,14 @@ _LAST = re.compile(r"(\nprogress :|\n\nReturns\n)")
 _LINES = TextWrapper(126, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 
+def _warned(says: str) -> None:
+    warnings.warn(says, FutureWarning, stacklevel=6)
+
+
+OLD_SPELLINGS: ContextVar[Callable[[str], None]] = ContextVar("who hears of an old spelling", default=_warned)
+"""A door that answers somebody else than who runs the process (the service) tells it there."""
+
+
 class Question(BaseModel):
     """A question as a value, whoever asks it; its fields are declared by `field`."""
 
@@ -66,12 +75,12 @@ class Question(BaseModel):
         if not isinstance(given, dict):
             return given
         for old in [name for name, new in cls.renamed.items() if name in given and new not in given]:
-            warnings.warn(f"{old}: will not be read much longer; say {cls.renamed[old]}", FutureWarning, stacklevel=4)
+            OLD_SPELLINGS.get()(f"{old}: will not be read much longer; say {cls.renamed[old]}")
             given = {cls.renamed.get(name, name) if name == old else name: value for name, value in given.items()}
         now = {name: values[given[name]] for name, values in cls.earlier.items() if given.get(name) in list(values)}
         for name, value in now.items():
             instead = "leave it out" if value == cls.model_fields[name].default else f"write {value!r}"
-            warnings.warn(f"{name} {given[name]!r}: will not be read much longer; {instead}", FutureWarning, stacklevel=4)
+            OLD_SPELLINGS.get()(f"{name} {given[name]!r}: will not be read much longer; {instead}")
         return given | now
 
     def handed_to(self, kind: Callable[..., Value]) -> Value:

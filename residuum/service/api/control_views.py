@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from fastapi import APIRouter, Response
 from pydantic import model_validator
 
-from residuum.library.questions import part_of
+from residuum.library.questions import OLD_SPELLINGS, part_of
 from residuum.library.questions.control_design import DesignController
 from residuum.service.api.analyses import ControlDesign, models_of
 from residuum.service.api.answers import PROBLEMS, JobAnswer
@@ -36,7 +35,7 @@ class ControlView(ControlDesign):
         """The limits were two fields."""
         if not (isinstance(given, dict) and given.keys() & {"lower", "upper"}):
             return given
-        warnings.warn("lower, upper: will not be read much longer; say limits", FutureWarning, stacklevel=4)
+        OLD_SPELLINGS.get()("lower, upper: will not be read much longer; say limits")
         others = {name: value for name, value in given.items() if name not in ("lower", "upper")}
         return {"limits": [given.get("lower"), given.get("upper")]} | others
 

@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, StreamingResponse
 
 from residuum.diagnosis.finding import TOLD_BESIDE, Finding
+from residuum.library.questions import OLD_SPELLINGS
 from residuum.service.services import Services
 from residuum.service.store import Page, T
 
@@ -114,10 +115,19 @@ class StrictRoute(APIRoute):
     """A route whose JSON bodies are read strictly."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """The handler, with the strict request."""
+        """The handler, with the strict request. An old spelling is told in the answer's header `Warning` (RFC 7234, 5.5)."""
         handler = super().get_route_handler()
 
         async def strict(request: Request) -> Response:
-            return await handler(_StrictRequest(request.scope, request.receive))
+            old: list[str] = []
+            before = OLD_SPELLINGS.set(old.append)
+            try:
+                response = await handler(_StrictRequest(request.scope, request.receive))
+            finally:
+                OLD_SPELLINGS.reset(before)
+            for says in old:
+                plain = says.encode("ascii", "backslashreplace").decode().replace("\n", " ").replace('"', "'")
+                response.headers.append("Warning", f'299 - "{plain}"')
+            return response
 
         return strict

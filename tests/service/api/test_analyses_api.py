@@ -60,7 +60,6 @@ def test_identify_then_residuals(client, plant, tmp_path):
     assert job["result"]["runs"][1]["record"] == faulty
 
 
-@pytest.mark.filterwarnings("ignore:order. will not be read much longer:FutureWarning")
 def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault(client, refused, plant, tmp_path):
     healthy, faulty = (upload(client, record, tmp_path / f"{number}.csv") for number, record in enumerate(plant))
     asked = {"records": [healthy], "input": "u", "output": "y", "order": 30, "delay": 1, "save_as": "trusted"}
@@ -72,7 +71,9 @@ def test_the_weight_lies_above_the_drawn_models_and_the_residual_shows_the_fault
     forms = {}
     for form in ("additive", "inverse-multiplicative"):
         chosen = {"samples": 20, "form": form, "epsilon": 0.1, "zeta": 0.2, "order": 1, "points": 80, "lowest": 0.1}
-        forms[form] = client.get("/api/v1/models/trusted/uncertainty", params=chosen).json()
+        answer = client.get("/api/v1/models/trusted/uncertainty", params=chosen)
+        forms[form] = answer.json()
+        assert answer.headers["Warning"] == '299 - "order: will not be read much longer; say weight_order"'
         assert forms[form]["form"] == form and forms[form]["n_samples"] == 116 and len(forms[form]["sampled_frequency"]) == 80
         assert np.mean(np.array(forms[form]["samples"]) <= np.array(forms[form]["weight"])) > 0.99
     assert np.median(forms["additive"]["samples"]) < np.median(forms["inverse-multiplicative"]["samples"])  # the gain is below 1

@@ -91,7 +91,6 @@ def test_limits_reach_the_code_and_what_cannot_be_is_said(client, stored, refuse
     assert refused("POST", address, json={"models": [{"model": "none"}]})[0] == 404
 
 
-@pytest.mark.filterwarnings("ignore:.* will not be read much longer:FutureWarning")
 def test_names_of_before_are_still_read(client, stored):
     asked = {"models": [{"model": stored}], "structure": "pi", "points": 60, "aim": "robust"}
     before = {"low_gain_db": 100, "smallest_high_gain_db": -6, "lowest_critical_frequency": 0.02, "lower": -9, "upper": 2.5}
