@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -88,6 +88,13 @@ class Finding:
         says = f"there is no baseline to compare with, so that health cannot be told; no absolute limit is passed: {held}"
         says = f"{says}; {self.reason}" if self.reason else says
         return replace(self, verdict=Verdict.NOT_ASSESSABLE, evidence={**self.evidence, LIMITS_HOLD: True}, reason=says)
+
+    def with_remarks(self, remarks: Sequence[str]) -> Finding:
+        """This finding with what no verdict depends on told beside it: in `evidence` and behind the reason."""
+        if not remarks:
+            return self
+        says = "; ".join([*([self.reason] if self.reason else []), *remarks])
+        return replace(self, evidence={**self.evidence, "remarks": list(remarks)}, reason=says)
 
     @property
     def within_absolute_limits(self) -> bool:

@@ -23,7 +23,7 @@ from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
 from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
 from residuum.diagnosis.vibration.rotation.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
 from residuum.diagnosis.vibration.rotation.steady_speed import at_steady_speed
-from residuum.diagnosis.vibration.sensor_health import changed_gain, not_heard, remarks, suspect, unusable, without_spikes
+from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.spectra.octave_bands import octave_edges, octave_rms
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
@@ -65,10 +65,8 @@ class _Baseline:
         """Why the sensor does not hear what it heard at training; None where it does."""
         names = _band_names(self.edges)
         healthy = dict(zip(names, np.exp(self.bands.mean), strict=True))
-        levels = [healthy[name] for name in measured.bands], list(measured.bands.values())
-        if gain := changed_gain(*levels):
-            return f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
-        return not_heard(*levels, self.edges[: len(measured.bands) + 1])
+        edges = self.edges[: len(measured.bands) + 1]
+        return hears_otherwise([healthy[name] for name in measured.bands], list(measured.bands.values()), edges)
 
 
 class Bearing(Diagnoser):
@@ -221,13 +219,8 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, str(error))
         if frequencies and not evidence and self._baseline is None:
             return Finding.not_assessable(self.name, f"the window of {record.duration:g} s is too short for any fault line")
-        told = remarks(x, record.sampling_rate, unit, spikes)
-        more = (
-            ({"severity": vars(zone)} if zone else {})
-            | ({"knocks_s": knocks} if knocks else {})
-            | ({"remarks": told} if told else {})
-        )
-        judged = self._judge(measured, evidence, unit, more)
+        more = ({"severity": vars(zone)} if zone else {}) | ({"knocks_s": knocks} if knocks else {})
+        judged = self._judge(measured, evidence, unit, more).with_remarks(remarks(x, record.sampling_rate, unit, spikes))
         smeared = judged.verdict is Verdict.HEALTHY or judged.fault_class == CLASS_OF["ftf"]
         if smeared and speed is None and frequencies and (line := _moving(x, record, frequencies)):
             return Finding.not_assessable(self.name, line)
@@ -264,7 +257,7 @@ class Bearing(Diagnoser):
                 **({"likely": [CLASS_OF[name] for name in likely]} if len(likely) > 1 else {}),
                 **more,
             },
-            "; ".join([*([_says(likely, lines, changed, values, limits)] if faulty else []), *more.get("remarks", [])]) or None,
+            _says(likely, lines, changed, values, limits) if faulty else None,
         )
 
     def _limits(self, measured: _Measured) -> dict[str, float]:

@@ -16,7 +16,7 @@ from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 from residuum.diagnosis.vibration.rotation.round_comparison import RoundComparison, compare_rounds, round_profile
 from residuum.diagnosis.vibration.rotation.rounds import Rounds, cut_rounds
-from residuum.diagnosis.vibration.sensor_health import changed_gain, not_heard, remarks, suspect, unusable, without_spikes
+from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
 from residuum.diagnosis.vibration.spectra.envelope import band_envelope
 from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
@@ -143,11 +143,9 @@ class GrippingPliers(Diagnoser):
         found = dict(zip(NAMES, map(float, values), strict=True)) | {"band_excess": float(excess.max())}
         thresholds = dict(zip(NAMES, map(float, limits), strict=True)) | {"band_excess": 1.0}
         units = {name: "m/s²" for name in NAMES if name.startswith("rms")}
-        if part.remarks:
-            evidence["remarks"] = part.remarks
-        says = "; ".join([*([_says(found, thresholds, evidence)] if faulty else []), *part.remarks]) or None
         verdict, fault_class = (Verdict.FAULTY, "plier-bearing") if faulty else (Verdict.HEALTHY, None)
-        return Finding(self.name, verdict, fault_class, found, thresholds, units, evidence, says)
+        says = _says(found, thresholds, evidence) if faulty else None
+        return Finding(self.name, verdict, fault_class, found, thresholds, units, evidence, says).with_remarks(part.remarks)
 
     def _evidence(self, baseline: _Baseline, part: _RoundsOf, excess: Array, bands: Array) -> dict[str, Any]:
         row, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
@@ -306,9 +304,7 @@ class _Baseline:
         """Why the sensor does not hear what it heard at training, by the RMS in each band of the kurtogram."""
         healthy = np.exp(self.bands.mean)[:, :QUADRANTS].mean(axis=1)
         current = np.median(bands[:, :, :QUADRANTS], axis=0).mean(axis=1)
-        if gain := changed_gain(healthy, current):
-            return f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
-        return not_heard(healthy, current)
+        return hears_otherwise(healthy, current)
 
     @classmethod
     def of(cls, healthy: list[_RoundsOf], faulty: list[_RoundsOf], levels: int) -> _Baseline:

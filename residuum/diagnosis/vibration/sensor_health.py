@@ -26,6 +26,8 @@ _STEPS = 0.9  # RMS, in steps of the converter: noise rounded to its own RMS has
 _SILENCE = 0.01  # of the median block's RMS: 40 dB below
 _BLOCK = 0.02  # s
 _FEWEST_IN_BLOCK = 32
+_OF_SCALE = 1 << 16  # samples that tell a scale well enough
+_LOOKED_AT = 1 << 18  # samples in which a line that fills a signal is seen
 _SPIKE = 12.0  # robust standard deviations of a sample about the mean of its neighbours
 _ALONE = 0.25  # of a spike's height: what may be seen two and three samples beside it
 _SPIKES = 1e-3  # of the samples: more are no accident that may be left out
@@ -151,6 +153,13 @@ def changed_gain(healthy: npt.ArrayLike, current: npt.ArrayLike) -> float | None
     return float(round(np.exp(middle), 3))
 
 
+def hears_otherwise(healthy: npt.ArrayLike, current: npt.ArrayLike, edges: npt.ArrayLike | None = None) -> str | None:
+    """Why a sensor does not hear what it heard at training: by `changed_gain` or `not_heard`; None where it does."""
+    if gain := changed_gain(healthy, current):
+        return f"every band is {gain:g} times the baseline's: another sensitivity, not a fault"
+    return not_heard(healthy, current, edges)
+
+
 def not_heard(healthy: npt.ArrayLike, current: npt.ArrayLike, edges: npt.ArrayLike | None = None) -> str | None:
     """Why a sensor that measures less than it did may not call a machine healthy; None when it hears as it did.
 
@@ -217,7 +226,8 @@ def spike_places(x: Array) -> npt.NDArray[np.intp]:
     if x.shape[0] < _FEWEST_IN_BLOCK:
         return np.empty(0, dtype=np.intp)
     leap = x[1:-1] - (x[:-2] + x[2:]) / 2  # of sample k + 1
-    sigma = float(np.quantile(np.abs(leap), 0.75)) / 1.1503  # of the louder half, where the other one is silent
+    sample = np.abs(leap[:: max(1, leap.shape[0] // _OF_SCALE)])
+    sigma = float(np.quantile(sample, 0.75)) / 1.1503  # of the louder half, where the other one is silent
     places = np.flatnonzero(np.abs(leap) > max(_SPIKE * sigma, float(np.finfo(leap.dtype).tiny)))
     places = places[(places >= 3) & (places < leap.shape[0] - 3)]
     height = np.abs(leap[places])
@@ -251,7 +261,7 @@ def remarks(x: npt.ArrayLike, sampling_rate: float, unit: str, spikes: int = 0) 
         told.append(f"spikes of single samples were left out, {spikes} of {signal.shape[0]}: a loose contact or interference")
     if unit == "m/s²" and abs(mean) > max(1.5 * _GRAVITY, 5 * float(signal.std())):
         told.append(f"the mean lies at {mean:.3g} m/s², which gravity does not explain: the sensor's bias or its zero is off")
-    frequency, share = strongest_line(signal, sampling_rate)
+    frequency, share = strongest_line(signal[:_LOOKED_AT], sampling_rate)
     if share > _LINE:
         told.append(f"one line, at {frequency:.4g} Hz, holds {100 * share:.0f} % of the power")
     return told
@@ -292,6 +302,8 @@ def _piled_up(x: Array) -> int:
 
 def _repeated(x: Array) -> str | None:
     """A link that drops out, or a sensor that is asked more often than it answers."""
+    if np.count_nonzero(x[1:] == x[:-1]) <= (1 - 1 / _DROPPED_RUN) * _DROPPED_SHARE * x.shape[0]:
+        return None  # too few for either, as of nearly every signal
     starts = np.flatnonzero(np.append(True, x[1:] != x[:-1]))
     lengths = np.diff(np.append(starts, x.shape[0]))
     long = lengths >= _DROPPED_RUN

@@ -112,12 +112,9 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
         resolved = {name: f for name, f in lines.items() if signal.shape[0] * f >= _FEWEST_PERIODS * sampling_rate}
         if resolved:
             evidence = _evidence(signal, sampling_rate, resolved, frequencies, periods)
-            if any(_beats(signal, sampling_rate, line) for line in evidence.values()):
+            if beating := [name for name, line in evidence.items() if _beats(signal, sampling_rate, line)]:
                 flat = _evidence(signal, sampling_rate, resolved, frequencies, periods, tonal=True)
-                evidence = {
-                    name: min(line, flat[name], key=lambda one: one.prominence) if _beats(signal, sampling_rate, line) else line
-                    for name, line in evidence.items()
-                }
+                evidence |= {name: min(evidence[name], flat[name], key=lambda line: line.prominence) for name in beating}
             found |= evidence
     return found
 
