@@ -128,7 +128,12 @@ def structured_in_windows(
     tested = at_likeliest_values(model, parts, simulation)
     found = structured_errors(parts, tested, axes, model, refitted, level=level, seed=seed)
     found |= beyond_noise(model, parts, simulation.residuals, axes, found)
-    return {name: replace(test, predicted=whole[name].predicted) for name, test in found.items() if name in whole}
+    # The windows decide whether; how much of the error it is, is asked of the record that is reported.
+    return {
+        name: replace(whole[name], present=test.present, p_value=test.p_value, noise=test.noise)
+        for name, test in found.items()
+        if name in whole
+    }
 
 
 def beyond_noise(
