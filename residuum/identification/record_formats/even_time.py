@@ -11,6 +11,8 @@ from residuum.identification.errors import BadRecord
 FloatArray = npt.NDArray[np.float64]
 JITTER = 0.01  # of the step
 HOLE = 3.0
+_NEAR = 0.2
+"""Part of the step by which stamps may lie beside even instants that their samples were taken at: what writes them is late."""
 """Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
 RESAMPLED = "resampled to"
 """How a note tells of it."""
@@ -56,9 +58,19 @@ def even_columns(
         return step, np.stack([time[0] + step * np.arange(signals.shape[1]), *signals])
     row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
-        f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %; "
+        f"{source}, row {row}: time step {found:.6g} s differs from {median:.6g} s by more than 1 %"
+        f"{', as at the beginning of summer time' if an_hour_ahead(found, median) else ''}; "
         "resample (--resample) to accept it: holes of more than three steps stay missing"
     )
+
+
+def an_hour_ahead(steps: FloatArray | float, usual: float) -> npt.NDArray[np.bool_]:
+    """Of steps [s]: whether an hour is left out beside the usual step, as the beginning of summer time leaves one out.
+
+    >>> an_hour_ahead(np.array([60.0, 3660.0, 3540.0]), 60.0)
+    array([False,  True, False])
+    """
+    return np.asarray(np.abs(steps - 3600.0 - usual) < max(0.5 * usual, 1.0))
 
 
 def usual_step(time: FloatArray) -> tuple[float, bool]:
@@ -118,6 +130,20 @@ def on_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64]] | None:
     return (step, place) if fits else None
 
 
+def _near_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64], FloatArray] | None:
+    """(step [s], place, how far beside it [s]) of instants that lie near even ones, of which some are absent; None for others."""
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    if not usual > 0 or (time[-1] - time[0]) / usual > _MOST:
+        return None
+    step = float(np.mean(steps[steps < 1.5 * usual]))  # jitter cancels in a mean of neighbours, not in a median
+    place = np.rint((time - time[0]) / step).astype(np.int64)
+    step, begin = np.polyfit(place, time, 1)
+    beside = time - begin - step * place
+    fits = bool((np.abs(beside) <= _NEAR * step).all()) and bool((np.diff(place) > 0).all())
+    return (float(step), place, beside) if fits else None
+
+
 def resampling(step: float, how: str, holes: int) -> str:
     """What became of a channel, in words."""
     return f"{RESAMPLED} {step:.6g} s: {how}, {holes} samples left missing"
@@ -139,16 +165,41 @@ def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
 
     Values (channels, n) at times (n,) that begin at 0 become linear between a channel's own samples, or are held where the signal
     is stepped; longer holes stay missing. The error is the RMS of linear interpolation, told by leaving out each sample: over the
-    double distance that of a smooth signal is four times as large; noise is counted in.
+    double distance that of a smooth signal is four times as large; noise is counted in. Where all stamps lie near even instants,
+    a stepped channel keeps its samples, and so does one that interpolation would change more than the jitter can: a line between
+    two of them would part what happened at once, an input's step and what answers it.
     """
-    step = float(np.median(np.diff(time)))
+    grid = _near_grid(time)
+    step = grid[0] if grid else float(np.median(np.diff(time)))
     if (time[-1] - time[0]) / step > _MOST:
         raise BadRecord(
             f"{source}: {time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps"
         )
-    even: FloatArray = step * np.arange(int(np.floor(time[-1] / step + 1e-6)) + 1, dtype=np.float64)
+    count = int(grid[1][-1]) if grid else int(np.floor(time[-1] / step + 1e-6))
+    even: FloatArray = step * np.arange(count + 1, dtype=np.float64)
+    if grid:
+        even = np.minimum(even, time[-1])
     pairs = [on_instants(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
+    if grid:
+        pairs = [_kept(*pair, column, *grid[1:], step) for pair, column in zip(pairs, values, strict=True)]
     return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
+
+
+def _kept(
+    signal: FloatArray, told: tuple[str, int], column: FloatArray, place: npt.NDArray[np.int64], beside: FloatArray, step: float
+) -> tuple[FloatArray, tuple[str, int]]:
+    """A channel whose samples, taken `beside` even instants, stay at the places of these, where that changes it less."""
+    held = ~np.isnan(column)
+    taken = column[held]
+    if len(taken) < 3:
+        return signal, told
+    moved = float(np.sqrt(np.mean(beside**2) * np.mean(np.diff(taken) ** 2))) / step
+    if not is_stepped(taken) and moved > _linear_error(place[held].astype(float), taken):
+        return signal, told
+    kept = signal.copy()
+    kept[place[held]] = taken
+    how = f"each sample kept at its even instant, at most {np.abs(beside).max():.2g} s beside its stamp"
+    return kept, (how, int(np.isnan(kept).sum()))
 
 
 def on_instants(at: FloatArray, taken: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[str, int]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.even_time import even_columns
+from residuum.identification.record_formats.even_time import even_columns, resampled
 
 
 def held(time):
@@ -35,3 +35,28 @@ def test_jitter_is_refused_however_many_decimals_it_has():
         held(0.01 * np.arange(500) + rng.uniform(-1e-3, 1e-3, 500))
     with pytest.raises(BadRecord, match="differs"):
         held(np.round(0.01 * np.arange(500) + rng.uniform(-2e-3, 2e-3, 500), 3))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_samples_whose_stamps_are_a_little_late_stay_beside_each_other(seed):
+    """An input's step and what answers it at once are parted by a line between two samples, which a model sees as an effect."""
+    rng = np.random.default_rng(seed)
+    n, step = 400, 0.01
+    at = step * np.arange(n) + 0.05 * step * rng.standard_normal(n)
+    at -= at[0]
+    voltage = rng.choice([-4.0, 4.0, 7.0], n)
+    slow = np.sin(np.arange(n) / 60.0)
+    found, signals, told = resampled(at, np.stack([voltage, voltage / 2.0, slow]), "r.csv")
+    assert found == pytest.approx(step, rel=1e-3) and signals.shape[1] == n
+    np.testing.assert_array_equal(signals[:2], [voltage, voltage / 2.0])
+    assert "kept at its even instant, at most" in told[0][0] and "kept at its even instant" in told[1][0]
+    np.testing.assert_allclose(signals[2], np.interp(np.minimum(found * np.arange(n), at[-1]), at, slow), atol=1e-12)
+    assert "error about" in told[2][0]
+
+
+def test_a_stamp_half_a_step_late_is_not_taken_for_its_even_instant():
+    n, step = 200, 0.01
+    at = step * np.arange(n)
+    at[77:] += 0.5 * step
+    _, _, told = resampled(at, np.sign(np.sin(np.arange(n)))[None], "r.csv")
+    assert "late" in told[0][0]

@@ -253,7 +253,21 @@ def test_a_clock_that_was_set_back_is_neither_sorted_nor_merged(tmp_path, seed):
         parse_logger(file.read_bytes(), "log.csv", replace(found.mapping, reordered="sort", duplicates="first"))
     bridged = parse_logger(file.read_bytes(), "log.csv", replace(found.mapping, reordered="bridge"))
     assert bridged.sample_time == pytest.approx(step) and bridged["count"].tolist() == list(range(n))
-    assert any("clock was set back 1 time" in note for note in bridged.notes)
+    assert any("clock was set 1 time" in note for note in bridged.notes)
+
+
+@pytest.mark.parametrize("step", [0.01, 15.0, 60.0])
+def test_the_hour_that_summer_time_takes_away_is_named_and_bridged_where_asked(tmp_path, step):
+    n, at = 400, 130
+    seconds = step * np.arange(n)
+    seconds[at:] += 3600.0
+    file = _logged(tmp_path, seconds, step)
+    with pytest.raises(BadRecord, match=rf"row {at + 2}: .*as at the beginning of summer time; .*reordered: bridge"):
+        read_record(file)
+    mapping = understand(file.read_bytes(), str(file)).mapping
+    bridged = parse_logger(file.read_bytes(), "log.csv", replace(mapping, reordered="bridge"))
+    assert bridged.sample_time == pytest.approx(step) and bridged["count"].tolist() == list(range(n))
+    assert any("clock was set 1 time, first at row 132" in note for note in bridged.notes)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord
-from residuum.identification.record_formats.even_time import on_grid, usual_step
+from residuum.identification.record_formats.even_time import an_hour_ahead, on_grid, usual_step
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_head import is_unit, unit_of_head, unit_word
 from residuum.identification.record_formats.loggers.logger_mapping import (
@@ -480,6 +480,6 @@ def _with_samples(text: str, mapping: LoggerMapping, guesses: dict[str, tuple[st
 
 def _looks_like(gap: float, step: float) -> dict[str, str]:
     """What a gap may be beside a hole."""
-    if abs(gap - 3600.0 - step) < max(0.5 * step, 1.0):
+    if an_hour_ahead(gap, step):
         return {"looks_like": "a hole, or the beginning of summer time"}
     return {"looks_like": "a hole, or a clock that was set forward"}

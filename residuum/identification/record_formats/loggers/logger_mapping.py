@@ -13,7 +13,13 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, made_even, resampling, some_rounded_alike
+from residuum.identification.record_formats.even_time import (
+    an_hour_ahead,
+    even_columns,
+    made_even,
+    resampling,
+    some_rounded_alike,
+)
 from residuum.identification.record_formats.loggers.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.loggers.no_value import without_overloads
@@ -23,6 +29,7 @@ from residuum.nearest_names import known_names
 
 ENDING = ".mapping.yaml"
 _DUPLICATES = ("refuse", "first", "mean", "spread")
+_BRIDGE = ", or set the mapping's `reordered: bridge` where the rows came as they stand and only the clock was set"
 _REORDERED = ("refuse", "sort", "bridge")
 _AROUND = 60
 """Rows on both sides of a step back in which a shuffled one would have left its hole."""
@@ -230,9 +237,9 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
     try:
         step, columns = even_columns(np.stack([time, *values]), source, resample=False, first_row=mapping.first_row)
         signals = columns[1:]
-    except BadRecord:
+    except BadRecord as error:
         if not options.resample:
-            raise
+            raise BadRecord(f"{error}{_BRIDGE}" if _hours_ahead(stamps) else str(error)) from None
         step, signals, told = made_even(time, values, source)
         for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
             notes.append(f"{name} {resampling(step, how, holes)}")
@@ -247,10 +254,10 @@ def _ordered(
 ) -> tuple[npt.NDArray[np.int64], FloatArray]:
     backward = np.diff(stamps) < 0
     was_set = clock_steps(stamps)
-    if was_set and mapping.reordered == "bridge":
-        stamps = _bridged(stamps, was_set)
+    if mapping.reordered == "bridge" and (changed := sorted([*was_set, *_hours_ahead(stamps)])):
+        stamps = _bridged(stamps, changed)
         notes.append(
-            f"the clock was set back {len(was_set)} time{'s' * (len(was_set) > 1)}, first at row {rows[was_set[0]]}; bridged by "
+            f"the clock was set {len(changed)} time{'s' * (len(changed) > 1)}, first at row {rows[changed[0]]}; bridged by "
             "the usual step: what was lost in that moment cannot be seen"
         )
         backward = np.diff(stamps) < 0
@@ -312,7 +319,7 @@ def _or(mapping: LoggerMapping, was_set: list[int]) -> str:
     if mapping.time_form in SINCE_START:
         return ""
     if was_set:
-        return ", or set the mapping's `reordered: bridge` where the rows came as they stand and only the clock was set"
+        return _BRIDGE
     return ", or set the mapping's `reordered: sort` where its rows are only shuffled"
 
 
@@ -340,6 +347,15 @@ def clock_steps(stamps: npt.NDArray[np.int64]) -> list[int]:
         if abs(short - lacks) < 0.5 * lacks:
             found.append(place)
     return found
+
+
+def _hours_ahead(stamps: npt.NDArray[np.int64]) -> list[int]:
+    """Numbers of the rows before which an hour is left out, as summer time leaves one out at its beginning.
+
+    A hole of an hour looks alike: only who knows that the rows went on coming can say which it was.
+    """
+    steps = np.diff(stamps) / 1e9
+    return [] if not len(steps) else [int(k) + 1 for k in np.flatnonzero(an_hour_ahead(steps, float(np.median(steps))))]
 
 
 def _sorting_mends(stamps: npt.NDArray[np.int64], steps: npt.NDArray[np.int64], usual: float) -> bool:
