@@ -6,18 +6,19 @@ one another are one reading there, so that a code which stands for several rows 
 values and is one that sensors write for none: a machine that is off reads 0 for as long. A value that comes again among such rows
 is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
 A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
-digit. A sensor held it where the reading then jumps to where the machine went meanwhile; a machine that sticks goes on from where
-it stands.
+digit. A sensor held it where the reading then jumps to where the machine went meanwhile, or where it is noisy and repeats no
+value otherwise; a machine that sticks goes on from where it stands, and one that rests reads 0.
 
-Codes and held spans are left out of whatever is judged or estimated. Fails for a plant that really jumps for one or two samples:
-such rows are told, and stay.
+Codes, held spans and single rows far beside are left out of whatever is judged or estimated; a row where the model itself jumps
+for a sample is told, and stays. Fails for a plant that jumps for single samples of which its model knows nothing: a sentence says
+which rows were left out.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,14 +40,20 @@ _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
 """Rows, usual runs and least steps by which a still span stands out."""
 _JUMP = 3.0
 """Usual large steps by which a reading that was held jumps on."""
+_JUMPS_TOO = 0.2
+"""Part of a reading's distance from its neighbours by which a model that jumps there, too, is beside its own."""
+_REPEATED, _NOISY = 0.01, 3.0
+"""Part of a noisy reading's rows that may repeat the one before, and its usual second difference, in least steps."""
+_RESTS = 1e-6
+"""Part of its size by which a simulation that rests may move."""
 _FEWEST = 30
 _SHOWN = 12
 
 
 @dataclass(frozen=True, eq=False)
 class OddReadings:
-    """Of one output in one record: rows far beside (numbers from 0), those that are error codes, the codes, still spans, and
-    those among them that a sensor held.
+    """Of one output in one record: rows far beside (numbers from 0), those that are error codes, the codes, still spans, those
+    among them that a sensor held, and the rows far beside that the model knows nothing of.
     """
 
     output: str
@@ -58,16 +65,22 @@ class OddReadings:
     still: tuple[tuple[int, int], ...]
     distance: tuple[float, float]
     held: tuple[tuple[int, int], ...] = ()
+    spikes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     @property
     def rows(self) -> list[int]:
         """All of them that are still among what is compared."""
-        return [*np.setdiff1d(self.beside, self.coded).tolist(), *_rows_of(self._merely_still)]
+        return [*np.setdiff1d(self.beside, self.left_out).tolist(), *_rows_of(self._merely_still)]
 
     @property
     def left_out(self) -> npt.NDArray[np.intp]:
         """Rows that no sensor measured."""
-        return np.union1d(self.coded, np.array(_rows_of(self.held), dtype=np.intp))
+        return np.union1d(np.union1d(self.coded, self.spikes), np.array(_rows_of(self.held), dtype=np.intp))
+
+    @property
+    def only_left_out(self) -> OddReadings:
+        """Of these, what is left out."""
+        return replace(self, beside=np.union1d(self.coded, self.spikes), still=self.held)
 
     @property
     def _merely_still(self) -> tuple[tuple[int, int], ...]:
@@ -88,10 +101,11 @@ class OddReadings:
         if alone.size:
             near, far = self.distance
             lie = f"lie {near:.3g} to {far:.3g}" if len(alone) > 1 else f"lies {near:.3g}"
-            found.append(
-                f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the "
-                "neighbours and may make much of the error; where they mean no value, say --missing VALUE"
-            )
+            told = f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the neighbours"
+            if np.isin(alone, self.spikes).all():
+                found.append(f"{told}, where the model does not jump; they are left out here")
+            else:
+                found.append(f"{told} and may make much of the error; where they mean no value, say --missing VALUE")
         if self.held:
             found.append(
                 f"{where}: stands still in samples {_spans(self.held)} while the model moves, and jumps on after it: a sensor "
@@ -132,24 +146,27 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             still = _still(single, beside[:, k])
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
-                held = tuple(span for span in still if _jumps_on(single, span, still))
-                found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held))
+                held = still if _never_repeats(single, still) else tuple(s for s in still if _jumps_on(single, s, still))
+                held = tuple(span for span in held if single[span[0]] != 0.0 or _jumps_on(single, span, still))
+                spikes = np.setdiff1d(rows[~_jumps(beside[:, k], rows, off)], coded)
+                found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held, spikes))
     return found
 
 
 def without_odd(model: PhysicalModel, experiments: Sequence[Experiment]) -> tuple[list[Experiment], list[OddReadings]]:
-    """The experiments with error codes and held spans missing, and what was left out.
+    """The experiments with error codes, held spans and single rows far beside missing, and what was left out.
 
-    A model that diverges tells no spans; whoever simulates it says so.
+    The model is simulated without any of them, and then says which rows it jumps at itself and which spans it moves in. A model
+    that diverges tells no spans; whoever simulates it says so.
     """
-    without, coded = _left_out(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
-    codes = [replace(odd, beside=odd.coded, still=(), held=()) for odd in coded if odd.coded.size]
+    without, found = _left_out(model, experiments, [np.full_like(each.Y, np.nan) for each in experiments])
     try:
         simulated = estimate(model, without, free=()).predicted
     except NotIdentifiable:
-        return without, codes
-    without, held = _left_out(model, without, simulated)
-    return without, [*codes, *(replace(odd, beside=odd.coded, still=odd.held) for odd in held if odd.held)]
+        simulated = []
+    if simulated:
+        without, found = _left_out(model, experiments, simulated)
+    return without, [odd.only_left_out for odd in found if odd.left_out.size]
 
 
 def records_without_odd(
@@ -250,6 +267,28 @@ def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(np.any(near, axis=0))
 
 
+def _jumps(simulated: FloatArray, rows: npt.NDArray[np.intp], off: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether a simulation lies at these rows as far beside its own neighbours as the reading, in part."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415
+
+    aside = np.abs(simulated - median_filter(simulated, _ABOUT, mode="mirror"))[rows]
+    return np.asarray(aside > _JUMPS_TOO * off)
+
+
+def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
+    """Whether a reading, outside its still spans, is noisy and repeats no value: then a value that stays is held.
+
+    Counts of a smooth motion do not repeat either where it is fast; their second differences are of the size of a count.
+    """
+    y = y[~np.isin(np.arange(len(y)), _rows_of(still))]
+    y = y[np.isfinite(y)]
+    if len(y) < _FEWEST:
+        return False
+    steps = np.abs(np.diff(y))
+    digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
+    return bool(np.mean(steps == 0) < _REPEATED and np.median(np.abs(np.diff(y, 2))) > _NOISY * digit > 0)
+
+
 def _jumps_on(y: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
     """Whether the reading after a span lies far from it, in steps of the machine where its sensor follows."""
     known = np.flatnonzero(np.isfinite(y))
@@ -267,6 +306,11 @@ def _still(y: FloatArray, simulated: FloatArray) -> tuple[tuple[int, int], ...]:
     known = np.flatnonzero(np.isfinite(y))
     if len(known) < _FEWEST:
         return ()
+    if not np.ptp(y[known]):  # it never moves: no digit of it is known
+        moves = np.isfinite(simulated).any() and np.nanmax(simulated) - np.nanmin(simulated) > _RESTS * np.nanmax(
+            np.abs(simulated)
+        )
+        return ((int(known[0]), int(known[-1])),) if moves else ()
     filled[np.isnan(y)] = np.interp(np.flatnonzero(np.isnan(y)), known, y[known])
     starts = np.flatnonzero(np.r_[True, filled[1:] != filled[:-1]])
     lengths = np.diff(np.r_[starts, len(filled)])
