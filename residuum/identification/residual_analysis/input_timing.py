@@ -22,6 +22,17 @@ def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:
     return [replace(e, hold=1.0 - e.hold) for e in experiments]
 
 
+def each_turned(experiments: Sequence[Experiment]) -> list[list[Experiment]]:
+    """The other timing of one input alone, once for each of several that change; of a single one nothing more than all turned."""
+    changes = np.any([np.ptp(e.U, axis=0) > 0 for e in experiments], axis=0)
+    if changes.sum() < 2:
+        return []
+    return [
+        [replace(e, hold=np.where(np.arange(len(changes)) == k, 1.0 - e.hold, e.hold)) for e in experiments]
+        for k in np.flatnonzero(changes)
+    ]
+
+
 def at_likelier_timing(
     experiments: Sequence[Experiment], fitted: Callable[[list[Experiment]], Estimate]
 ) -> tuple[list[Experiment], Estimate]:
@@ -29,7 +40,8 @@ def at_likelier_timing(
 
     The two conventions differ by half a sample. A good record shows the wrong one as a structured error of its own, and as
     parameters that lie many standard deviations beside the truth. Where noise is slow the error itself does not tell them apart:
-    half a sample is fast.
+    half a sample is fast. All inputs are turned at once, then each of several for itself: one may be a controller's, which holds,
+    and another a measured one.
     """
 
     def tried(turned: list[Experiment]) -> tuple[list[Experiment], Estimate] | NotIdentifiable:
@@ -41,11 +53,13 @@ def at_likelier_timing(
     first, other = side_by_side(tried, [list(experiments), turned_timing(experiments)])
     if isinstance(first, NotIdentifiable):
         raise first
-    return (
-        first
-        if isinstance(other, NotIdentifiable) or innovations_of(first[1].residuals) <= innovations_of(other[1].residuals)
-        else other
-    )
+    best = _likelier([first, other])
+    return _likelier([best, *side_by_side(tried, each_turned(best[0]))])
+
+
+def _likelier(tried: Sequence[tuple[list[Experiment], Estimate] | NotIdentifiable]) -> tuple[list[Experiment], Estimate]:
+    fits = [each for each in tried if not isinstance(each, NotIdentifiable)]
+    return min(fits, key=lambda fit: innovations_of(fit[1].residuals))
 
 
 def innovations_of(residuals: Sequence[FloatArray]) -> float:

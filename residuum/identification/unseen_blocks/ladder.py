@@ -18,7 +18,7 @@ from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.residual_analysis.feedback import feeds_back
 from residuum.identification.residual_analysis.input_timing import innovations_of
 from residuum.identification.side_by_side import side_by_side
-from residuum.identification.unseen_blocks.coarser import turned
+from residuum.identification.unseen_blocks.coarser import one_turned, turned
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
@@ -86,7 +86,7 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     """`climb` with inputs held over their samples or moving evenly between them, whichever leaves the smaller innovations.
 
     The two differ by half a sample. A good record shows the wrong one as a structured error of its own, a delay or a lag. Where a
-    controller answers the noise, inputs were held.
+    controller answers the noise, inputs were held. All inputs are turned at once, then each of several alone.
     """
 
     def climbed(one: Data) -> Climbed | NotIdentifiable:
@@ -102,7 +102,27 @@ def climb_at_likelier_timing(data: Data) -> Climbed:
     held = [one for one in known if not any(e.hold.any() for e in one.data.experiments)]
     if len(known) > 1 and held and feeds_back(held[0].found.model, held[0].last.parts, held[0].found.residuals):
         return held[0]
-    return min(known, key=lambda one: (one.last.windows, innovations_of(one.found.residuals)))
+    best = min(known, key=_preference)
+    here = innovations_on(best.last, best.found.model, best.structure, best.scale)
+    likelier = [
+        data
+        for data in one_turned(best.data)
+        if innovations_on(data.rung(best.last.windows), best.found.model, best.structure, best.scale) < here
+    ]
+    alone = [one for one in side_by_side(climbed, likelier) if isinstance(one, Climbed)]
+    return min([best, *alone], key=_preference)
+
+
+def innovations_on(rung: Rung, model: PhysicalModel, structure: Structure, scale: Scale) -> float:
+    """Innovations that a structure leaves on a rung, its values fitted to it in a few steps; infinite where it diverges."""
+    states, taken = structure.states[rung.windows], structure.steps[rung.windows]
+    fit = fitted(model, rung, states, scale, steps=10, tolerance=1e-4, substeps=taken)
+    return np.inf if fit is None else innovations_of(fit.residuals)
+
+
+def _preference(climbed: Climbed) -> tuple[int, float]:
+    """The fewer windows and the smaller innovations, the better."""
+    return climbed.last.windows, innovations_of(climbed.found.residuals)
 
 
 def _is_forgotten(found: Fit, first: PhysicalModel, rung: Rung, scale: Scale) -> bool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from residuum.identification.residual_analysis.input_timing import innovations_of
-from residuum.identification.unseen_blocks.coarser import turned
+from operator import itemgetter
+
+from residuum.identification.unseen_blocks.coarser import one_turned, turned
 from residuum.identification.unseen_blocks.data import Data
-from residuum.identification.unseen_blocks.structure import fitted
+from residuum.identification.unseen_blocks.ladder import innovations_on
 from residuum.identification.unseen_blocks.tried import Search
 
 
@@ -13,15 +14,16 @@ def at_the_timing_it_suits(found: Search) -> Data | None:
     """The data at the other input timing, where the best structure fits better there; None where it does not, or nothing drives
     the machine.
     """
-    court, best = found.court, found.best
-    if not best.model.inputs:
+    court = found.court
+    if not found.best.model.inputs:
         return None
-    other = turned(court.data)
-    states, taken = best.structure.states[court.last.windows], best.structure.steps[court.last.windows]
-    here, there = (
-        fitted(best.model, rung, states, court.scale, steps=10, tolerance=1e-4, substeps=taken)
-        for rung in (court.last, other.rung(court.last.windows))
-    )
-    if here is None or there is None or innovations_of(there.residuals) >= innovations_of(here.residuals):
-        return None
-    return other
+    here = _innovations(found, court.data)
+    others = [(_innovations(found, data), data) for data in (turned(court.data), *one_turned(court.data))]
+    there, data = min(others, key=itemgetter(0))
+    return data if there < here else None
+
+
+def _innovations(found: Search, data: Data) -> float:
+    court = found.court
+    rung = court.last if data is court.data else data.rung(court.last.windows)
+    return innovations_on(rung, found.best.model, found.best.structure, court.scale)

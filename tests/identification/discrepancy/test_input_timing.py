@@ -37,6 +37,25 @@ def test_a_held_input_is_recognised_by_the_error_that_it_leaves():
     assert np.any(np.abs(estimate(model, experiments).theta - [2.0, 3.0]) > 4.0 * found.std)
 
 
+def test_each_of_several_inputs_has_its_own_timing():
+    """A valve that a controller holds beside a temperature that was only measured: one of them turned alone is right."""
+    text = MASS.replace("inputs: {force: N}", "inputs: {force: N, wind: N}").replace("drive: force", "drive: force, wind: wind")
+    rng = np.random.default_rng(5)
+    n, h = 2000, 0.01
+    force, wind = np.convolve(rng.normal(size=n + 40), np.hanning(40), "same")[:n], rng.normal(size=n)
+    v, decay = np.zeros(n), np.exp(-1.5 * h)
+    for k in range(n - 1):
+        v[k + 1] = decay * v[k] + (1.0 - decay) * (force[k] + wind[k]) / 3.0
+    channels = {"force": force, "wind": wind, "speed": v + 1e-4 * rng.normal(size=n)}
+    record = Record(channels, {"force": "N", "wind": "N", "speed": "m/s"}, h)
+    model, experiments = match(read_model(text), [record])
+    assert experiments[0].hold.tolist() == [1.0, 0.0]
+    turned, found = at_likelier_timing(experiments, lambda tried: estimate(model, tried))
+    assert turned[0].hold.tolist() == [0.0, 0.0]
+    assert np.all(np.abs(found.theta - [2.0, 3.0]) < 4.0 * found.std)
+    assert explain(model, [record], effects=["input-delay", "input-lag"]).verdict == "adequate"
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_a_delay_is_not_half_a_sample_off_because_the_timing_was_chosen_without_it(held):
     rng = np.random.default_rng(8)
