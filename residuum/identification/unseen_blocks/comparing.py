@@ -100,8 +100,12 @@ def corrected(new: Judged, old: Judged) -> float:
 
 
 def is_real(new: Judged, old: Judged, base: Judged, scale: Scale, tried: int) -> bool:
-    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it; a rare effect more."""
-    gain = old.cost - new.cost
+    """Whether what the new one corrects on unseen blocks is real after so many were tried, and worth it; a rare effect more.
+
+    What fits the seen blocks no better is ahead on unseen ones by chance: where one block alone tells a value, another value left
+    out with it lies anywhere.
+    """
+    gain = old.cost - new.cost if new.seen < old.seen else 0.0
     if scale.nats:
         return gain > np.log(max(tried, 1)) + TIE and max(corrected(new, old), block_by_block(new, old, scale)) > EVERYWHERE
     left, rarer = max(old.cost - scale.floor, 1e-9), max(new.rarity - old.rarity, 0.0)

@@ -72,6 +72,8 @@ def steps_of(found: Search) -> list[Step]:
         if after.keys == found.best.keys:
             alike += [o for o in found.group if o.keys not in {a.keys for a in alike} and set(o.keys) > rest]
         alike += [o for o in in_place_of(found, key, before.keys) if o.keys not in {a.keys for a in alike}]
+        # What does not lower the error beyond its price has no probability to share, however near it lies to one that hardly does.
+        alike = [o for o in alike if o.cost < before.cost]
         steps.append(Step(key, before, after, tuple(alike), tuple(o for o in there if o not in alike)))
     return steps
 
