@@ -85,9 +85,10 @@ class Comparison:
         return min((1.0, *(len(self.structured) * test.p_value for test in self.structured.values())))
 
     def times_noise(self, name: str) -> float:
-        """RMS of the structured part of an output's error over the least that its noise can be."""
-        output = self.outputs[name]
-        return output.rmse * max(self.structured[name].share, 0.0) ** 0.5 / max(output.least_floor, 1e-300)
+        """RMS of the structured part of an output's error over the least that its noise can be; infinite without noise."""
+        structured = self.outputs[name].rmse * max(self.structured[name].share, 0.0) ** 0.5
+        floor = self.outputs[name].least_floor
+        return structured / floor if floor > 0.0 else np.inf if structured > 0.0 else 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -107,9 +108,10 @@ class Comparison:
     @property
     def share(self) -> float:
         """Part of the residual's power that is structured, outputs weighted by their error in units of noise."""
-        power = {name: (self.outputs[name].rmse / max(self.outputs[name].least_floor, 1e-300)) ** 2 for name in self.structured}
-        total = sum(power.values())
-        return sum(power[name] * test.share for name, test in self.structured.items()) / total if total > 0 else 0.0
+        errors = [self.outputs[name] for name in self.structured]
+        times = np.array([output.rmse / max(output.least_floor, 1e-12 * output.rmse, 1e-300) for output in errors])
+        shares = [test.share for test in self.structured.values()]
+        return float(np.average(shares, weights=times**2)) if times.any() else 0.0
 
 
 @one_thread()

@@ -143,7 +143,7 @@ def _kept(glances: dict[tuple[Key, ...], Glance]) -> set[Key]:
         kept |= {one.key for one in there[:KEPT]}
         if there:
             usual = float(np.median([one.error(kind) for one in there]))
-            kept |= {one.key for one in there if abs(one.error(kind) / usual - 1.0) < 1e-6}
+            kept |= {one.key for one in there if abs(one.error(kind) - usual) <= 1e-6 * usual}
     return kept
 
 

@@ -239,5 +239,6 @@ def _words(axis: Axis, interval: _Interval, direction: str | None, times_noise: 
     else:
         place = f"at {axis.name} between {start:.3g} and {stop:.3g}{unit}"
     only = {"forward": ", moving forward only", "backward": ", moving backward only"}.get(direction or "", "")
-    times = float(f"{times_noise:.2g}")
-    return f"the model fails {place}{only}: the error is {times:g} times the noise"
+    if not np.isfinite(times_noise):
+        return f"the model fails {place}{only}: the error has no noise beside it"
+    return f"the model fails {place}{only}: the error is {float(f'{times_noise:.2g}'):g} times the noise"
