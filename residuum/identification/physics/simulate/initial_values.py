@@ -48,10 +48,16 @@ def _first_that_differs(experiments: Sequence[Experiment], column: int, value: f
         known = y[np.isfinite(y)]
         if len(known) <= _BEGINNING or not np.isfinite(y[0]):
             continue
-        begin = float(np.median(known[:_BEGINNING]))
-        if abs(begin - value) > max(_NOISE * _noise(known), _SPAN * float(np.ptp(known))):
+        begin = _begin(known[:_BEGINNING])
+        # A fast state leaves its first value within a few samples: the first reading may speak for the value, too.
+        if min(abs(begin - value), abs(known[0] - value)) > max(_NOISE * _noise(known), _SPAN * float(np.ptp(known))):
             yield experiment.source or "the record", begin
             return
+
+
+def _begin(y: npt.NDArray[np.float64]) -> float:
+    """Where first samples on a line begin, one outlier not counted: medians of the slopes, then of what they leave."""
+    return float(np.median(y - np.median(np.diff(y)) * np.arange(len(y))))
 
 
 def _noise(y: npt.NDArray[np.float64]) -> float:
