@@ -3,7 +3,7 @@
     python -m benchmarks.complete_models [--first 0] [--count 100] [--effects N] [--samples 1000] [--parts 2]
 
 Each case draws a machine (`drawn_answers`), simulates it with values other than those of the file, adds noise, and records it
-with one fault of recording: a clock that runs 1 in 1000 wrong and whose stamps jitter, twelve rows far beside their neighbours,
+with one fault of recording: a clock that runs 1 in 5000 wrong and whose stamps jitter, twelve rows far beside their neighbours,
 a span in which a sensor repeats its last value, or the hour that summer time takes away or gives back. Blamed is a model of
 which explain names an effect with a probability above one half.
 """
@@ -51,7 +51,11 @@ def drawn(seed: int, parts: int, samples: int) -> tuple[str, PhysicalModel, dict
         run = Simulator(machine).run(
             Experiment(U, np.full((n, len(machine.outputs)), np.nan), np.zeros(len(machine.inputs)), step)
         )
-        if not run.finite or not np.all(np.abs(run.Y) < drawn_answers.LIMIT) or not np.all(np.std(run.Y, axis=0) > 0):
+        if (
+            not run.finite
+            or not np.all(np.abs(run.Y) < drawn_answers.LIMIT)
+            or not np.all(np.std(run.Y, axis=0) > 1e-9 * np.abs(run.Y).max(axis=0))
+        ):
             continue
         size = np.std(run.Y, axis=0)
         Y = run.Y + float(rng.choice(NOISE)) * size * rng.normal(size=run.Y.shape)
@@ -78,7 +82,7 @@ def recorded(
         return [Record(channels, units, step, source=f"complete {seed}")]
     t = step * np.arange(n)
     if fault == "clock":
-        stamps = [f"{x:.9g}" for x in t * 1.001 + 0.02 * step * rng.normal(size=n)]
+        stamps = [f"{x:.9g}" for x in t * 1.0002 + 0.02 * step * rng.normal(size=n)]
         return [rs.read(_written(folder, stamps, "time [s]", channels, units), resample=True)]
     change = datetime.datetime(2024, 3, 31, 2) if fault == "summer time begins" else datetime.datetime(2024, 10, 27, 3)
     middle = t[int(rng.integers(n // 4, 3 * n // 4))]

@@ -30,7 +30,7 @@ from residuum.diagnosis.thresholds.hazard_tail import HazardTail
 from residuum.diagnosis.thresholds.healthy_reference import block_peaks
 from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_healthy_tail
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
-from residuum.identification.errors import BadInput, BadRecord
+from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.state_space import FloatArray, StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -290,7 +290,13 @@ def with_healthy_records(design: ResidualDesign, healthy: Sequence[Record]) -> R
     input_mean = float(np.nanmean(np.concatenate([u for u, _ in pairs])))
     gain = float(design.model.frequency_response([0.0])[0].real)
     first = _replaced(design, input_mean=input_mean, output_mean=design.model.offset + gain * input_mean)
-    level = float(np.nanmean(np.concatenate([_primary(first.generator, u, y) for u, y in pairs])))
+    before = np.concatenate([_primary(first.generator, u, y) for u, y in pairs])
+    if not np.isfinite(before).any():
+        raise NotIdentifiable(
+            f"residual design: the model remembers {first.generator.warm_up} samples, and no healthy record has more on end "
+            f"({', '.join(str(r.n) for r in healthy)} samples, holes counted); give longer ones, or identify a shorter response"
+        )
+    level = float(np.nanmean(before))
     centred = _replaced(first, output_mean=first.output_mean + level)
     primary = [_primary(centred.generator, u, y) for u, y in pairs]
     noise = with_unbiased_size(fit_noise_model(primary), [u - input_mean for u, _ in pairs], primary, design.model)

@@ -131,7 +131,7 @@ def on_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64]] | None:
 
 
 def _near_grid(time: FloatArray) -> tuple[float, npt.NDArray[np.int64], FloatArray] | None:
-    """(step [s], place, how far beside it [s]) of instants that lie near even ones, of which some are absent; None for others."""
+    """(step [s], place, how far beside it [s]) of stamps near even instants, of which some are absent; None for others."""
     steps = np.diff(time)
     usual = float(np.median(steps))
     if not usual > 0 or (time[-1] - time[0]) / usual > _MOST:
@@ -166,40 +166,49 @@ def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
     Values (channels, n) at times (n,) that begin at 0 become linear between a channel's own samples, or are held where the signal
     is stepped; longer holes stay missing. The error is the RMS of linear interpolation, told by leaving out each sample: over the
     double distance that of a smooth signal is four times as large; noise is counted in. Where all stamps lie near even instants,
-    a stepped channel keeps its samples, and so does one that interpolation would change more than the jitter can: a line between
-    two of them would part what happened at once, an input's step and what answers it.
+    and the signals run as smoothly over these, the stamps alone were late: each sample keeps its even instant. A line between two
+    of them would part what happened at once, an input's step and what answers it. Where samples were late, too, a stepped channel
+    keeps its samples, and so does one that interpolation would change more than the jitter can.
     """
-    grid = _near_grid(time)
-    step = grid[0] if grid else float(np.median(np.diff(time)))
+    near = _near_grid(time)
+    step = near[0] if near else float(np.median(np.diff(time)))
     if (time[-1] - time[0]) / step > _MOST:
         raise BadRecord(
             f"{source}: {time[-1] - time[0]:.6g} s at {step:.6g} s are more than 1e8 samples; cut the file at its gaps"
         )
-    count = int(grid[1][-1]) if grid else int(np.floor(time[-1] / step + 1e-6))
+    count = int(near[1][-1]) if near else int(np.floor(time[-1] / step + 1e-6))
     even: FloatArray = step * np.arange(count + 1, dtype=np.float64)
-    if grid:
-        even = np.minimum(even, time[-1])
+    if near:  # the first stamp is late or early like any other
+        even = np.clip(even + time[0] - near[2][0], time[0], time[-1])
     pairs = [on_instants(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
-    if grid:
-        pairs = [_kept(*pair, column, *grid[1:], step) for pair, column in zip(pairs, values, strict=True)]
+    if near:
+        _, place, beside = near
+        alone = _stamps_alone_late(time, place, values)
+        late = f"each sample kept at its even instant, at most {np.abs(beside).max():.2g} s beside its stamp"
+        for k, column in enumerate(values):
+            held = ~np.isnan(column)
+            if held.sum() > 2 and (alone or _kept(column[held], place[held], beside, step)):
+                signal = pairs[k][0].copy()
+                signal[place[held]] = column[held]
+                pairs[k] = signal, (late, int(np.isnan(signal).sum()))
     return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
 
 
-def _kept(
-    signal: FloatArray, told: tuple[str, int], column: FloatArray, place: npt.NDArray[np.int64], beside: FloatArray, step: float
-) -> tuple[FloatArray, tuple[str, int]]:
-    """A channel whose samples, taken `beside` even instants, stay at the places of these, where that changes it less."""
-    held = ~np.isnan(column)
-    taken = column[held]
-    if len(taken) < 3:
-        return signal, told
+def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: FloatArray) -> bool:
+    """Whether signals run as smoothly over even instants as over their stamps: then the stamps were late, and no sample."""
+    smoother = 0.0
+    for column in values:
+        held = ~np.isnan(column)
+        if held.sum() > 2 and not is_stepped(column[held]):
+            over = [_linear_error(at[held].astype(float), column[held]) for at in (place, time)]
+            smoother += float(np.log(max(over[0], 1e-300) / max(over[1], 1e-300)))
+    return smoother <= 0.0
+
+
+def _kept(taken: FloatArray, place: npt.NDArray[np.int64], beside: FloatArray, step: float) -> bool:
+    """Whether a channel changes less where its samples, taken `beside` even instants, stay at the places of these."""
     moved = float(np.sqrt(np.mean(beside**2) * np.mean(np.diff(taken) ** 2))) / step
-    if not is_stepped(taken) and moved > _linear_error(place[held].astype(float), taken):
-        return signal, told
-    kept = signal.copy()
-    kept[place[held]] = taken
-    how = f"each sample kept at its even instant, at most {np.abs(beside).max():.2g} s beside its stamp"
-    return kept, (how, int(np.isnan(kept).sum()))
+    return is_stepped(taken) or moved <= _linear_error(place.astype(float), taken)
 
 
 def on_instants(at: FloatArray, taken: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[str, int]]:

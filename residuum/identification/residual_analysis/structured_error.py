@@ -117,7 +117,7 @@ def test_structured_error(
         while draws.size < n_bootstrap and not (p_value < RARE_DRAW * level or p_value > ORDINARY_DRAW):
             more = [_null_draw(null, lengths, designs, drifting, rng) for _ in range(min(STRUCTURE_DRAWS, n_bootstrap))]
             draws = np.r_[draws, more]
-            p_value = _tail(statistic, draws)
+            p_value = _tail(statistic, draws, designs[0].shape[1])
         share *= max(statistic - float(draws.mean()), 0.0) / max(statistic, 1e-300)  # what pure noise would also have given
     return StructuredError(
         present=bool(p_value < level),
@@ -233,8 +233,11 @@ def _null_draw(
     return _likelihood_ratio(segments, designs, refitted, drifting)[0]
 
 
-def _tail(statistic: float, draws: FloatArray) -> float:
-    mean, variance = float(draws.mean()), float(draws.var(ddof=1))
-    if mean <= 0 or variance <= 0:
-        return 1.0
+def _tail(statistic: float, draws: FloatArray, q: int) -> float:
+    """Chance of at least this statistic under a gamma distribution of the draws' two moments, at least those of χ²(q).
+
+    χ² is what the ratio has where noise is hardly coloured; few draws that happen to lie close together would tell a tail far
+    below it.
+    """
+    mean, variance = max(float(draws.mean()), float(q)), max(float(draws.var(ddof=1)), 2.0 * q)
     return float(gammaincc(mean**2 / variance, max(statistic, 0.0) * mean / variance))

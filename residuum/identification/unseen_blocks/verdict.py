@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from residuum.identification.physics import Key
+from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.model import find_effect
 from residuum.identification.unseen_blocks.candidate import Candidate, Quantity
 from residuum.identification.unseen_blocks.comparing import evidence, is_alike, share
@@ -72,7 +72,7 @@ def steps_of(found: Search) -> list[Step]:
         if after.keys == found.best.keys:
             alike += [o for o in found.group if o.keys not in {a.keys for a in alike} and set(o.keys) > rest]
         alike += [o for o in in_place_of(found, key, before.keys) if o.keys not in {a.keys for a in alike}]
-        # What does not lower the error beyond its price has no probability to share, however near it lies to one that hardly does.
+        # What does not lower the error beyond its price has no probability to share, however near it lies.
         alike = [o for o in alike if o.cost < before.cost]
         steps.append(Step(key, before, after, tuple(alike), tuple(o for o in there if o not in alike)))
     return steps
@@ -80,10 +80,12 @@ def steps_of(found: Search) -> list[Step]:
 
 def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
     """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
-    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more.
+    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more. What fits all blocks no better than the
+    model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that block.
     """
     scale = found.court.scale
-    tried = sorted(found.every.values(), key=lambda one: one.cost)[:MOST_RIVALS]
+    fitting = [one for one in found.every.values() if not one.keys or one.seen < found.base.seen]
+    tried = sorted(fitting, key=lambda one: one.cost)[:MOST_RIVALS]
     powers = [scale.by_block(one.power) for one in tried] + [scale.by_block(term.power) for term in free]
     names: list[tuple[Key, ...] | str] = [one.keys or NONE for one in tried] + [UNKNOWN] * len(free)
     sizes = np.array([one.parameters for one in tried] + [term.parameters for term in free])
@@ -108,6 +110,8 @@ def verdict_on(
 ) -> Verdict:
     """The verdict on the steps that `joined`; `adequate`: whether nothing is structured in what the best structure leaves."""
     timing = {step.key for step in joined if is_timing(step.key, found)}
+    if not joined:  # what was tried, and is a shift by less than a sample, is no physics either
+        timing = {one.keys[0] for one in found.every.values() if len(one.keys) == 1 and is_timing(one.keys[0], found, one.model)}
     wins = _named(counted(found, free, adequate=adequate), timing, NONE if adequate else UNKNOWN)
     steps = [step for step in joined if step.key not in timing]
     if steps and (not _recorded(steps) or (not adequate and _took_a_part(found))):
@@ -166,12 +170,14 @@ def _scaled(candidate: Candidate, factor: float) -> Candidate:
     return replace(candidate, probability=candidate.probability * factor)
 
 
-def is_timing(key: Key, found: Search) -> bool:
-    """Whether an accepted effect is a shift in time by less than a sample: how the record was taken, not physics."""
+def is_timing(key: Key, found: Search, model: PhysicalModel | None = None) -> bool:
+    """Whether an effect of the best model, or of this one, shifts time by less than a sample: how the record was taken, not
+    physics.
+    """
     shift = "" if key.effect == HELD else find_effect(key.effect).shifts
     if not shift:
         return False
-    use = next(use for use in found.best.model.effects if use.key == key)
+    use = next(use for use in (model or found.best.model).effects if use.key == key)
     return abs(use.parameters[shift].value) < max(e.sample_time for e in found.court.data.experiments)
 
 

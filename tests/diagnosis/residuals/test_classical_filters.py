@@ -10,7 +10,7 @@ from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_
 from residuum.diagnosis.residuals.residual_detection import detect
 from residuum.diagnosis.systems.coprime import left_coprime
 from residuum.diagnosis.systems.system_norms import h_infinity_norm
-from residuum.identification.errors import BadInput, BadModel
+from residuum.identification.errors import BadInput, BadModel, NotIdentifiable
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
@@ -47,6 +47,12 @@ def test_an_offset_is_found_and_a_healthy_record_is_not_blamed(designs, method, 
     assert design.method == method and detect(design, record(4)).first_alarm is None
     found = detect(design, record(3, offset=3.0))
     assert found.threshold.evaluation == "point" and 1500 <= found.first_alarm < 1600
+
+
+def test_healthy_records_that_never_fill_the_memory_are_refused(model, weight):
+    short = record(1).window(0, 30)
+    with pytest.raises(NotIdentifiable, match=r"remembers \d+ samples, and no healthy record has more .*30 samples.*longer ones"):
+        design_residual(model, weight, [short])
 
 
 @pytest.mark.parametrize("method", CLASSICAL_METHODS)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from benchmarks.complete_models import FAULTS, judged
 from benchmarks.drawn_answers import asked, broken, drawn
 
 
@@ -13,12 +14,18 @@ def test_every_question_is_answered_or_refused(seed):
     assert list(broken(case, answers)) == []
 
 
-@pytest.mark.parametrize("seed", (7019, 7042, 7059))
+@pytest.mark.parametrize("seed", (7019, 7042, 7059, 9028, 9045, 9075))
 def test_records_that_leave_nothing_or_stand_still_are_answered(seed):
     """A channel at rest has no fit in percent; a machine that is met exactly leaves errors of zero to choose among."""
     case = drawn(seed, effects=4, samples=400, parts=2)
     answers, _ = asked(case)
     assert list(broken(case, answers)) == []
+
+
+@pytest.mark.parametrize("seed", (20, 30, 118, 301, 302, 303, 304, 307))
+def test_what_recording_did_is_no_missing_physics(seed):
+    """Jitter of the stamps, outliers, a held span, summer time, on a model that lacks nothing."""
+    assert judged(seed, FAULTS[seed % len(FAULTS)], effects=5, samples=1000, parts=2) == "none"
 
 
 def test_machines_of_every_kind_are_drawn():

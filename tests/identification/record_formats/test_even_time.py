@@ -37,21 +37,27 @@ def test_jitter_is_refused_however_many_decimals_it_has():
         held(np.round(0.01 * np.arange(500) + rng.uniform(-2e-3, 2e-3, 500), 3))
 
 
+@pytest.mark.parametrize("samples_too", [False, True])
 @pytest.mark.parametrize("seed", range(5))
-def test_samples_whose_stamps_are_a_little_late_stay_beside_each_other(seed):
+def test_samples_whose_stamps_are_a_little_late_stay_beside_each_other(seed, samples_too):
     """An input's step and what answers it at once are parted by a line between two samples, which a model sees as an effect."""
     rng = np.random.default_rng(seed)
     n, step = 400, 0.01
     at = step * np.arange(n) + 0.05 * step * rng.standard_normal(n)
     at -= at[0]
     voltage = rng.choice([-4.0, 4.0, 7.0], n)
-    slow = np.sin(np.arange(n) / 60.0)
+    taken = at / step if samples_too else np.arange(n)
+    slow = np.sin(taken / 6.0)
     found, signals, told = resampled(at, np.stack([voltage, voltage / 2.0, slow]), "r.csv")
     assert found == pytest.approx(step, rel=1e-3) and signals.shape[1] == n
     np.testing.assert_array_equal(signals[:2], [voltage, voltage / 2.0])
     assert "kept at its even instant, at most" in told[0][0] and "kept at its even instant" in told[1][0]
-    np.testing.assert_allclose(signals[2], np.interp(np.minimum(found * np.arange(n), at[-1]), at, slow), atol=1e-12)
-    assert "error about" in told[2][0]
+    if samples_too:  # then the slow signal is read off between its samples
+        line = np.polyfit(np.arange(n), at, 1)
+        np.testing.assert_allclose(signals[2][1:-1], np.sin(np.polyval(line, np.arange(n)) / step / 6.0)[1:-1], atol=0.005)
+        assert "error about" in told[2][0]
+    else:
+        np.testing.assert_array_equal(signals[2], slow)
 
 
 def test_a_stamp_half_a_step_late_is_not_taken_for_its_even_instant():
