@@ -103,5 +103,5 @@ def test_noise_beside_one_feature_is_as_likely_as_noise_is():
     """The few draws of the null may lie close together by chance; no p-value comes of their spread alone."""
     rng = np.random.default_rng(4)
     decay = np.exp(-np.arange(300) / 30.0)[:, None]
-    found = [test_structured_error([rng.normal(size=300)], [decay], drifting=False, seed=seed).p_value for seed in range(150)]
+    found = [structured_error([rng.normal(size=300)], [decay], drifting=False, seed=seed).p_value for seed in range(150)]
     assert min(found) > 1e-5 and np.sum(np.array(found) < 0.01) <= 6
