@@ -25,6 +25,8 @@ _VALUES = {
     "resample": "(?!)",
 }
 _OPTION = re.compile("|".join(rf"--{name}\b(?![-\w])(?: {value})?" for name, value in _VALUES.items()))
+IN_PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
+"""What a refusal says for Python beside the option of a command."""
 _SETTLED = re.compile(r" \(`residuum inspect FILE[^`]*` (?:with it [^)]*|writes it)\)")
 _INSPECT = re.compile(r"(say )?`residuum inspect FILE (--(?!out)[^`]*?)(?: --out [^`]*)?`( says so)?")
 _IN_MAPPING = re.compile(r"set the mapping's `(duplicates|reordered)(?:` to `|: )(\w+)`( where|)")
@@ -57,6 +59,7 @@ def respelt(says: str, spell: Spelling) -> str:
     >>> respelt("set the mapping's `reordered: sort` where its rows are only shuffled", spell)
     'say ?reordered=sort where its rows are only shuffled'
     """
+    says = IN_PYTHON.sub("", says)
     says = _IN_MAPPING.sub(r"say --\1 \2\3", _SETTLED.sub("", says))
     says = _INSPECT.sub(lambda found: ("say " if found[1] or found[3] else "") + found[2], says)
     return _OPTION.sub(lambda found: _spelt(found[0], spell), says)
