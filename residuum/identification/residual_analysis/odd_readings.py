@@ -78,11 +78,10 @@ class OddReadings:
         found = []
         where = f"{self.source}, {self.output}"
         if self.coded.size:
-            marks = " ".join(f"--missing {code:.10g}" for code in self.codes)
-            values = " or ".join(f"{code:.10g}" for code in self.codes)
+            values, leave_out = _values_and_command(self.codes)
             found.append(
                 f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code beside their neighbours; they "
-                f"are left out here; `residuum inspect FILE {marks}` leaves them out everywhere"
+                f"are left out here; {leave_out} leaves them out everywhere"
             )
         alone = np.setdiff1d(self.beside, self.coded)
         if alone.size:
@@ -90,7 +89,8 @@ class OddReadings:
             lie = f"lie {near:.3g} to {far:.3g}" if len(alone) > 1 else f"lies {near:.3g}"
             found.append(
                 f"{where}: {_told_rows(alone, 'single ')} {lie} {self.unit} beside the "
-                "neighbours and may make much of the error; where they mean no value, say --missing VALUE"
+                "neighbours and may make much of the error; where they mean no value, "
+                "`residuum inspect FILE --missing VALUE --out FILE.mapping.yaml` says so"
             )
         if self.held:
             found.append(
@@ -106,6 +106,13 @@ class OddReadings:
 def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
     shown, many = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN), "s" * (len(rows) > 1)
     return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
+
+
+def _values_and_command(codes: Sequence[float]) -> tuple[str, str]:
+    """Error codes in words, and the command that says of them that they mean no value."""
+    values = [f"{code:.10g}" for code in codes]
+    marks = " ".join(f"--missing {value}" for value in values)
+    return " or ".join(values), f"`residuum inspect FILE {marks} --out FILE.mapping.yaml`"
 
 
 def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
@@ -186,12 +193,11 @@ def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Ma
             apart = _OF_RANGE * np.ptp(rest)
             rows = np.flatnonzero(marked & ((u < rest.min() - apart) | (u > rest.max() + apart)))
             if rows.size:
-                codes = sorted(set(u[rows].tolist()))
-                values, marks = (" or ".join(f"{c:.10g}" for c in codes), " ".join(f"--missing {c:.10g}" for c in codes))
+                values, leave_out = _values_and_command(sorted(set(u[rows].tolist())))
                 says.append(
                     f"{record.source}, {column}: {_told_rows(rows, '')} read {values} {record.units.get(column, '')}, an error "
-                    f"code beside all other values, and drive the model; nothing here is to be trusted before `residuum inspect "
-                    f"FILE {marks} --out FILE.mapping.yaml` leaves them out"
+                    f"code beside all other values, and drive the model; nothing here is to be trusted before {leave_out} "
+                    "leaves them out"
                 )
     return tuple(says)
 

@@ -49,6 +49,7 @@ def test_error_codes_are_named_and_left_out(seed):
     assert found.outputs["measured"].rmse < 0.08 and not found.present
     (said,) = [text for text in found.warnings if "error code" in text]
     assert "12 samples" in said and all(f"--missing {code:.10g}" in said for code in codes)
+    assert "--out FILE.mapping.yaml`" in said
 
 
 @pytest.mark.parametrize(
