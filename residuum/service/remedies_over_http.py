@@ -32,7 +32,7 @@ def said_over_http(error: BadInput) -> str:
     says = error.told(as_key)
     if "--" not in says:
         return says
-    says = _UNIT.sub(_unit_key, IN_PYTHON.sub("", says))
+    says = _UNIT.sub(_unit_key, IN_PYTHON.sub("", says)).replace("--resample", "POST /records?resample=true")
     return _MAP.sub(lambda found: f'"map": {{"{found[1]}": "{found[2]}"}} in the body', says)
 
 

@@ -25,7 +25,7 @@ _VALUES = {
     "resample": "(?!)",
 }
 _OPTION = re.compile("|".join(rf"--{name}\b(?![-\w])(?: {value})?" for name, value in _VALUES.items()))
-IN_PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
+IN_PYTHON = re.compile(r",? \(?in Python \w+=(?:\{[^}]*\}|True\b)\)?")
 """What a refusal says for Python beside the option of a command."""
 _SETTLED = re.compile(r" \(`residuum inspect FILE[^`]*` (?:with it [^)]*|writes it)\)")
 _INSPECT = re.compile(r"(say )?`residuum inspect FILE (--(?!out)[^`]*?)(?: --out [^`]*)?`( says so)?")

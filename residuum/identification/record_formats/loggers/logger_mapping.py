@@ -13,7 +13,7 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import even_columns, made_even, resampling, some_rounded_alike
+from residuum.identification.record_formats.even_time import even_columns, some_rounded_alike
 from residuum.identification.record_formats.loggers.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.loggers.no_value import without_overloads
@@ -254,18 +254,12 @@ def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: R
     notes: list[str] = []
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
     time = (stamps - stamps[0]) / 1e9
-    try:
-        step, columns = even_columns(np.stack([time, *values]), source, resample=False, first_row=mapping.first_row)
-        signals = columns[1:]
-    except BadRecord:
-        if not options.resample:
-            raise
-        step, signals, told = made_even(time, values, source)
-        for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
-            notes.append(f"{name} {resampling(step, how, holes)}")
+    names = [*mapping.names.values()]
+    columns = np.stack([time, *values])
+    step, columns = even_columns(columns, source, resample=options.resample, first_row=mapping.first_row, told=notes, names=names)
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
-    channels = dict(zip(mapping.names.values(), signals, strict=True))
+    channels = dict(zip(names, columns[1:], strict=True))
     return Record(channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source)
 
 
