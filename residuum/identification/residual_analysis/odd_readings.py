@@ -6,8 +6,8 @@ one another are one reading there, so that a code which stands for several rows 
 values and is one that sensors write for none: a machine that is off reads 0 for as long. A value that comes again among such rows
 is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
 A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
-digit. A sensor held it where the reading then jumps to where the machine went meanwhile; a machine that sticks goes on from where
-it stands.
+digit. A sensor held it where the reading then jumps to where the machine went meanwhile; one that sticks goes on from there.
+A position, or a speed of none, needs that jump to be named: friction, which the model may lack, lets a machine rest.
 
 Codes and held spans are left out of whatever is judged or estimated. Fails for a plant that really jumps for one or two samples:
 such rows are told, and stay.
@@ -137,9 +137,10 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
             single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
             still = _still(single, beside[:, k])
+            held = tuple(span for span in still if _jumps_on(single, beside[:, k], span, still))
+            still = tuple(span for span in still if span in held or not _may_rest(model, name, single, span))
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
-                held = tuple(span for span in still if _jumps_on(single, span, still))
                 found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held))
     return found
 
@@ -256,14 +257,24 @@ def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
     return np.asarray(np.any(near, axis=0))
 
 
-def _jumps_on(y: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
-    """Whether the reading after a span lies far from it, in steps of the machine where its sensor follows."""
+def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int, int]) -> bool:
+    """Whether the machine itself may stand still there, as friction holds it: at any position, at a speed of none."""
+    names = model.outputs[output].value.names
+    moves = {role for each in model.balances.values() for role, name in each.variables.items() if name in names}
+    steps = np.abs(np.diff(y[np.isfinite(y)]))
+    return moves == {"position"} or ("velocity" in moves and abs(float(y[span[0]])) <= float(steps[steps > 0].min()))
+
+
+def _jumps_on(y: FloatArray, simulated: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
+    """Whether the reading after a span lies far from it, in usual steps of the machine and the model's as it sets out."""
     known = np.flatnonzero(np.isfinite(y))
     after = known[known > span[1]]
     if not after.size:
         return False
     follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
     usual = float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99)) if follows.sum() > _FEWEST else np.inf
+    driven = np.abs(np.diff(simulated[max(span[1] - 1, 0) : after[0] + 2]))
+    usual = max(usual, float(np.nanmax(driven, initial=0.0)))
     return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)
 
 
