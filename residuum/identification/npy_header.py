@@ -56,7 +56,7 @@ def npy_header(data: bytes | memoryview) -> NpyHeader:
     ((3, 4), 48, 128)
     """
     if bytes(data[:6]) != np.lib.format.MAGIC_PREFIX or len(data) < 12:
-        raise NotNpy(f"is not an .npy array (it begins with {bytes(data[:6])!r})")
+        raise NotNpy(f"is not an .npy array (it begins with {bytes(data[:6])!r}); numpy.save writes one")
     start = 12 if data[6] >= 2 else 10
     length = int.from_bytes(data[8:start], "little")
     if length > LONGEST_HEADER:

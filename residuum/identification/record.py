@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from residuum.identification.errors import BadRecord, BadUnit
-from residuum.identification.units import convert, parse_unit
+from residuum.identification.units import convert, parse_unit, say_unit
 from residuum.nearest_names import known_names
 
 Signal = npt.NDArray[np.floating]
@@ -171,9 +170,8 @@ class Record:
         """
         where = f"record {self.source!r}, " if self.source else ""
         if name in self.channels and not self.units[name] and parse_unit(unit).factors:
-            how = f"--unit {shlex.quote(f'{name}={unit}')}, in Python units={{{name!r}: {unit!r}}}"
-            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed; say it: {how}")
-        return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}")
+            raise BadUnit(f"{where}channel {name!r}: has no unit, and {unit!r} is needed; say it: {say_unit(name, unit)}")
+        return convert(self[name], self.units[name], unit, what=f"{where}channel {name!r}", column=name)
 
     def missing(self, name: str) -> npt.NDArray[np.bool_]:
         """Mask of the missing samples of channel `name`, shape (n,).

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.identified_model_file import identified_text, load_identified
 from residuum.identification.record import Record as MeasuredRecord
-from residuum.library.answers.identification import identification_json, identification_text
+from residuum.library.answers.identification import identification_json, identification_text, static_gain
 from residuum.library.identification_methods import identified_by, with_uncertainty
 from residuum.library.model_assumptions import Assumptions, assumptions, check_stable, parts_kept_aside, plant_tests
 from residuum.library.model_assumptions import told as told_assumptions
@@ -260,8 +260,10 @@ class Plant(Result):
 
     def _answer(self) -> dict[str, Any]:
         answer = identification_json(self.identified, self.method, self.estimation, self.held_out)
+        assumed = None if self.assumptions is None else self.assumptions.to_dict()
         return answer | {
-            "assumptions": None if self.assumptions is None else self.assumptions.to_dict(),
+            "static_gain": static_gain(self.identified, assumed),
+            "assumptions": assumed,
             "check": None if self.check is None else self.check.to_dict(),
         }
 

@@ -14,7 +14,8 @@ from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record as MeasuredRecord
 from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.even_time import even_columns
-from residuum.identification.record_formats.read_apart import read_safely
+from residuum.identification.record_formats.read_apart import read_mapped
+from residuum.identification.record_formats.remedies import notes_respelt, respelling
 from residuum.library.record import Record, shown
 from residuum.library.table_columns import as_frame, heads, numbers, units_of
 from residuum.library.table_time import refuse_disorder, seconds, unit_of_time
@@ -34,8 +35,18 @@ def read(
     sample_time: float | None = None,
     resample: bool = False,
     rename: Mapping[str, str] | None = None,
+    map: Mapping[str, str] | None = None,
+    mapping: str | PathLike[str] | None = None,
+    decimal: str | None = None,
+    time: str | None = None,
+    missing: Sequence[str | float] = (),
+    names: Sequence[str] = (),
+    duplicates: str | None = None,
+    reordered: str | None = None,
 ) -> Record:
     """Read a record file; its ending says the format (CSV, NPZ, MAT, WAV; Parquet, TDMS, MDF 4, UFF 58 with the extra `formats`).
+
+    A logger's text file is read by its mapping, which `residuum inspect --out` writes, or by what is understood of it.
 
     Parameters
     ----------
@@ -47,6 +58,19 @@ def read(
     resample : bool
         Accept uneven time stamps: samples are interpolated onto even instants.
     rename : mapping of column to name
+    map : mapping of name to column
+        The same the other way round, as `--map` says it; `time` names the column of times.
+    mapping : path
+        Of a logger's file: how it is read. Default: FILE.mapping.yaml beside it.
+    decimal, time : str
+        Of a logger's file, where its text leaves them open: the decimal sign, the form of its times (`day first`, `excel` …).
+    missing : sequence of str or float
+        Cells that mean no value, such as `OL` or -999.9.
+    names : sequence of str
+        Of a logger's file without heads: those of all its columns, units in brackets.
+    duplicates, reordered : str
+        Of a logger's file: what becomes of rows of one stamp (`first`, `mean`, `spread` evenly) and of rows out of order
+        (`sort`, or `bridge` where only the clock was set).
 
     Returns
     -------
@@ -69,8 +93,36 @@ def read(
     """
     if not isinstance(path, str | PathLike):
         raise _no_record(path)
-    options = ReadOptions(resample=resample, sample_time=sample_time, units=dict(units or {}))
-    return shown(read_safely(Path(path), options).rename(rename or {}))
+    columns = dict(map or {})
+    options = ReadOptions(
+        resample=resample,
+        sample_time=sample_time,
+        units={columns.get(name, name): unit for name, unit in (units or {}).items()},
+        decimal=decimal,
+        time_form=time,
+        time_column=columns.pop("time", None),
+        missing=[str(cell) for cell in ([missing] if isinstance(missing, str | float) else missing)],
+        names=list(names),
+        duplicates=duplicates,
+        reordered=reordered,
+    )
+    with respelling(_as_keyword):
+        record = notes_respelt(read_mapped(Path(path), options, None if mapping is None else Path(mapping)), _as_keyword)
+    return shown(record.rename({column: name for name, column in columns.items()} | dict(rename or {})))
+
+
+def _as_keyword(option: str, value: str | None) -> str:
+    """An option of a command as a keyword of `read`."""
+    name = {"unit": "units", "sample-time": "sample_time"}.get(option, option)
+    if option == "resample":
+        return "resample=True"
+    if option in ("unit", "map"):
+        key, _, of_it = (value or "NAME=…").partition("=")
+        return f"{name}={{{key!r}: {of_it!r}}}"
+    if value is None:
+        return f"{name}=…"
+    said = {"missing": [value], "names": value.split(",")}
+    return f"{name}={said.get(option, value)!r}"
 
 
 def from_arrays(

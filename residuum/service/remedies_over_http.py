@@ -8,8 +8,8 @@ import re
 from urllib.parse import quote
 
 from residuum.identification.errors import BadInput
+from residuum.identification.record_formats.remedies import IN_PYTHON
 
-_PYTHON = re.compile(r",? \(?in Python \w+=\{[^}]*\}\)?")
 _UNIT = re.compile(r"--unit (?:'([^=']+)=([^']+)'|([^\s=,;)]+)=([^\s,;)]+))")
 _MAP = re.compile(r"--map ([^\s=,;)]+)=([^\s,;)]+)")
 
@@ -32,7 +32,7 @@ def said_over_http(error: BadInput) -> str:
     says = error.told(as_key)
     if "--" not in says:
         return says
-    says = _UNIT.sub(_unit_key, _PYTHON.sub("", says))
+    says = _UNIT.sub(_unit_key, IN_PYTHON.sub("", says)).replace("--resample", "POST /records?resample=true")
     return _MAP.sub(lambda found: f'"map": {{"{found[1]}": "{found[2]}"}} in the body', says)
 
 

@@ -29,7 +29,7 @@ from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
-from residuum.identification.units import compatible, convert
+from residuum.identification.units import compatible, convert, say_unit
 from residuum.nearest_names import known_names
 
 Array = npt.NDArray[Any]
@@ -286,8 +286,8 @@ class Bearing(Diagnoser):
             name = record.names[0]
         if name is None:
             raise BadInput(
-                f"bearing: record {record.source!r} has no channel with a unit of acceleration (give one: "
-                f"unit {record.names[0]}=g); has {dict(record.units)}"
+                f"bearing: record {record.source!r} has no channel with a unit of acceleration; say one: "
+                f"{say_unit(record.names[0], 'g')}; has {dict(record.units)}"
             )
         unit = record.units[name]
         if compatible(unit, ""):

@@ -17,6 +17,7 @@ _FLAT_SHARE = 0.05  # of the record in one run of equal values
 _DRIFT = 3.0  # travel of the mean, in RMS about it
 _ONE_WAY = 0.9  # correlation of the mean with time
 _SKI_SLOPE = 0.8  # share of the power below 10 Hz
+_SLOW = 10.0
 _HUM = 0.6  # share of the power at 50 or 60 Hz and their odd harmonics
 _MAINS = (50.0, 60.0)  # Hz
 _DROPPED_RUN = 16  # equal samples in a row, all of one value: a link that hands on nothing
@@ -117,11 +118,14 @@ def _silent(signal: Array, sampling_rate: float) -> str | None:
 
 
 def _power_elsewhere(signal: Array, sampling_rate: float, shaft: float | None) -> str | None:
-    """Most of the power below 10 Hz, or in the lines of the mains."""
+    """Most of the power below 10 Hz, or in the lines of the mains; a record too slow to tell holds no vibration."""
+    if sampling_rate * _SKI_SLOPE <= 2 * _SLOW:
+        low, above = f"{sampling_rate:.6g} samples a second", f"{sampling_rate / 2:.6g} Hz"
+        return f"{low} hold no vibration above {above}; if the rate was meant in kHz, say {1000 * sampling_rate:.6g} Hz"
     n = signal.shape[0]
     power = np.abs(fft.rfft((signal - signal.mean()) * np.hanning(n))) ** 2
     total, df = float(power.sum()), sampling_rate / n
-    if df < 5.0 and power[: int(10.0 / df) + 1].sum() > _SKI_SLOPE * total:
+    if df < 5.0 and power[: int(_SLOW / df) + 1].sum() > _SKI_SLOPE * total:
         return "the sensor is loose or overloaded: over 80 % of the power lies below 10 Hz"
     for mains in _MAINS:
         if df > mains / 10 or (shaft and abs(shaft / mains - 1) < 0.04):

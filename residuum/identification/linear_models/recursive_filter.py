@@ -21,6 +21,8 @@ def all_pole(A: npt.ArrayLike, x: npt.ArrayLike) -> FloatArray:
     [1.0, 0.5, 0.25]
     """
     x = np.asarray(x, dtype=float)
+    if not x.size:  # of a window that a sensor held throughout nothing is left
+        return x
     rows = np.array(np.reshape(x, (len(x), -1)).T, order="C")
     _divide(rows, np.array(A, dtype=float))
     return np.asarray(np.reshape(rows.T, x.shape))

@@ -69,7 +69,7 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
     try:
         return without_overloads(without_marks(reader(path, options), options.missing))
     except BadUnit as error:
-        raise BadUnit(f"{error}; --unit CHANNEL=UNIT says it in another spelling") from error
+        raise unit_to_say(error) from error
     except BadInput as error:
         if "\n" not in str(error) and len(str(error)) <= _LONGEST:
             raise
@@ -78,6 +78,11 @@ def read_record(path: str | Path, options: ReadOptions = ReadOptions()) -> Recor
         raise
     except Exception as error:
         raise BadRecord(f"{path}: is damaged or not a {ending} file ({in_one_line(error)})") from error
+
+
+def unit_to_say(error: BadUnit) -> BadUnit:
+    """The refusal of a unit that a file says, with the way on."""
+    return BadUnit(f"{error}; --unit CHANNEL=UNIT says it in another spelling")
 
 
 def write_record(record: Record, path: str | Path) -> None:
@@ -101,5 +106,6 @@ __all__ = [
     "ReadOptions",
     "parse_csv",
     "read_record",
+    "unit_to_say",
     "write_record",
 ]

@@ -49,19 +49,27 @@ def read_csv(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:
         raise BadRecord(f"{path}: cannot be read: {error.strerror}") from None
     if is_scope_csv(content):
         return parse_scope_csv(content, str(path), options)
-    told = options.decimal or options.time_form or options.time_column or options.missing
-    return parse_csv(content, str(path), options) if _is_ours(content) and not told else _from_logger(content, str(path), options)
+    ours = is_ours(content) and not options.of_a_logger
+    return parse_csv(content, str(path), options) if ours else _from_logger(content, str(path), options)
 
 
-def _is_ours(content: bytes) -> bool:
-    """Whether the first line that is no note begins with `time [s],`, and neither it nor the next has quotes: nothing is guessed.
+def is_ours(content: bytes) -> bool:
+    """Whether nothing is guessed: all is UTF-8, the first line that is no note begins with `time [s],`, and no quotes follow.
 
     A first line that is too long for any header is left to the reader that says so.
     """
     start = content[: 3 * _LONGEST_HEADER].removeprefix(b"\xef\xbb\xbf")
     lines = (line for line in start.splitlines() if line.strip() and not line.startswith(b"#"))
     head, first = next(lines, b""), next(lines, b"")
-    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head + first)
+    return not head or len(head) > _LONGEST_HEADER or (bool(_OURS.match(head)) and b'"' not in head + first and _is_utf8(start))
+
+
+def _is_utf8(start: bytes) -> bool:
+    try:
+        start.decode("utf-8")
+    except UnicodeDecodeError as error:
+        return error.end >= len(start) - 3  # the cut may have gone through a letter
+    return True
 
 
 def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
@@ -76,6 +84,7 @@ def _from_logger(content: bytes, source: str, options: ReadOptions) -> Record:
             told_units=options.units,
             missing=options.missing,
             sample_time=options.sample_time,
+            heads=options.names,
         )
         record = parse_logger(content, source, found.mapping, options)
     except BadRecord as error:
@@ -190,9 +199,7 @@ def _split(content: bytes, source: str) -> tuple[tuple[str, ...], str, bytes, in
         try:
             line = content[position:end].decode("utf-8").strip()
         except UnicodeDecodeError:
-            raise BadRecord(
-                f"{source}, row {row}: is not UTF-8 text; `residuum inspect FILE --out FILE{ENDING}` reads it as it is"
-            ) from None
+            raise BadRecord(f"{source}, row {row}: is not UTF-8 text; save it as UTF-8") from None
         position = end + 1
         if line.startswith("#"):
             notes.append(line[1:].strip())

@@ -49,12 +49,15 @@ def even_columns(
     median = float(np.median(steps))
     uneven = np.abs(steps - median) > JITTER * median + 4 * float(np.spacing(np.abs(time).max()))
     if not uneven.any() or _only_rounded(time):
-        return float((time[-1] - time[0]) / (len(time) - 1)), columns
+        step = float((time[-1] - time[0]) / (len(time) - 1))
+        if resample:
+            signals, filled = _between_slower(columns[1:], step)
+            columns = np.stack([time, *signals])
+            _tell(told, names, step, filled, columns)
+        return step, columns
     if resample:
         step, signals, done = made_even(time - time[0], columns[1:], source)
-        if told is not None:
-            heads = names or [f"column {k}" for k in range(2, len(columns) + 1)]
-            told += [f"{head} {resampling(step, *one)}" for head, one in zip(heads, done, strict=True)]
+        _tell(told, names, step, done, columns)
         return step, np.stack([time[0] + step * np.arange(signals.shape[1]), *signals])
     row, found = first_row + 1 + int(np.argmax(uneven)), float(steps[np.argmax(uneven)])
     raise BadRecord(
@@ -71,6 +74,29 @@ def an_hour_ahead(steps: FloatArray | float, usual: float) -> npt.NDArray[np.boo
     array([False,  True, False])
     """
     return np.asarray(np.abs(steps - 3600.0 - usual) < max(0.5 * usual, 1.0))
+
+
+def _tell(
+    told: list[str] | None, names: Sequence[str], step: float, done: Sequence[tuple[str, int] | None], columns: FloatArray
+) -> None:
+    """Put what became of channels into `told`; None is nothing."""
+    if told is not None:
+        heads = names or [f"column {k}" for k in range(2, len(columns) + 1)]
+        told += [f"{head} {resampling(step, *one)}" for head, one in zip(heads, done, strict=True) if one is not None]
+
+
+def _between_slower(values: FloatArray, step: float) -> tuple[FloatArray, list[tuple[str, int] | None]]:
+    """Channels (c, n) on even instants, those that have a value every few instants only with what lies between, and how."""
+    even = step * np.arange(values.shape[1], dtype=np.float64)
+    done = [_between(values[k], even, step) for k in range(len(values))]
+    return np.stack([signal for signal, _ in done]), [how for _, how in done]
+
+
+def _between(column: FloatArray, even: FloatArray, step: float) -> tuple[FloatArray, tuple[str, int] | None]:
+    held = np.flatnonzero(~np.isnan(column))
+    if len(held) < 2 or float(np.median(np.diff(held))) < 2:
+        return column, None
+    return on_instants(even[held], column[held], even, step)
 
 
 def usual_step(time: FloatArray) -> tuple[float, bool]:
@@ -157,7 +183,9 @@ def made_even(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
     step, place = grid
     signals = np.full((len(values), int(place[-1]) + 1), np.nan)
     signals[:, place] = values
-    return step, signals, [("error about 0, each sample kept at its instant", signals.shape[1] - len(place))] * len(values)
+    kept = ("error about 0, each sample kept at its instant", signals.shape[1] - len(place))
+    signals, filled = _between_slower(signals, step)
+    return step, signals, [kept if how is None else how for how in filled]
 
 
 def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float, FloatArray, list[tuple[str, int]]]:

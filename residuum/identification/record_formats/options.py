@@ -23,6 +23,10 @@ class ReadOptions:
         Of a logger's file, where its text leaves them open: the decimal sign, the form of its times, the name of their column.
     missing : sequence of str
         Of a logger's file: cells that mean no value, beside those that loggers write.
+    names : sequence of str
+        Of a logger's file without heads: those of all its columns, units in brackets.
+    duplicates, reordered : str or None
+        What becomes of a logger's rows of one stamp (`first`, `mean`, `spread`) and out of order (`sort`, `bridge`).
     """
 
     resample: bool = False
@@ -32,6 +36,9 @@ class ReadOptions:
     time_form: str | None = None
     time_column: str | None = None
     missing: Sequence[str] = ()
+    names: Sequence[str] = ()
+    duplicates: str | None = None
+    reordered: str | None = None
 
     def __post_init__(self) -> None:
         if self.sample_time is not None and not self.sample_time > 0:
@@ -46,6 +53,11 @@ class ReadOptions:
         if abs(found - self.sample_time) > 0.01 * found:
             raise BadRecord(f"{source}: has sample time {found:.6g} s, but {self.sample_time:.6g} s was given; leave it out")
         return float(found)
+
+    @property
+    def of_a_logger(self) -> bool:
+        """Whether something is said that only a logger's text leaves open."""
+        return any((self.decimal, self.time_form, self.time_column, self.missing, self.names, self.duplicates, self.reordered))
 
     def unit_of(self, name: str, found: str = "") -> str:
         """The unit of channel `name`: what the caller says, else what the file says."""

@@ -19,12 +19,25 @@ from residuum.identification import errors
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.identification.record_formats import MAY_CRASH, read_record
+from residuum.identification.record_formats.loggers.logger_mapping import ENDING, read_logger_file, read_mapping
 from residuum.identification.record_formats.options import ReadOptions
 from residuum.identification.record_formats.plain_arrays import keep_plain, load_plain
 
 _REFUSED = 2
 _HERE = str(Path(__file__).resolve().parents[3])
 """Where this package is found: the process imports the same one."""
+
+
+def read_mapped(path: Path, options: ReadOptions = ReadOptions(), mapping: Path | None = None) -> Record:
+    """`read_safely`, or a logger's file by its mapping: the one that is named, or FILE.mapping.yaml beside it."""
+    chosen = mapping or mapping_beside(path)
+    return read_safely(path, options) if chosen is None else read_logger_file(path, read_mapping(chosen), options)
+
+
+def mapping_beside(path: Path) -> Path | None:
+    """The mapping that `residuum inspect --out` wrote beside a file."""
+    beside = path.with_name(path.name + ENDING)
+    return beside if beside.is_file() else None
 
 
 def read_safely(path: str | Path, options: ReadOptions = ReadOptions()) -> Record:

@@ -7,7 +7,8 @@ values and is one that sensors write for none: a machine that is off reads 0 for
 is an error code (−127, 85, −999.9 …): no plant gives the very same number twice where it should give none.
 A span stands still where it is several times longer than any usual run of equal values, while the model moves by far more than a
 digit. A sensor held it where the reading then jumps to where the machine went meanwhile, or where it is noisy and repeats no
-value otherwise; a machine that sticks goes on from where it stands, and one that rests reads 0.
+value otherwise; a machine that sticks goes on from where it stands.
+A position, or a speed of none, needs one of these to be named: friction, which the model may lack, lets a machine rest.
 
 Codes, held spans and single rows far beside are left out of whatever is judged or estimated; a row where the model itself jumps
 for a sample is told, and stays. Fails for a plant that jumps for single samples of which its model knows nothing: a sentence says
@@ -91,11 +92,10 @@ class OddReadings:
         found = []
         where = f"{self.source}, {self.output}"
         if self.coded.size:
-            marks = " ".join(f"--missing {code:.10g}" for code in self.codes)
-            values = " or ".join(f"{code:.10g}" for code in self.codes)
+            values, leave_out = _values_and_command(self.codes)
             found.append(
                 f"{where}: {_told_rows(self.coded, '')} read {values} {self.unit}, an error code beside their neighbours; they "
-                f"are left out here; `residuum inspect FILE {marks}` leaves them out everywhere"
+                f"are left out here; {leave_out} leaves them out everywhere"
             )
         alone = np.setdiff1d(self.beside, self.coded)
         if alone.size:
@@ -105,7 +105,10 @@ class OddReadings:
             if np.isin(alone, self.spikes).all():
                 found.append(f"{told}, where the model does not jump; they are left out here")
             else:
-                found.append(f"{told} and may make much of the error; where they mean no value, say --missing VALUE")
+                found.append(
+                    f"{told} and may make much of the error; where they mean no value, "
+                    "`residuum inspect FILE --missing VALUE --out FILE.mapping.yaml` says so"
+                )
         if self.held:
             found.append(
                 f"{where}: stands still in samples {_spans(self.held)} while the model moves, and jumps on after it: a sensor "
@@ -120,6 +123,13 @@ class OddReadings:
 def _told_rows(rows: npt.NDArray[np.intp], kind: str) -> str:
     shown, many = ", ".join(map(str, rows[:_SHOWN])) + ", …" * (len(rows) > _SHOWN), "s" * (len(rows) > 1)
     return f"{len(rows)} {kind}sample{many} (number{many} {shown})"
+
+
+def _values_and_command(codes: Sequence[float]) -> tuple[str, str]:
+    """Error codes in words, and the command that says of them that they mean no value."""
+    values = [f"{code:.10g}" for code in codes]
+    marks = " ".join(f"--missing {value}" for value in values)
+    return " or ".join(values), f"`residuum inspect FILE {marks} --out FILE.mapping.yaml`"
 
 
 def _rows_of(spans: Sequence[tuple[int, int]]) -> list[int]:
@@ -144,10 +154,11 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
             single = np.where(np.isin(np.arange(len(y)), rows), np.nan, y)
             still = _still(single, beside[:, k])
+            noisy = _never_repeats(single, still)
+            held = tuple(s for s in still if (noisy and single[s[0]] != 0.0) or _jumps_on(single, beside[:, k], s, still))
+            still = tuple(span for span in still if span in held or not _may_rest(model, name, single, span))
             if rows.size or still:
                 unit = str(model.outputs[name].unit)
-                held = still if _never_repeats(single, still) else tuple(s for s in still if _jumps_on(single, s, still))
-                held = tuple(span for span in held if single[span[0]] != 0.0 or _jumps_on(single, span, still))
                 spikes = np.setdiff1d(rows[~_jumps(beside[:, k], rows, off)], coded)
                 found.append(OddReadings(name, unit, experiment.source, rows, codes, coded, still, distance, held, spikes))
     return found
@@ -203,12 +214,11 @@ def codes_of_inputs(model: PhysicalModel, records: Sequence[Record], mapping: Ma
             apart = _OF_RANGE * np.ptp(rest)
             rows = np.flatnonzero(marked & ((u < rest.min() - apart) | (u > rest.max() + apart)))
             if rows.size:
-                codes = sorted(set(u[rows].tolist()))
-                values, marks = (" or ".join(f"{c:.10g}" for c in codes), " ".join(f"--missing {c:.10g}" for c in codes))
+                values, leave_out = _values_and_command(sorted(set(u[rows].tolist())))
                 says.append(
                     f"{record.source}, {column}: {_told_rows(rows, '')} read {values} {record.units.get(column, '')}, an error "
-                    f"code beside all other values, and drive the model; nothing here is to be trusted before `residuum inspect "
-                    f"FILE {marks} --out FILE.mapping.yaml` leaves them out"
+                    f"code beside all other values, and drive the model; nothing here is to be trusted before {leave_out} "
+                    "leaves them out"
                 )
     return tuple(says)
 
@@ -289,14 +299,25 @@ def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
     return bool(np.mean(steps == 0) < _REPEATED and np.median(np.abs(np.diff(y, 2))) > _NOISY * digit > 0)
 
 
-def _jumps_on(y: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
-    """Whether the reading after a span lies far from it, in steps of the machine where its sensor follows."""
+def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int, int]) -> bool:
+    """Whether the machine itself may stand still there, as friction holds it: at any position, at a speed of none."""
+    names = model.outputs[output].value.names
+    moves = {role for each in model.balances.values() for role, name in each.variables.items() if name in names}
+    steps = np.abs(np.diff(y[np.isfinite(y)]))
+    digit = float(steps[steps > 0].min()) if (steps > 0).any() else 0.0
+    return moves == {"position"} or ("velocity" in moves and abs(float(y[span[0]])) <= digit)
+
+
+def _jumps_on(y: FloatArray, simulated: FloatArray, span: tuple[int, int], still: Sequence[tuple[int, int]]) -> bool:
+    """Whether the reading after a span lies far from it, in usual steps of the machine and the model's as it sets out."""
     known = np.flatnonzero(np.isfinite(y))
     after = known[known > span[1]]
     if not after.size:
         return False
     follows = ~np.isin(known, _rows_of([(first, last + 1) for first, last in still]))
     usual = float(np.quantile(np.abs(np.diff(y[known[follows]])), 0.99)) if follows.sum() > _FEWEST else np.inf
+    driven = np.abs(np.diff(simulated[max(span[1] - 1, 0) : after[0] + 2]))
+    usual = max(usual, float(np.nanmax(driven, initial=0.0)))
     return bool(abs(float(y[after[0]] - y[span[0]])) > _JUMP * usual > 0)
 
 

@@ -25,7 +25,7 @@ def identification_json(
         "sample_time": model.sample_time,
         "impulse_response": model.impulse_response,
         "std": model.std,
-        "std_says": band_says(model),
+        "std_says": _bands(model),
         "hyper_parameters": dict(model.hyper_parameters),
         "noise_variance": model.noise_variance,
         "negative_log_likelihood": model.negative_log_likelihood,
@@ -64,7 +64,7 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
         f"{model.method}: {_named(model.input_name, model.input_unit)} → {_named(model.output_name, model.output_unit)}, "
         f"{result['samples']} samples of {model.sample_time:g} s",
         f"  impulse response  {model.order} coefficients from lag {model.delay}; {_largest(model, assumed)}",
-        f"  static gain       {_gain(model, assumed)}",
+        f"  static gain       {_gain_says(result['static_gain'])}",
         f"  noise             {math.sqrt(model.noise_variance):.4g}{_spaced(model.output_unit)} (standard deviation)",
         f"  fit               {_fits(result['fit_percent'])} of the estimation data{_shown(model)}",
     ]
@@ -73,8 +73,8 @@ def identification_text(model: IdentifiedModel, result: dict[str, Any]) -> str:
         lines.append(f"  fit kept aside    {kept} of the last 30 %, by the first 70 %")
     if result["held_out_fit_percent"]:
         lines.append(f"  held-out fit      {_fits(result['held_out_fit_percent'])}")
-    if (said := band_says(model)) is not None:
-        lines.append(f"  bands             {said}")
+    if result["std_says"] is not None:
+        lines.append(f"  bands             {result['std_says']}")
     if model.hyper_parameters:
         lines.append("  hyper-parameters  " + ", ".join(f"{name} {value:.4g}" for name, value in model.hyper_parameters.items()))
     lines += [f"  warning           {text}" for text in model.warnings]
@@ -97,16 +97,38 @@ def _shown(model: IdentifiedModel) -> str:
     return ", by one-step predictions" if model.diverges else ""
 
 
-def _gain(model: IdentifiedModel, assumed: Mapping[str, Any]) -> str:
+def static_gain(model: IdentifiedModel, assumed: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """G(1) with its standard deviation, or why it is unknown; None of a model without an input."""
+    if not model.input_name:
+        return None
+    unit, unknown = _gain_unit(model).strip(), None
     if model.integrates:
         slope = float(np.diff(model.impulse_response, prepend=0.0).sum())
-        return f"none: the model integrates {slope:.4g}{_gain_unit(model)} a sample"
-    gain = float(model.frequency_response(0.0).real)
+        unknown = f"none: the model integrates {slope:.4g}{_gain_unit(model)} a sample"
+    elif ((assumed or {}).get("excitation") or {}).get("tells_gain") is False:
+        unknown = "the record does not tell it"
+    if unknown is not None:
+        return {"value": None, "std": None, "unit": unit, "unknown": unknown, "formal": False}
     std = math.sqrt(max(float(model.frequency_covariance(0.0)[0, 0, 0]), 0.0))
-    if (assumed.get("excitation") or {}).get("tells_gain") is False:
-        return "the record does not tell it"
-    formal = "; formal, for the model is not stable" if model.diverges else ""
-    return f"{gain:.4g} ± {std:.2g}{_gain_unit(model)} (one standard deviation{formal})"
+    gain = float(model.frequency_response(0.0).real)
+    return {"value": gain, "std": std, "unit": unit, "unknown": None, "formal": model.diverges}
+
+
+def _gain_says(gain: Mapping[str, Any]) -> str:
+    formal = "; formal, for the model is not stable" if gain["formal"] else ""
+    known = f"{gain['value']:.4g} ± {gain['std']:.2g}{_spaced(gain['unit'])}" if gain["unknown"] is None else ""
+    return f"{known} (one standard deviation{formal})" if known else str(gain["unknown"])
+
+
+def _bands(model: IdentifiedModel) -> str | None:
+    """What the standard deviations leave out."""
+    if "candidates" not in model.provenance:
+        return band_says(model)
+    criterion, orders = model.provenance["criterion"], model.provenance["orders"]
+    return (
+        f"as if the plant were of the orders that {criterion} chose from the data ({orders}): the doubt of that choice is not in "
+        "them, and the plant's coefficients may lie many deviations off; say `order` where it is known"
+    )
 
 
 def _series_text(model: IdentifiedModel, result: dict[str, Any]) -> str:

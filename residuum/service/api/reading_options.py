@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
@@ -13,6 +12,7 @@ from starlette.datastructures import QueryParams
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.loggers.logger_time import FORMS
+from residuum.identification.record_formats.remedies import notes_respelt, respelling
 from residuum.service.bad_bodies import BadBody
 
 _OF_THE_FILE = {
@@ -21,26 +21,24 @@ _OF_THE_FILE = {
     "resample": "true: accept uneven time stamps; longer holes stay missing.",
     "missing": "CELL, once a spelling: what means no value in a logger's file, such as OL or -999.9.",
     "decimal": "Decimal sign of a logger's file that leaves it open: . or ,",
+    "names": "NAME,…: names of all columns of a logger's file without heads, units in brackets.",
+    "duplicates": "What becomes of a logger's rows of one stamp: first, mean, or spread (evenly until the next stamp).",
+    "reordered": "What becomes of a logger's rows out of order: sort, or bridge (only the clock was set).",
     "time_form": f"Form of a logger's times: {', '.join(FORMS)}.",
 }
 READING_OPTIONS = _OF_THE_FILE | {"map": "NAME=COLUMN, once a signal: take the signal NAME from this column."}
 """Key and meaning of what may be said of a body that is a file; several of `unit`, `map` and `missing` are taken."""
-_KEYS = {
-    "sample-time": ("sample_time", "SECONDS"),
-    "resample": ("resample", "true"),
-    "decimal": ("decimal", "SIGN"),
-    "time": ("time_form", "FORM"),
-    "unit": ("unit", "CHANNEL=UNIT"),
-    "map": ("map", "NAME=COLUMN"),
+_KEYS = {"sample-time": "sample_time", "time": "time_form"}
+"""Option of the command line → key of the query, where these differ."""
+_EXAMPLES = {
+    "sample-time": "SECONDS",
+    "resample": "true",
+    "decimal": "SIGN",
+    "time": "FORM",
+    "unit": "CHANNEL=UNIT",
+    "map": "NAME=COLUMN",
+    "missing": "CELL",
 }
-"""Option of the command line → key of the query, and what stands for its value."""
-_OPTION = re.compile(rf"--({'|'.join(_KEYS)})\b(?![-\w])( [\w]+=[^\s,;)]+|(?<=--time) (?:'[^']+'|seconds\b))?")
-_MISSING = re.compile(r"`residuum inspect FILE --missing ('[^']*'|[^\s`]+) --out FILE[^`]*` says so")
-"""What a mapping settles for the commands, and a key of the query here."""
-_OF_TIME = {"--map time=COLUMN": "?time=COLUMN", "`residuum inspect FILE --time seconds`": "?time_form=seconds"}
-"""What has a key of its own here."""
-_COMMAND = re.compile(r"(`[^`]*`)")
-_BESIDE = re.compile(r" \(`residuum inspect FILE` with it [^)]*\)$")
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 
 
@@ -52,14 +50,16 @@ class Reading(NamedTuple):
 
     def renamed(self, record: Record) -> Record:
         """The record with its columns called as was said."""
-        return record.rename(self.renames) if self.renames else record
+        return notes_respelt(record.rename(self.renames) if self.renames else record, as_query)
 
 
 def reading_of(query: QueryParams) -> Reading:
     """What a query says of reading; BadInput names the key that is malformed."""
-    said: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form") if key in query}
+    said: dict[str, Any] = {key: query[key] for key in ("decimal", "time_form", "duplicates", "reordered") if key in query}
     if "missing" in query:
         said["missing"] = query.getlist("missing")
+    if "names" in query:
+        said["names"] = query["names"].split(",")
     if "time" in query:
         said["time_column"] = query["time"]
     if "resample" in query:
@@ -80,33 +80,53 @@ def reading(said: Mapping[str, Any], maps: Sequence[str], units: Sequence[str]) 
     return Reading(options, {column: name for name, column in columns.items()})
 
 
-@contextmanager
-def remedies_in_query() -> Iterator[None]:
-    """Let refusals name the keys of the query where readers name the options of the command line."""
-    try:
-        yield
-    except BadInput as error:
-        error.args = (_in_query(str(error)),)
-        raise
+def remedies_in_query(kind: str = "") -> AbstractContextManager[None]:
+    """Let refusals name the keys of the query, or of a body of this kind, where readers name the options of the command line."""
+    return respelling(_SAID_ITSELF.get(kind, as_query))
 
 
-def _in_query(says: str) -> str:
-    """A refusal whose options are keys of the query; what is said of a command stays, but not that a file beside settles it.
+def remedies_in_upload() -> AbstractContextManager[None]:
+    """Let refusals of a stored record name the keys with which it is stored."""
+    return respelling(lambda option, value: f"POST /records{as_query(option, value)}")
 
-    >>> _in_query("say --time 'day first' or --time 'month first'")
-    "say ?time_form='day first' or ?time_form='month first'"
-    >>> _in_query("if it means no value, `residuum inspect FILE --missing 'OL' --out FILE.mapping.yaml` says so")
-    'if it means no value, say ?missing=OL'
+
+def as_query(option: str, value: str | None) -> str:
+    """An option of a command as a key of the query.
+
+    >>> as_query("time", "day first"), as_query("map", "time=COLUMN"), as_query("unit", "duty=%")
+    ('?time_form=day%20first', '?time=COLUMN', '?unit=duty=%25')
     """
-    for option, key in _OF_TIME.items():
-        says = says.replace(option, key)
-    says = _MISSING.sub(lambda found: f"say ?missing={quote(found[1].strip(chr(39)))}", _BESIDE.sub("", says))
-    return "".join(part if part.startswith("`") else _OPTION.sub(_key, part) for part in _COMMAND.split(says))
+    if option == "map" and (value or "").startswith("time="):
+        return f"?{value}"
+    return f"?{_KEYS.get(option, option)}={quote(value or _EXAMPLES[option], safe='=/*,:[]')}"
 
 
-def _key(match: re.Match[str]) -> str:
-    key, example = _KEYS[match[1]]
-    return f"?{key}={match[2].strip() if match[2] else example}"
+def _in_json(option: str, value: str | None) -> str:
+    """An option as a key of a body in JSON, which says its units itself.
+
+    >>> _in_json("unit", "speed=rpm")
+    '"units": {"speed": "rpm"} in the body'
+    """
+    if option != "unit" or value is None:
+        return as_query(option, value)
+    name, _, unit = value.partition("=")
+    return f'"units": {{"{name}": "{unit}"}} in the body'
+
+
+def _of_array(option: str, value: str | None) -> str:
+    """An option as a key of the query of an array, which names its rows with their units.
+
+    >>> _of_array("unit", "speed=rpm")
+    '?channel=speed%20[rpm]'
+    """
+    if option != "unit" or value is None:
+        return as_query(option, value)
+    name, _, unit = value.partition("=")
+    return f"?channel={quote(f'{name} [{unit}]', safe='/*[]')}"
+
+
+_SAID_ITSELF = {"application/json": _in_json, "application/octet-stream": _of_array}
+"""How the options of kinds of bodies are said that say their units themselves."""
 
 
 def only_of_files(query: QueryParams, kind: str) -> None:

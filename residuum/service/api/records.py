@@ -66,6 +66,9 @@ async def add_record(
     unit: Annotated[list[str] | None, Query(description=READING_OPTIONS["unit"], max_length=256)] = None,
     missing: Annotated[list[str] | None, Query(description=READING_OPTIONS["missing"], max_length=64)] = None,
     map: Annotated[list[str] | None, Query(description=READING_OPTIONS["map"], max_length=256)] = None,
+    names: Annotated[str | None, Query(description=READING_OPTIONS["names"], max_length=2000)] = None,
+    duplicates: Annotated[Literal["first", "mean", "spread"] | None, Query(description=READING_OPTIONS["duplicates"])] = None,
+    reordered: Annotated[Literal["sort", "bridge"] | None, Query(description=READING_OPTIONS["reordered"])] = None,
     dbc: Annotated[
         str | None,
         Query(
@@ -81,7 +84,13 @@ async def add_record(
     """
     if time is not None and time_column is not None:
         raise BadBody("query: time and time_column are one option, the name of the column of times; give one of them")
-    said = {"resample": resample, "decimal": decimal, "time_form": time_form, "time_column": time_column or time}
+    said: dict[str, object] = {
+        "resample": resample,
+        "decimal": decimal,
+        "time_form": time_form,
+        "time_column": time_column or time,
+    }
+    said |= {"names": names.split(",") if names else [], "duplicates": duplicates, "reordered": reordered}
     with remedies_in_query():
         how = reading(said | {"sample_time": sample_time, "missing": missing or []}, map or (), unit or ())
         content = await body_of(request)

@@ -14,8 +14,8 @@ from residuum.identification.errors import BadInput
 from residuum.service.api.answers import PROBLEMS, ScoreAnswer
 from residuum.service.api.json_response import BareRoute, finding_json
 from residuum.service.api.parameters import NAME
-from residuum.service.api.reading_options import remedies_in_query
-from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, query_parameter, record_of
+from residuum.service.api.reading_options import remedies_in_query, remedies_in_upload
+from residuum.service.api.signal_body import SIGNAL_BODY, SIGNAL_QUERY, kind_of, query_parameter, record_of
 from residuum.service.commands.diagnoser_options import diagnoser_settings
 from residuum.service.services import Services
 from residuum.service.store import NotFound
@@ -62,7 +62,7 @@ async def score(request: Request) -> Response:
     if len(query_string) <= _LONGEST_KEPT:
         request._query_params = _query(query_string)  # a client asks with the same query again and again
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
-    with remedies_in_query():
+    with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)
         small = judge.quick and record.n * len(record.names) <= _SCORED_AT_ONCE
         finding = judge.score(record) if small else await run_in_threadpool(judge.score, record)
@@ -82,7 +82,7 @@ async def score_record(request: Request) -> Response:
         raise NotFound(f"record {number[:40]!r}: there is none of this number")
     judge = await _judge(services, request.path_params["diagnoser"], request.query_params)
     record = await run_in_threadpool(services.store.record_samples, int(number))
-    with remedies_in_query():
+    with remedies_in_upload():
         finding = await run_in_threadpool(judge.score, record)
     return finding_json(finding)
 

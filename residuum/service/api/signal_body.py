@@ -18,6 +18,7 @@ from starlette.datastructures import QueryParams
 from residuum.diagnosis.diagnosers.base import Channel
 from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS
+from residuum.identification.record_formats.csv import is_ours
 from residuum.identification.units import registry_is_read
 from residuum.service.api.reading_options import READING_OPTIONS, Reading, only_of_files, reading_of
 from residuum.service.bad_bodies import BadBody, UnsupportedBody
@@ -37,6 +38,7 @@ _PACKED = "application/zip"
 _ARRAY = "application/octet-stream"
 _KINDS = ("application/json", _ARRAY, "text/csv", _PACKED)
 _OF_LOGS = {"dbc", "filename"}
+_OF_ARRAYS = ("sampling_rate", "t0", "channel")
 _ENDINGS = {"text/csv": ".csv", _PACKED: ".npz"}
 _HEAD = re.compile(r"^(?P<name>[^\[\]]{1,200}?)\s*\[(?P<unit>[^\[\]]{0,80})\]$")
 
@@ -48,7 +50,9 @@ def query_parameter(name: str, kind: str, says: str, *, repeated: bool = False) 
 
 
 SIGNAL_QUERY = [
-    query_parameter("sample_time", "number", ".npy: seconds between samples (or `sampling_rate` [Hz])."),
+    query_parameter(
+        "sample_time", "number", ".npy (or `sampling_rate` [Hz]), a file that does not say it: seconds between samples."
+    ),
     query_parameter("sampling_rate", "number", ".npy: samples a second [Hz], instead of `sample_time`."),
     query_parameter("t0", "number", ".npy: time of the first sample [s]."),
     query_parameter("channel", "string", ".npy: `name [unit]`, once a row of the array.", repeated=True),
@@ -100,6 +104,11 @@ SIGNAL_BODY: dict[str, Any] = {
 """What routes that take signals say of their body in the OpenAPI document."""
 
 
+def kind_of(request: Request) -> str:
+    """The content type of a body, without its parameters."""
+    return request.headers.get("content-type", "").split(";")[0].strip().lower()
+
+
 async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Record:
     """The record in a request's body.
 
@@ -108,7 +117,7 @@ async def record_of(request: Request, expected: Sequence[Channel] = ()) -> Recor
 
     Raises BadBody, BadRecord, BadUnit, TooLarge or UnsupportedBody, each with one line.
     """
-    kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
+    kind = kind_of(request)
     if _tells_log(request.scope["query_string"]):
         return await _can_log(request)
     if kind not in _KINDS:
@@ -143,7 +152,8 @@ async def _can_log(request: Request) -> Record:
 async def _read(request: Request, kind: str, reading: Reading, expected: Sequence[Channel]) -> Record:
     services: Services = request.app.state.services
     body, settings = await body_of(request), services.settings
-    if reading.options:  # a stranger's file, to be understood: as an upload is, in a process of its own
+    # A stranger's file, to be understood: as an upload is, in a process of its own.
+    if reading.options or (kind == "text/csv" and not is_ours(body)):
         within: dict[str, Any] = {"memory": settings.upload_memory, "seconds": settings.upload_seconds}
         return await services.reading(read_upload, body, _ENDINGS[kind], "body", **within, options=reading.options)
     if kind == _ARRAY:
@@ -162,7 +172,14 @@ def _reading(query_string: bytes, kind: str) -> Reading:
     query = QueryParams(query_string)
     if kind not in _ENDINGS:
         only_of_files(query, kind)
-    return reading_of(query)
+    if kind != _ARRAY and (given := next((key for key in _OF_ARRAYS if key in query), None)):
+        raise BadBody(f"query, {given}: is an option for .npy arrays; {kind} says it itself")
+    reading = reading_of(query)
+    if kind in _ENDINGS and "sample_time" in query:
+        return reading._replace(options=reading.options | {"sample_time": _query_number(query, "sample_time", None)})
+    if kind == "application/json" and "sample_time" in query:
+        raise BadBody('query, sample_time: a body in JSON says it itself, "sample_time": seconds')
+    return reading
 
 
 async def body_of(request: Request) -> bytes:

@@ -22,7 +22,7 @@ from residuum.service.api.json_response import Json, page_answer
 from residuum.service.api.parameters import AssetName, Cursor, Limit, WindowId
 from residuum.service.api.reading_options import remedies_in_query
 from residuum.service.api.results import file_answer
-from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, record_of
+from residuum.service.api.signal_body import READ_ON_THE_LOOP, SIGNAL_BODY, body_of, kind_of, record_of
 from residuum.service.machines.baselines.deciding_method import deciding_method
 from residuum.service.machines.baselines.stored_baselines import newest_baseline
 from residuum.service.services import Running, Services
@@ -64,7 +64,7 @@ async def add_window(
         deciding = await run_in_threadpool(deciding_method, running.store, asset, judge.name)
     judge = judge if deciding is None else judge.with_settings(method=deciding)
     digest = await _digest(request.url.query.encode(), await body_of(request))
-    with remedies_in_query():
+    with remedies_in_query(kind_of(request)):
         record = await record_of(request, judge.channels)
         return await run_in_threadpool(_store, running, asset, record, judge, idempotency_key, digest)
 

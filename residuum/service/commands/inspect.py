@@ -9,6 +9,7 @@ import typer
 from residuum.identification.errors import BadRecord
 from residuum.identification.record_formats import CAN_LOGS, OLDER, READERS, ReadOptions
 from residuum.identification.record_formats.loggers.logger_file import understand
+from residuum.identification.record_formats.loggers.logger_mapping import parse_logger
 from residuum.identification.record_formats.lvm import LONGEST_HEAD, has_head
 from residuum.identification.record_formats.scope_csv import is_scope_csv
 from residuum.service.commands.output_file import check_output_file
@@ -69,7 +70,7 @@ def inspect_command(
             "sample_time": sample_time,
             "heads": [] if names is None else names.split(","),
         }
-        _logger_file(Path(file), out, said, as_json=as_json)
+        _logger_file(Path(file), out, said, resample=resample, as_json=as_json)
 
 
 def _device(address: str, register_map: Path | None) -> tuple[dict[str, Any], str]:
@@ -104,7 +105,7 @@ def _log(file: Path, dbc: Path | None) -> tuple[dict[str, Any], str]:
     return found
 
 
-def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, as_json: bool) -> None:
+def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, resample: bool, as_json: bool) -> None:
     if out is not None:
         check_output_file(out)
     try:
@@ -114,4 +115,5 @@ def _logger_file(file: Path, out: Path | None, said: dict[str, Any], *, as_json:
     found = understand(content, str(file), **said)
     if out is not None:
         out.write_text(found.mapping.to_yaml(), encoding="utf-8")
-    report(*of_logger_file(file, found), as_json=as_json)
+    resampled = parse_logger(content, str(file), found.mapping, ReadOptions(resample=True)) if resample else None
+    report(*of_logger_file(file, found, resampled), as_json=as_json)

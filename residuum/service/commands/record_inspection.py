@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.identification.record import Record
 from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_file import LoggerFile
@@ -22,7 +23,11 @@ _Column = tuple[int, str, str, int]
 
 def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[dict[str, Any], str]:
     """(JSON object, text for people) of a file whose format says how it is read; the reader's refusal where it is not."""
-    record = read_safely(file, options)
+    shown = _of_record(file, read_safely(file, options))
+    return shown, _text(shown)
+
+
+def _of_record(file: Path, record: Record) -> dict[str, Any]:
     columns = [(k, name, record.units[name], int(record.missing(name).sum())) for k, name in enumerate(record.names, start=1)]
     samples: dict[str, Any] = {"rows": record.n, "sample_time": record.sample_time, "rate": record.sampling_rate, "even": True}
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
@@ -30,20 +35,25 @@ def of_record_file(file: Path, options: ReadOptions = ReadOptions()) -> tuple[di
     signals = {name: np.asarray(record[name]) for name in record.names}
     shown = _shown(file, columns, samples, rows) | {"notes": [*record.notes, *_error_codes(signals)]}
     shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
+    return shown
+
+
+def of_logger_file(file: Path, found: LoggerFile, resampled: Record | None = None) -> tuple[dict[str, Any], str]:
+    """(JSON object, text for people) of a logger's text file, as it is understood, or as it is `resampled` by that."""
+    shown = _understood(file, found) if resampled is None else _of_record(file, resampled)
+    shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
+    shown["mapping"] = found.mapping.to_yaml()
     return shown, _text(shown)
 
 
-def of_logger_file(file: Path, found: LoggerFile) -> tuple[dict[str, Any], str]:
-    """(JSON object, text for people) of a logger's text file, as it is understood."""
+def _understood(file: Path, found: LoggerFile) -> dict[str, Any]:
     mapping, samples = found.mapping, dict(found.samples)
     missing, rows, notes = samples.pop("missing"), samples.pop("first_rows"), samples.pop("notes")
     signals = samples.pop("signals")
     columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]
     shown = _shown(file, columns, samples, rows) | {"notes": [*notes, *_error_codes(signals)]}
     shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
-    shown["guesses"] = [{"what": what, "value": value, "reason": why} for what, (value, why) in found.guesses.items()]
-    shown["mapping"] = mapping.to_yaml()
-    return shown, _text(shown)
+    return shown
 
 
 def _shown(file: Path, columns: Sequence[_Column], samples: dict[str, Any], rows: list[list[float | None]]) -> dict[str, Any]:

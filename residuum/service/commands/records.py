@@ -12,9 +12,8 @@ from residuum.identification.record import Record
 from residuum.identification.record_formats import CAN_LOGS, ReadOptions
 from residuum.identification.record_formats.csv import AS_LOGGER
 from residuum.identification.record_formats.even_time import RESAMPLED
-from residuum.identification.record_formats.loggers.logger_mapping import ENDING, read_logger_file, read_mapping
 from residuum.identification.record_formats.loggers.no_value import NO_VALUE
-from residuum.identification.record_formats.read_apart import read_safely
+from residuum.identification.record_formats.read_apart import mapping_beside, read_mapped
 from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
 from residuum.service.commands.report import progress
 
@@ -119,9 +118,8 @@ def _read(file: Path, options: ReadOptions, mapping: Path | None, dbc: Path | No
         for note in record.notes:
             progress(f"{file}: {note}")
         return record
-    beside = file.with_name(file.name + ENDING)
-    chosen = mapping or (beside if beside.is_file() else None)
-    record = read_safely(file, options) if chosen is None else read_logger_file(file, read_mapping(chosen), options)
+    chosen = mapping or mapping_beside(file)
+    record = read_mapped(file, options, chosen)
     done = record.notes if chosen is not None or any(note.startswith(AS_LOGGER) for note in record.notes) else ()
     for note in done or [note for note in record.notes if any(word in note for word in _TOLD)]:
         progress(f"{file}: {note}")

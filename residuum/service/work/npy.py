@@ -34,12 +34,16 @@ def read_npy(body: bytes | memoryview, what: str = "body") -> npt.NDArray[Any]:
     header = read_header(body, what)
     dtype, shape, came = header.dtype, header.shape, len(body) - header.start
     if dtype.kind not in "fiu" or dtype.itemsize > 8:
-        raise BadBody(f"{what}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are read")
+        raise BadBody(f"{what}: .npy type {str(dtype)[:80]}: only plain integer and floating arrays are read; {_way_on(dtype)}")
     if not 1 <= len(shape) <= 2 or not header.size:
         raise BadBody(f"{what}: .npy shape {shape}: must have one or two dimensions and hold samples")
     if header.size != came:
         raise BadBody(f"{what}: .npy shape {shape} of {dtype.str} needs {header.size} bytes; {came} came")
     return np.frombuffer(body, dtype=dtype, offset=header.start).reshape(shape, order="F" if header.fortran_order else "C")
+
+
+def _way_on(dtype: np.dtype[Any]) -> str:
+    return "send its real part, array.real" if dtype.kind == "c" else "send array.astype('f8')"
 
 
 def read_header(data: bytes | memoryview, what: str) -> NpyHeader:

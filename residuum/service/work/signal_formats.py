@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import re
 import struct
@@ -15,10 +16,10 @@ from typing import IO, Any
 import numpy as np
 import orjson
 
-from residuum.identification.errors import BadRecord, in_one_line
+from residuum.identification.errors import BadRecord, BadUnit, in_one_line
 from residuum.identification.npy_header import LONGEST_HEADER
 from residuum.identification.record import Record
-from residuum.identification.record_formats import parse_csv, read_record
+from residuum.identification.record_formats import parse_csv, read_record, unit_to_say
 from residuum.identification.record_formats.loggers.no_value import without_overloads
 from residuum.service.bad_bodies import BadBody, TooLarge
 from residuum.service.work.npy import read_header
@@ -27,6 +28,7 @@ MOST_CHANNELS = 256
 _DAMAGED = (zipfile.BadZipFile, zlib.error, struct.error, NotImplementedError, EOFError, OSError, RuntimeError, ValueError)
 """What reading an archive raises that is none, or is damaged."""
 _NO_NUMBER = re.compile(r"-?(NaN|nan|Infinity|inf)\b")
+_UNQUOTED = "; numbers stand without quotes, a missing sample is null"
 _NUMBERS = (int, float, type(None))
 _LONGEST_NOTES = 64 * 2**10
 _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
@@ -35,15 +37,18 @@ _JSON_KEYS = {"sample_time", "t0", "channels", "units", "notes"}
 def from_json(body: bytes, _unpacked: int) -> Record:
     """Of an object with `sample_time`, `channels`, `units` and, if it likes, `t0` and `notes`; null is a missing sample."""
     try:
-        content = orjson.loads(body)
+        content = orjson.loads(body.removeprefix(codecs.BOM_UTF8))
     except orjson.JSONDecodeError as error:
         if "memory" in error.msg:
             raise MemoryError from None
-        raise BadBody(f"body: is not JSON: {error}{_no_number(body, error.pos)}") from None
+        says = "JSON is UTF-8, send it so" if _other_text(body) else f"{error}{_no_number(body, error.pos)}"
+        raise BadBody(f"body: is not JSON: {says}") from None
     if not isinstance(content, dict) or not isinstance(content.get("channels"), dict):
         raise BadBody("body: must be an object with 'sample_time', 'channels' and 'units'")
     if unknown := set(content) - _JSON_KEYS:
-        raise BadBody(f"body: key {sorted(unknown)[0][:60]!r} is not one of {', '.join(sorted(_JSON_KEYS))}")
+        key = sorted(unknown)[0][:60]
+        rate = "; say sample_time, 1 / sampling_rate" if key == "sampling_rate" else ""
+        raise BadBody(f"body: key {key!r} is not one of {', '.join(sorted(_JSON_KEYS))}{rate}")
     channels = {name: _samples(name, values) for name, values in content["channels"].items()}
     return Record(
         few(channels),
@@ -55,6 +60,14 @@ def from_json(body: bytes, _unpacked: int) -> Record:
     )
 
 
+def _other_text(body: bytes) -> bool:
+    """Whether a body is text in another encoding: UTF-16, UTF-32, or one of single bytes."""
+    try:
+        return "\0" in body.decode()
+    except UnicodeDecodeError:
+        return True
+
+
 def _no_number(body: bytes, at: int) -> str:
     """What to write instead of the words that some programs write for numbers JSON does not have."""
     found = _NO_NUMBER.match(body.decode("utf-8", "replace"), at)
@@ -63,7 +76,10 @@ def _no_number(body: bytes, at: int) -> str:
 
 def from_csv(body: bytes, _unpacked: int) -> Record:
     """Of our own form of CSV."""
-    return without_overloads(parse_csv(body, source="body"))
+    try:
+        return without_overloads(parse_csv(body, source="body"))
+    except BadUnit as error:
+        raise unit_to_say(error) from error
 
 
 def from_npz(body: bytes, unpacked: int) -> Record:
@@ -134,13 +150,14 @@ def _samples(name: str, values: Any) -> np.ndarray[Any, Any]:
         raise BadBody(f"body, channel {name[:60]!r}: must be an array of numbers")
     for index, value in enumerate(values):
         if type(value) not in _NUMBERS:
-            raise BadBody(f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a number")
+            how = _UNQUOTED if isinstance(value, str) else ""
+            raise BadBody(f"body, channel {name[:60]!r}, sample {index}: {str(value)[:40]!r} is not a number{how}")
     return np.array(values, dtype=np.float64)
 
 
 def _texts(content: Any, what: str) -> dict[str, str]:
     if not isinstance(content, dict) or not all(isinstance(value, str) for value in content.values()):
-        raise BadBody(f"body, {what}: must be an object of channel name to text")
+        raise BadBody(f'body, {what}: must be an object of channel name to text, as {{"speed": "rpm"}}')
     return content
 
 

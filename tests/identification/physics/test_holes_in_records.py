@@ -52,3 +52,26 @@ def test_an_input_that_is_there_now_and_then_is_refused():
     record = Record({"force": u, "velocity": drive()["velocity"]}, drive().units, H)
     with pytest.raises(BadRecord, match="input 'force' has no value at sample 0"):
         rs.model("linear-axis").compare(record)
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+@pytest.mark.parametrize("every", [2, 5])
+def test_an_input_of_a_lower_rate_is_completed_by_resampling_as_its_refusal_says(tmp_path, every, separator):
+    """No hole is one: the values between are asked for, and come from the input's own samples."""
+    whole = drive()
+    force = 50.0 * np.sin(2 * np.pi * 0.3 * whole.time)
+    slow = Record({"force": np.where(np.arange(2000) % every, np.nan, force), "velocity": whole["velocity"]}, whole.units, H)
+    rs.from_arrays(slow.channels, units=slow.units, sample_time=H).save(tmp_path / "axis.csv")
+    (tmp_path / "axis.csv").write_text((tmp_path / "axis.csv").read_text().replace(",", separator))
+    with pytest.raises(BadRecord, match=f"one every {every} samples; read the record with --resample, in Python resample=True"):
+        rs.model("linear-axis").compare(rs.read(tmp_path / "axis.csv"))
+    record = rs.read(tmp_path / "axis.csv", resample=True)
+    assert any("force resampled to 0.01 s" in note for note in record.notes)
+    assert np.nanmax(np.abs(record["force"] - force)) < 0.2 and np.isnan(record["force"]).sum() == every - 1
+    assert not np.isnan(record["velocity"]).any() and rs.model("linear-axis").compare(record)
+
+
+def test_resampling_fills_no_stretch_of_an_even_record(tmp_path):
+    record = rs.from_arrays(drive(hole=(800, 801)).channels, units={"force": "N", "velocity": "m/s"}, sample_time=H)
+    record.save(tmp_path / "axis.csv")
+    assert np.flatnonzero(np.isnan(rs.read(tmp_path / "axis.csv", resample=True)["force"])).tolist() == [800]

@@ -49,6 +49,7 @@ def test_error_codes_are_named_and_left_out(seed):
     assert found.outputs["measured"].rmse < 0.08 and not found.present
     (said,) = [text for text in found.warnings if "error code" in text]
     assert "12 samples" in said and all(f"--missing {code:.10g}" in said for code in codes)
+    assert "--out FILE.mapping.yaml`" in said
 
 
 @pytest.mark.parametrize(
@@ -192,3 +193,55 @@ def test_estimates_leave_out_what_no_sensor_measured():
     found = rs.model(TANK.replace("value: 14.0", "value: 8.0")).estimate(record)
     assert found.model.parameters["k"].value == pytest.approx(14.0, abs=0.1)
     assert sum("left out here" in text for text in found.to_dict()["warnings"]) == 2
+
+
+SHAFT = """
+name: shaft
+inputs: {torque: N*m}
+states: {theta: {unit: rad, rate: omega}, omega: {unit: rad/s}}
+parameters: {J: {value: 0.01, unit: kg*m**2}, b: {value: 0.02, unit: N*m*s/rad}}
+balances:
+  shaft: {kind: torque, storage: J * der(omega), terms: {drive: torque, drag: -b * omega}, position: theta, velocity: omega}
+outputs: {angle: {value: theta, unit: rad}, speed: {value: omega, unit: rad/s}}
+"""
+
+
+def shaft(torque, breakaway=0.3):
+    """A shaft that friction holds below its breakaway torque; encoder steps, for angle and speed."""
+    angle, speed = np.zeros(len(torque)), np.zeros(len(torque))
+    for k, drive in enumerate(torque[:-1]):
+        w, theta = speed[k], angle[k]
+        for _ in range(20):
+            free = drive - 0.02 * w
+            if w == 0.0 and abs(free) <= breakaway:
+                break
+            new = w + 5e-4 / 0.01 * (free - breakaway * (np.sign(w) or np.sign(free)))
+            w = 0.0 if new * w < 0 else new
+            theta += 5e-4 * w
+        angle[k + 1], speed[k + 1] = theta, w
+    return np.round(angle / 0.002) * 0.002, np.round(speed / 0.01) * 0.01
+
+
+def shaft_compared(torque, angle, speed):
+    channels = {"torque": torque, "angle": angle, "speed": speed}
+    record = Record(channels, {"torque": "N*m", "angle": "rad", "speed": "rad/s"}, 0.01, source="shaft.csv")
+    return compare(read_model(SHAFT), [record])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_shaft_that_friction_holds_is_no_sensor_that_held(seed):
+    """It rests while its drive is below breakaway, and sets out by one step of the drive."""
+    torque = np.repeat(np.random.default_rng(seed).choice([0.0, 0.1, -0.2, 0.25, 0.9, -0.9], 20), 60)
+    angle, speed = shaft(torque)
+    found = shaft_compared(torque, angle, speed)
+    assert (speed == 0.0).sum() > 200 and not any("still" in text for text in found.warnings), found.warnings
+
+
+def test_an_encoder_that_held_is_one_all_the_same():
+    torque = np.repeat(np.random.default_rng(1).choice([0.5, 0.9, -0.9], 20), 60)
+    angle, speed = shaft(torque)
+    first = int(np.argmax(np.abs(speed) > 5)) + 200
+    angle[first : first + 150], speed[first : first + 150] = angle[first], speed[first]
+    found = shaft_compared(torque, angle, speed)
+    assert any(odd.output == "angle" and odd.held for odd in found.odd)
+    assert any(odd.output == "speed" and odd.still for odd in found.odd)

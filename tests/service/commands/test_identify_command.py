@@ -216,3 +216,34 @@ def test_check_and_noise_bound_are_refused_where_they_mean_nothing(record_file, 
     both = ["--input", "voltage", "--output", "speed", "--output", "voltage"]
     assert run(["identify", str(record_file), *both, "--check"]) == BAD_INPUT
     assert "no check" in capsys.readouterr().err
+
+
+def test_the_static_gain_is_in_every_answer_as_it_is_said(record_file, tmp_path, capsys):
+    assert identify(record_file, "--method", "oe", "--order", "1", "--json") == DONE
+    gain = json.loads(capsys.readouterr().out)["static_gain"]
+    assert abs(gain["value"] - 5.0) < 4 * gain["std"] < 0.5
+    assert (gain["unit"], gain["unknown"], gain["formal"]) == ("rad/s/V", None, False)
+    assert identify(record_file, "--method", "oe", "--order", "1") == DONE
+    assert f"static gain       {gain['value']:.4g} ± {gain['std']:.2g} rad/s/V" in capsys.readouterr().out
+
+
+def test_a_gain_that_is_not_told_is_null_with_its_reason(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 60), 25)
+    y = np.cumsum(0.1 * np.r_[0.0, u[:-1]]) + 0.01 * rng.standard_normal(1500)
+    write_record(Record({"voltage": u, "speed": y}, {"voltage": "V", "speed": "rad/s"}, 0.1), tmp_path / "i.csv")
+    options = ("--method", "bj", "--integrator")
+    assert identify(tmp_path / "i.csv", *options, "--json") == DONE
+    gain = json.loads(capsys.readouterr().out)["static_gain"]
+    assert gain["value"] is None and gain["std"] is None and gain["unknown"].startswith("none: the model integrates 0.")
+    assert identify(tmp_path / "i.csv", *options) == DONE
+    assert f"static gain       {gain['unknown']}" in capsys.readouterr().out
+
+
+def test_bands_of_an_order_that_the_data_chose_say_so(record_file, capsys):
+    for method in ("arx", "oe"):
+        assert identify(record_file, "--method", method, "--json") == DONE
+        said = json.loads(capsys.readouterr().out)["std_says"]
+        assert "orders that bic chose from the data (n" in said and said.endswith("say `order` where it is known")
+        assert identify(record_file, "--method", method, "--order", "1", "--json") == DONE
+        assert json.loads(capsys.readouterr().out)["std_says"] is None

@@ -79,3 +79,15 @@ def test_rows_of_one_stamp_are_given_no_rate(tmp_path, capsys):
     assert run(["inspect", str(file)]) == DONE
     shown = capsys.readouterr().out
     assert "100 rows, 10 stamps 1 s apart" in shown and "Hz" not in shown and "`spread`" in shown
+
+
+def test_uneven_steps_of_a_text_are_shown_as_resample_makes_them(tmp_path, capsys):
+    rows = [f"{k + 0.3 * (k % 2)};{k}" for k in range(40)]
+    (tmp_path / "uneven.csv").write_text("\n".join(["Zeit [s];n [rpm]", *rows]) + "\n")
+    found = {}
+    for option in ([], ["--resample"]):
+        assert run(["inspect", str(tmp_path / "uneven.csv"), "--json", *option]) == DONE
+        found[bool(option)] = json.loads(capsys.readouterr().out)
+    assert not found[False]["samples"]["even"] and found[True]["samples"]["even"]
+    assert any(note.startswith("n resampled to 1.3 s") for note in found[True]["notes"])
+    assert found[True]["guesses"] == found[False]["guesses"] and found[True]["mapping"] == found[False]["mapping"]

@@ -246,3 +246,58 @@ def test_impossible_identifiers_and_values_of_no_signal_do_not_spoil_a_file(tmp_
     (tmp_path / "late.dbc").write_text('BO_ 99999 late: 8 A\n SG_ x : 0|8@1+ (1,0) [0|0] "" A\n')
     with pytest.raises(BadBusDescription, match=r"late\.dbc: has nothing to stream: .*identifier 99999"):
         source_of(read_dbc(tmp_path / "late.dbc"))
+
+
+TWO = """VERSION ""
+
+NS_ :
+\tCM_
+\tBA_DEF_
+
+BS_:
+
+BU_: A B
+
+BO_ 256 one: 8 A
+ SG_ x : 0|16@1+ (0.1,0) [0|100] "V" B
+ SG_ y : 16|8@1+ (1,-40) [-40|210] "degC" B
+
+BO_ 257 two: 8 A
+ SG_ z : 0|8@1+ (1,0) [0|0] "" B
+
+"""
+FINE = 'CM_ SG_ 256 y "fine";\nBA_DEF_ BO_ "GenMsgCycleTime" INT 0 1000;\nBA_DEF_DEF_ "GenMsgCycleTime" 10;\n'
+ALL = {"one": ["x", "y"], "two": ["z"]}
+BAD_LINES = {
+    "unclosed comment": (TWO + 'CM_ SG_ 256 x "never closed;\n' + FINE, ALL, ["line 18"]),
+    "quotes in a comment": (TWO + 'CM_ SG_ 256 x "a 5" pipe";\n' + FINE, ALL, ["line 18"]),
+    "no semicolon": (TWO + 'CM_ SG_ 256 x "fine"\n' + FINE, ALL, ["line 18"]),
+    "a line of nothing": (TWO + "hello world\n" + FINE, ALL, ["line 18"]),
+    "two of them": (TWO + "hello world\n" + FINE + 'VAL_ 256 y 0 "off" 1 "on;\n', ALL, ["line 18", "line 22"]),
+    "attribute of no definition": (TWO + 'BA_ "Nope" BO_ 256 10;\n' + FINE, ALL, ["line 18"]),
+    "a signal": (TWO.replace("(0.1,0)", "(0,1,0)") + FINE, {"one": ["y"], "two": ["z"]}, ["line 12"]),
+    "a message": (TWO.replace("257 two:", "257 two") + FINE, {"one": ["x", "y"]}, ["line 15"]),
+    "a message's keyword": (TWO.replace("BO_ 257", "B0_ 257") + FINE, {"one": ["x", "y"]}, ["line 15"]),
+    "how values are read": (TWO + "SIG_VALTYPE_ 256 x 1;\n" + FINE, {"two": ["z"]}, ["line 18", "one"]),
+    "how often it comes": (TWO + FINE + 'BA_ "GenMsgCycleTime" BO_ 257 "soon;\n', {"one": ["x", "y"]}, ["line 21", "two"]),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_LINES)
+def test_a_line_that_cannot_be_read_costs_that_line_and_is_named(tmp_path, kind):
+    """What it would have said of values costs its message too: no signal is read as something else."""
+    text, usable, unusable = BAD_LINES[kind]
+    (tmp_path / "bus.dbc").write_text(text)
+    found = read_dbc(tmp_path / "bus.dbc")
+    assert {name: list(layout.units) for name, layout in found.items()} == usable
+    assert sorted(found.unusable) == sorted(unusable)
+    for place in unusable:
+        line = int(place.removeprefix("line ")) if " " in place else 0
+        shown = text.splitlines()[line - 1].strip()[:15]
+        assert not line or (shown in found.unusable[place] and f"bus.dbc, {place}: " in found.unusable[place])
+
+
+def test_a_file_of_nothing_but_such_lines_is_none(tmp_path):
+    (tmp_path / "bus.dbc").write_text("".join(f"BO_ {k} a{k} 8 A\n" for k in range(60)))
+    with pytest.raises(BadBusDescription, match="cannot be read as a DBC file"):
+        read_dbc(tmp_path / "bus.dbc")

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.identification.units import convert, parse_unit
+from residuum.identification.units import convert, parse_unit, say_unit
 
 FloatArray = npt.NDArray[np.float64]
 _WORDS = ("speed", "rpm", "drehzahl")
@@ -79,7 +79,9 @@ def unusable_speeds(record: Record) -> str:
     """What is wrong with channels whose name tells of a speed: they have no unit, or none of rotation; empty without such."""
     named = [name for name in _named_so(record) if not is_turning(record.units[name])]
     said = [
-        f"channel {name!r} is in {unit!r}" if (unit := record.units[name]) else f"channel {name!r} has no unit: --unit {name}=rpm"
+        f"channel {name!r} is in {unit!r}"
+        if (unit := record.units[name])
+        else f"channel {name!r} has no unit: {say_unit(name, 'rpm')}"
         for name in named
     ]
     return "; ".join(said)

@@ -196,10 +196,16 @@ def _input(record: Record, column: str, name: str, unit: str) -> Array:
     gaps = np.flatnonzero(record.missing(column))
     if gaps.size:
         where = f"{_named(record)}: input {column!r} has no value at sample {int(gaps[0])}"
-        raise BadRecord(
-            f"{where}; inputs must be complete: cut the record there, record.window(start, stop), and give the parts as a list"
-        )
+        raise BadRecord(f"{where}; inputs must be complete: {_completed(record.missing(column))}")
     return record.in_unit(column, unit)
+
+
+def _completed(missing: npt.NDArray[np.bool_]) -> str:
+    """How an input without these samples becomes complete: one that is recorded at a lower rate by lines between its samples."""
+    apart = np.diff(np.flatnonzero(~missing))
+    if apart.size and (step := int(np.median(apart))) > 1:
+        return f"it has one every {step} samples; read the record with --resample, in Python resample=True, to have those between"
+    return "cut the record there, record.window(start, stop), and give the parts as a list"
 
 
 def _named(record: Record) -> str:

@@ -18,6 +18,7 @@ from residuum.identification.record_formats.loggers.logger_mapping import (
     ENDING,
     SAY_DUPLICATES,
     LoggerMapping,
+    check_told,
     clock_steps,
     table,
     went_back,
@@ -42,7 +43,7 @@ from residuum.identification.record_formats.loggers.logger_time import (
     stamp_form,
 )
 from residuum.identification.record_formats.loggers.no_value import without_overload
-from residuum.nearest_names import known_names, nearest_names
+from residuum.nearest_names import nearest_names
 
 _TIME_NAME = re.compile(
     r"(?i)(.*\b|_)?(time|timestamps?|zeit|zeitstempel|date|datum|datetime|t|elapsed|uhrzeit|epoch|heure|millis|micros|datenum)(\b.*|_.*|)"
@@ -91,9 +92,7 @@ def understand(
 
     Raises BadRecord with the row and the remedy wherever two readings are possible: a file is never read by a mere guess.
     """
-    for option, value, known in (("--decimal", decimal, (".", ",")), ("--time", time_form, FORMS)):
-        if value is not None and value not in known:
-            raise BadRecord(f"option {option} {value!r}: {known_names(value, known, 'must be one of')}")
+    check_told({"decimal": decimal, "time_form": time_form})
     text, encoding, why = decoded(content, source)
     guesses = {"encoding": (encoding, why)}
     delimiter, why = find_delimiter(text, source, {cell.strip().lower() for cell in missing})
@@ -334,7 +333,7 @@ def _time_columns(names: list[str], units: list[str], stamped: dict[int, tuple[s
     named = [k for k, name in enumerate(names) if k not in stamped and _is_named_time(k, name, units)]
     if len(stamped) + len(named) > 1:
         both = ", ".join(repr(names[k]) for k in (*stamped, *named))
-        raise BadRecord(f"{source}: several time columns, {both}; write one file a time column, or a mapping by hand")
+        raise BadRecord(f"{source}: several time columns, {both}; say which with --map time=COLUMN")
     if not stamped and not named:
         raise BadRecord(
             f"{source}: no time column found among {', '.join(names)[:200]}; name it with --map time=COLUMN, write 'time [s]', "
@@ -397,7 +396,7 @@ def _channels(
             continue
         cells = _column(body, column)
         numbers = sum(map(is_value, cells))
-        if numbers == 0:
+        if numbers == 0 or _stamps(cells):
             guesses[f"column {name!r}"] = ("not read", "empty" if cells == [""] else f"text, such as {cells[0][:30]!r}")
             continue
         channels[column + 1] = name

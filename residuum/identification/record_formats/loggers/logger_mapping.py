@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,13 +13,7 @@ import yaml
 
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
-from residuum.identification.record_formats.even_time import (
-    an_hour_ahead,
-    even_columns,
-    made_even,
-    resampling,
-    some_rounded_alike,
-)
+from residuum.identification.record_formats.even_time import an_hour_ahead, even_columns, some_rounded_alike
 from residuum.identification.record_formats.loggers.logger_text import MISSING, cells_of, decoded, number
 from residuum.identification.record_formats.loggers.logger_time import FORMS, SINCE_START, nanoseconds, over_midnight
 from residuum.identification.record_formats.loggers.no_value import without_overloads
@@ -35,6 +29,23 @@ _AROUND = 60
 """Rows on both sides of a step back in which a shuffled one would have left its hole."""
 _ZONE = re.compile(r".*\d\s*[A-Z]{3,5}", re.DOTALL)
 FloatArray = npt.NDArray[np.float64]
+
+
+_TOLD = {
+    "decimal": ("--decimal", (".", ",")),
+    "time_form": ("--time", FORMS),
+    "duplicates": ("duplicates", _DUPLICATES),
+    "reordered": ("reordered", _REORDERED),
+}
+"""What may be said beside a mapping: its option and its values."""
+
+
+def check_told(said: Mapping[str, str | None]) -> None:
+    """Refuse a value that there is not, with those there are."""
+    for name, value in said.items():
+        option, known = _TOLD[name]
+        if value is not None and value not in known:
+            raise BadRecord(f"option {option} {value!r}: {known_names(value, known, 'must be one of')}")
 
 
 @dataclass(frozen=True)
@@ -111,6 +122,15 @@ class LoggerMapping:
         if beyond := [column for column in (*self.time, *self.names) if column > self.width]:
             near = ", ".join(f"{column} {name!r}" for column, name in self.names.items() if column <= self.width)
             raise BadRecord(f"mapping: there is no column {beyond[0]}; rows have {self.width} cells ({near})")
+
+    def with_told(self, options: ReadOptions) -> "LoggerMapping":
+        """The mapping with what is said beside it; BadRecord where that is another column of times."""
+        if options.time_column is not None and options.time_column in self.names.values():
+            raise BadRecord(f"option --map time={options.time_column}: the mapping says another column; change its `time`")
+        said = {name: getattr(options, name) for name in _TOLD}
+        check_told(said)
+        missing = (*self.missing, *(cell.strip().lower() for cell in options.missing))
+        return replace(self, missing=missing, **{name: value for name, value in said.items() if value is not None})
 
     def to_yaml(self) -> str:
         """The mapping as YAML."""
@@ -230,22 +250,22 @@ def read_logger_file(path: Path, mapping: LoggerMapping, options: ReadOptions = 
 
 def parse_logger(content: bytes, source: str, mapping: LoggerMapping, options: ReadOptions = ReadOptions()) -> Record:
     """Read the bytes of a logger's file (see `read_logger_file`); `source` names it in messages."""
+    mapping = mapping.with_told(options)
     stamps, values, rows = table(decoded(content, source, mapping.encoding)[0], mapping, source)
     notes: list[str] = []
     stamps, values = _ordered(stamps, values, rows, mapping, notes, source)
     time = (stamps - stamps[0]) / 1e9
+    names = [*mapping.names.values()]
+    columns = np.stack([time, *values])
     try:
-        step, columns = even_columns(np.stack([time, *values]), source, resample=False, first_row=mapping.first_row)
-        signals = columns[1:]
+        step, columns = even_columns(
+            columns, source, resample=options.resample, first_row=mapping.first_row, told=notes, names=names
+        )
     except BadRecord as error:
-        if not options.resample:
-            raise BadRecord(f"{error}{_BRIDGE}" if _hours_ahead(stamps) else str(error)) from None
-        step, signals, told = made_even(time, values, source)
-        for name, (how, holes) in zip(mapping.names.values(), told, strict=True):
-            notes.append(f"{name} {resampling(step, how, holes)}")
+        raise BadRecord(f"{error}{_BRIDGE}" if _hours_ahead(stamps) else str(error)) from None
     options.settle_sample_time(step, source)
     units = {name: options.unit_of(name, mapping.units.get(column, "")) for column, name in mapping.names.items()}
-    channels = dict(zip(mapping.names.values(), signals, strict=True))
+    channels = dict(zip(names, columns[1:], strict=True))
     return Record(channels, units, step, t0=float(stamps[0]) / 1e9, notes=tuple(notes), source=source)
 
 

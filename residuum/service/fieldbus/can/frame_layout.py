@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from cantools.database import load_string
-from cantools.database.can.database import Database
 from cantools.database.errors import Error as DatabaseError
 
 from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.block import Samples, StreamFormat
+from residuum.service.fieldbus.can.dbc_text import read_text
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
 from residuum.service.fieldbus.can.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
 
@@ -232,78 +231,25 @@ class BusMessages(dict[str, FrameLayout]):
 def read_dbc(path: str | Path) -> BusMessages:
     """The messages of a DBC file by name; BadBusDescription when it is none.
 
-    A message that cannot be used costs that message: `unusable` says which and why.
+    A message that cannot be used costs that message, a line that cannot be read that line: `unusable` says which and why.
     """
     where = Path(path).name
     messages = BusMessages(where)
     try:
-        text, left_out = usable_text(Path(path).read_bytes().decode(_ENCODING, errors="replace"))
-        messages.unusable |= {name: f"{where}, message {name}: {why}" for name, why in left_out.items()}
-        if left_out and not text.strip():
-            return messages
-        database = load_string(text, database_format="dbc", strict=False)
+        text = Path(path).read_bytes().decode(_ENCODING, errors="replace")
+        database, left_out = read_text(text)
     except OSError as error:
         raise BadBusDescription(f"{path}: cannot be read: {error.strerror}") from None
     except DatabaseError as error:
         raise BadBusDescription(
-            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the line that it names"
+            f"{where}: cannot be read as a DBC file: {' '.join(str(error).split())}; correct the file there"
         ) from None
-    if not isinstance(database, Database):
-        raise BadBusDescription(f"{where}: is no CAN database")
+    for place, why in left_out.items():
+        messages.unusable[place] = f"{where}, {place if ' ' in place else f'message {place}'}: {why}"
     for message in database.messages:
-        if message.signals:
+        if message.signals and message.name not in left_out:
             messages.add(message)
     return messages
-
-
-# The text of a DBC file without what would make cantools refuse the whole of it for one message's sake.
-
-_STATEMENT = r'(?:[^;"]|"[^"]*")*;'
-_MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n?(?P<signals>(?:[ \t]+SG_.*\n?|[ \t]*\n)*)", re.MULTILINE)
-_PAGED = re.compile(r"^[ \t]+SG_ +(?P<signal>\w+) +m\d* *:", re.MULTILINE)
-_MULTIPLEXER = re.compile(r"^[ \t]+SG_ +\w+ +(?:m\d+)?M *:", re.MULTILINE)
-_SIGNAL = re.compile(r"^[ \t]+SG_ +(\w+)", re.MULTILINE)
-_CHOICES = re.compile(rf"^VAL_ +(?P<id>\d+) +(?P<signal>\w+) {_STATEMENT}", re.MULTILINE)
-_EXTENDED = 1 << 31
-_INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
-
-
-def usable_text(text: str) -> tuple[str, dict[str, str]]:
-    """The text without messages of impossible identifiers, or with pages that no signal names, and without value tables of
-    signals that no message has. Also why each message was left out, by its name.
-
-    >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
-    >>> text, why["late"][:45]
-    ('BO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
-    """
-    found = list(_MESSAGE.finditer(text))
-    why = {
-        message["name"]: said
-        for message in found
-        if (said := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
-    }
-    there = {(m["id"], name) for m in found if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
-    if not why and all((choices["id"], choices["signal"]) in there for choices in _CHOICES.finditer(text)):
-        return text, {}
-    text = _CHOICES.sub(lambda choices: choices[0] if (choices["id"], choices["signal"]) in there else "", text)
-    return _MESSAGE.sub(lambda message: "" if message["name"] in why else message[0], text), why
-
-
-def _unnamed_page(signals: str) -> str:
-    paged = _PAGED.search(signals)
-    if paged is None or _MULTIPLEXER.search(signals):
-        return ""
-    return f"signal {paged['signal']!r} is on a page, and no signal names the page: mark that one with M"
-
-
-def _impossible(identifier: int, name: str) -> str:
-    if name == _INDEPENDENT:
-        return ""
-    if identifier >= _EXTENDED:
-        return f"identifier {identifier} is longer than 29 bits: correct it" if identifier - _EXTENDED > 0x1FFFFFFF else ""
-    if identifier <= 0x7FF:
-        return ""
-    return f"identifier {identifier} is longer than 11 bits and is not marked as extended: add {_EXTENDED} to it"
 
 
 # Multiplexing: which signals of a CAN message a frame carries, by the page that its multiplexer signals name.

@@ -1,0 +1,166 @@
+"""The text of a DBC file without what would make cantools refuse the whole of it for one message's or one line's sake."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import cast
+
+from cantools.database import load_string
+from cantools.database.can.database import Database
+from cantools.database.errors import Error as DatabaseError
+
+_STATEMENT = r'(?:[^;"]|"[^"]*")*;'
+_MESSAGE = re.compile(r"^BO_ +(?P<id>\d+) +(?P<name>\w+) *:.*\n?(?P<signals>(?:[ \t]+SG_.*\n?|[ \t]*\n)*)", re.MULTILINE)
+_PAGED = re.compile(r"^[ \t]+SG_ +(?P<signal>\w+) +m\d* *:", re.MULTILINE)
+_MULTIPLEXER = re.compile(r"^[ \t]+SG_ +\w+ +(?:m\d+)?M *:", re.MULTILINE)
+_SIGNAL = re.compile(r"^[ \t]+SG_ +(\w+)", re.MULTILINE)
+_CHOICES = re.compile(rf"^VAL_ +(?P<id>\d+) +(?P<signal>\w+) {_STATEMENT}", re.MULTILINE)
+_EXTENDED = 1 << 31
+_INDEPENDENT = "VECTOR__INDEPENDENT_SIG_MSG"
+
+
+def usable_text(text: str) -> tuple[str, dict[str, str]]:
+    """The text without messages of impossible identifiers, or with pages that no signal names, and without value tables of
+    signals that no message has. Also why each message was left out, by its name.
+
+    >>> text, why = usable_text("BO_ 2048 late: 8 A\\n SG_ x : 0|8@1+ (1,0) [0|0] \\"\\" A\\nBO_ 7 kept: 8 A\\n")
+    >>> text, why["late"][:45]
+    ('\\n\\nBO_ 7 kept: 8 A\\n', 'identifier 2048 is longer than 11 bits and is')
+    """
+    found = list(_MESSAGE.finditer(text))
+    why = {
+        message["name"]: said
+        for message in found
+        if (said := _impossible(int(message["id"]), message["name"]) or _unnamed_page(message["signals"]))
+    }
+    there = {(m["id"], name) for m in found if m["name"] not in why for name in _SIGNAL.findall(m["signals"])}
+    if not why and all((choices["id"], choices["signal"]) in there for choices in _CHOICES.finditer(text)):
+        return text, {}
+    text = _CHOICES.sub(
+        lambda choices: choices[0] if (choices["id"], choices["signal"]) in there else _lines_of(choices[0]), text
+    )
+    return _MESSAGE.sub(lambda message: _lines_of(message[0]) if message["name"] in why else message[0], text), why
+
+
+def _unnamed_page(signals: str) -> str:
+    paged = _PAGED.search(signals)
+    if paged is None or _MULTIPLEXER.search(signals):
+        return ""
+    return f"signal {paged['signal']!r} is on a page, and no signal names the page: mark that one with M"
+
+
+def _impossible(identifier: int, name: str) -> str:
+    if name == _INDEPENDENT:
+        return ""
+    if identifier >= _EXTENDED:
+        return f"identifier {identifier} is longer than 29 bits: correct it" if identifier - _EXTENDED > 0x1FFFFFFF else ""
+    if identifier <= 0x7FF:
+        return ""
+    return f"identifier {identifier} is longer than 11 bits and is not marked as extended: add {_EXTENDED} to it"
+
+
+# Lines that cannot be read.
+
+_MOST_LEFT_OUT = 40
+"""Lines and messages; a file with more is none."""
+_AT = re.compile(r"nvalid syntax at line (\d+), column (\d+)")
+_NO_ATTRIBUTE = re.compile(r"\"'(\w+)'\"")
+_FLOAT_OF_NONE = re.compile(r"(SIG_VALTYPE_ \d+ \w+)")
+_BEGIN = re.compile(r"^(?:[ \t]+SG_\b|VERSION\b|[A-Z]+_(?:[A-Z]+_)*(?=[\s:])).*", re.MULTILINE)
+_SIGNALS = re.compile(r"(?:[ \t]+SG_ .*(?:\n|$)|[ \t]*\n)+")
+_ENDS = ("CM_", "BA_", "VAL_", "SIG_", "SG_MUL", "EV_", "BO_TX")
+"""What ends in a semicolon."""
+_CHANGES_VALUES = re.compile(
+    r'(?:SIG_VALTYPE_|SG_MUL_VAL_)\s+(\d+)|BA_\s+"(?:SampleTime|GenMsgCycleTime|SamplesPerFrame|VFrameFormat)"\s+BO_\s+(\d+)'
+)
+"""Statements that say how a message is read, with its identifier."""
+
+
+def read_text(text: str) -> tuple[Database, dict[str, str]]:
+    """The database in the text of a DBC file, and why each message (by its name) or line (`line 7`) was left out.
+
+    Raises what cantools raises, where a line that cannot be read is not the whole fault.
+    """
+    why: dict[str, str] = {}
+    first: DatabaseError | None = None
+    while True:
+        usable, messages = usable_text(text)
+        left_out = why | messages
+        try:
+            content = usable if usable.strip() else 'VERSION ""'
+            found = cast(Database, load_string(content, database_format="dbc", strict=False))
+        except DatabaseError as error:
+            first, told = first or error, str(error)
+            unread = _unread(usable, told) if len(left_out) < _MOST_LEFT_OUT else ()
+            if not unread:
+                raise first from None
+            for start, after in unread:
+                end = _with_signals(usable, start, after)
+                why |= _told(usable, start, end)
+                text = usable = usable[:start] + _lines_of(usable[start:end]) + usable[end:]
+            why |= messages
+        else:
+            if first is not None and not (found.messages or messages):  # what is left is no DBC file
+                raise first
+            return found, left_out
+
+
+def _lines_of(text: str) -> str:
+    """Nothing, over as many lines: those that follow keep their numbers."""
+    return "\n" * text.count("\n")
+
+
+def _unread(text: str, told: str) -> list[tuple[int, int]]:
+    """Where the statements begin and end for which a text is refused."""
+    begins = [found.start() for found in _BEGIN.finditer(text)]
+    statements = list(pairwise([*begins, len(text)]))
+    if at := _AT.search(told):
+        return _about(text, statements, int(at[1]), int(at[2]))
+    if attribute := _NO_ATTRIBUTE.search(told):
+        named = f'"{attribute[1]}"'
+        return [(a, b) for a, b in statements if text.startswith("BA_", a) and named in text[a:b]][:1]
+    if number := _FLOAT_OF_NONE.search(told):
+        return [(a, b) for a, b in statements if " ".join(text[a:b].split()).startswith(number[1])]
+    return []
+
+
+def _about(text: str, statements: list[tuple[int, int]], line: int, column: int) -> list[tuple[int, int]]:
+    """The statement at fault for what cannot be read there: one that does not close its quotes, or does not end, before it."""
+    place = sum(len(each) for each in text.splitlines(keepends=True)[: line - 1])
+    before = [each for each in statements if each[0] <= place]
+    if unclosed := [each for each in before if text[slice(*each)].replace('\\"', "").count('"') % 2]:
+        return unclosed[:1]
+    if column == 1 and len(before) > 1 and _does_not_end(text[slice(*before[-2])]):
+        return before[-2:-1]
+    if before and before[-1][0] == place:
+        return before[-1:]
+    end = next((a for a, _ in statements if a > place), len(text))
+    return [(place, end)] if column == 1 else before[-1:]
+
+
+def _with_signals(text: str, start: int, end: int) -> int:
+    """Where a statement ends with the signals below it: left alone they would be those of the message above."""
+    below = _SIGNALS.match(text, end) if not text[start:end].lstrip().startswith("SG_") else None
+    return below.end() if below else end
+
+
+def _does_not_end(statement: str) -> bool:
+    return statement.startswith(_ENDS) and not statement.rstrip().endswith(";")
+
+
+def _told(text: str, start: int, end: int) -> dict[str, str]:
+    """What is left out with a statement, and why: a message that it says how to read, too."""
+    statement = text[start:end].strip().partition("\n SG_")[0]
+    line = text.count("\n", 0, start) + 1
+    what = f"{' '.join(statement.split())[:60]!r} cannot be read: correct the line"
+    signals = (
+        "the signals below it" if not statement.startswith("SG_") and re.search(r"^[ \t]+SG_", text[start:end], re.M) else ""
+    )
+    found = {f"line {line}": f"{what}; it is left out{f', and {signals}' if signals else ''}"}
+    if told := _CHANGES_VALUES.match(statement):
+        identifier = told[1] or told[2]
+        of = re.search(rf"^BO_ +{identifier} +(\w+)", text, re.MULTILINE)
+        if of:
+            found[of[1]] = f"line {line} says how it is read, and cannot be read itself"
+    return found
