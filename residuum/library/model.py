@@ -26,6 +26,7 @@ from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
 from residuum.library.progress import Progress, told
 from residuum.library.questions import asks
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
 from residuum.library.reading import as_records
 from residuum.library.record import Record
@@ -100,7 +101,8 @@ class Model(DescribedModel):
         """The records without what no sensor measured, as `compare` leaves it out, and what that was."""
         return records_without_odd(self.physical, given, map)
 
-    def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
+    @asks(Compare)
+    def compare(self, records: Records, *, map: Mapped = None, **given: Any) -> Comparison:
         """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
 
         Parameters
@@ -108,8 +110,6 @@ class Model(DescribedModel):
         records : Record, file, or a list of these
             Channels in any unit that can be converted to the model's.
         map : mapping of model name to column
-        options
-            Of `identification.residual_analysis.compare`: `level` of the test, `seed`.
 
         Returns
         -------
@@ -129,8 +129,10 @@ class Model(DescribedModel):
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
-        given = self._measured(records, map)
-        return Comparison(self._given, _names(given), compare(self.physical, given, map, **options))
+        return self._compared(self._measured(records, map), map, Compare.of(given))
+
+    def _compared(self, given: Sequence[MeasuredRecord], map: Mapped, asked: Compare) -> Comparison:
+        return Comparison(self._given, _names(given), compare(self.physical, given, map, **asked.model_dump()))
 
     def explain(
         self,
@@ -195,7 +197,7 @@ class Model(DescribedModel):
                 **options,
             )
             tell(0.9, "comparing")
-            compared = Comparison(self._given, _names(given), compare(self.physical, given, map))
+            compared = self._compared(given, map, Compare())
         return Explanation(compared, found)
 
     def improve(

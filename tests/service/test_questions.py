@@ -9,6 +9,7 @@ from typer.main import get_command
 import residuum as rs
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, asks, choices, field, help_of
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
@@ -21,6 +22,7 @@ from residuum.service.settings import Settings
 DOORS = {
     Identify: ("identify", "identify", rs.identify),
     Estimate: ("estimate", "models/{model}/estimate", rs.Model.estimate),
+    Compare: ("compare", "models/{model}/compare", rs.Model.compare),
     DesignController: ("control design", "control-designs", rs.control.design),
     DesignResidual: ("residual design", "residuals", None),
     RunResidual: ("residual run", "residuals", None),

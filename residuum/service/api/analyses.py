@@ -13,6 +13,7 @@ from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
 from residuum.library.questions import field, part_of
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
@@ -48,7 +49,7 @@ Seconds = Annotated[
 ]
 
 
-class Comparison(BaseModel, extra="forbid"):
+class OnRecords(BaseModel, extra="forbid"):
     """Which records a model is held against."""
 
     records: RecordNumbers
@@ -56,7 +57,11 @@ class Comparison(BaseModel, extra="forbid"):
     map: Names = {}
 
 
-class Explanation(Comparison):
+class Comparison(Compare, OnRecords):
+    """The question `compare` of a stored model and stored records."""
+
+
+class Explanation(OnRecords):
     """Which effects may explain a model's error."""
 
     effects: Annotated[list[Text], Field(max_length=100, description="Only these of the catalogue (default: all that fit).")] = []
@@ -64,7 +69,7 @@ class Explanation(Comparison):
     seconds: Seconds = None
 
 
-class Improvement(Comparison):
+class Improvement(OnRecords):
     """Which effects a model is to get: those of `add`, or with `auto` whatever `explain` accepts."""
 
     add: Annotated[
@@ -91,7 +96,7 @@ class Improvement(Comparison):
         return self
 
 
-class Estimation(Estimate, Comparison):
+class Estimation(Estimate, OnRecords):
     """The question `estimate` of a stored model and stored records."""
 
     save_as: SaveAs = None
@@ -150,7 +155,8 @@ def list_effects() -> Response:
 @router.post("/models/{model}/compare", status_code=202, response_model=JobAnswer)
 def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
     """How large is the model's error on records, is it structured, and where does it lie? The result is the `compare` object."""
-    return accepted(running.jobs.submit("compare", analyses.compare, _asked(running, model, asked), then=_result))
+    work = _asked(running, model, asked)
+    return accepted(running.jobs.submit("compare", analyses.compare, work, part_of(asked, Compare), then=_result))
 
 
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
@@ -278,7 +284,7 @@ def _known(effects: Sequence[str], given: Asked) -> None:
         )
 
 
-def _asked(running: Services, model: str, asked: Comparison) -> Asked:
+def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
     """The model, the built-in one where no version is named, and what it is held against."""
     built_in = asked.version is None and model in BUILT_IN
     text = None if built_in else _content(running, model, "physical", asked.version)

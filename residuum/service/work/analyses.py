@@ -17,6 +17,7 @@ from residuum.library.answers.plain import to_plain
 from residuum.library.answers.residual import design_json, run_json
 from residuum.library.model import Model
 from residuum.library.plant import identified
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
@@ -48,12 +49,12 @@ class Asked:
         return Model(model_of(name, self.text), name), _records(self.records)
 
 
-def compare(progress: Progress, asked: Asked) -> Mapping[str, Any]:
+def compare(progress: Progress, asked: Asked, question: Compare) -> Mapping[str, Any]:
     """`result`: the `compare` object."""
     progress(0.0, "compare")
     keep_large_arrays()
     model, records = asked.opened()
-    return {"result": model.compare(records, map=asked.mapping).to_dict()}
+    return {"result": model.compare(records, map=asked.mapping, **question.model_dump()).to_dict()}
 
 
 def explain(

@@ -9,6 +9,7 @@ from residuum.identification.linear_models.identified_model_file import identifi
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
 from residuum.library.questions.residual import DesignResidual, RunResidual
@@ -76,7 +77,7 @@ def test_a_design_that_cannot_be_is_an_answer(plant):
 def test_what_does_not_fit_is_refused_by_its_name(plant):
     asked = Asked("linear-axis", None, [parts_of(plant, "record-3.npz")], {})
     with pytest.raises(BadInput, match=r"record-3\.npz.*force"):
-        analyses.compare(lambda *_: None, asked)
+        analyses.compare(lambda *_: None, asked, Compare())
 
 
 class Enough(Exception):
