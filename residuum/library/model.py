@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from residuum.library.progress import Progress, told
 from residuum.library.questions import asks
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
+from residuum.library.questions.missing_effect import Explain
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 
@@ -134,31 +136,16 @@ class Model(DescribedModel):
     def _compared(self, given: Sequence[MeasuredRecord], map: Mapped, asked: Compare) -> Comparison:
         return Comparison(self._given, _names(given), compare(self.physical, given, map, **asked.model_dump()))
 
-    def explain(
-        self,
-        records: Records,
-        *,
-        map: Mapped = None,
-        effects: Iterable[str] | None = None,
-        seconds: float | None = None,
-        progress: Progress = None,
-        **options: Any,
-    ) -> Explanation:
+    @asks(Explain)
+    def explain(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Explanation:
         """Which physical effect is missing?
 
         Parameters
         ----------
         records : Record, file, or a list of these
         map : mapping of model name to column
-        effects : iterable of effect id
-            Consider only these (default: all that fit the model).
-        seconds : float, optional
-            Longest time for the search [s]; the best answer so far is given, and says what was not tried. Without it the answer
-            depends on nothing but the data.
         progress : callable or bool
             Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
-        options
-            Of `identification.discrepancy.explain`.
 
         Returns
         -------
@@ -184,20 +171,15 @@ class Model(DescribedModel):
         from residuum.identification.work import part_of  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
-        given = self._measured(records, map)
+        asked = Explain.of(given)
+        asked.use_own()
+        measured = self._measured(records, map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            found = explain(
-                self.physical,
-                self._sensed(given, map)[0],
-                map,
-                effects=effects,
-                seconds=seconds,
-                tell=part_of(tell, 0.0, 0.9),
-                **options,
-            )
+            searching = partial(explain, self.physical, self._sensed(measured, map)[0], map, tell=part_of(tell, 0.0, 0.9))
+            found = asked.handed_to(searching)
             tell(0.9, "comparing")
-            compared = self._compared(given, map, Compare())
+            compared = self._compared(measured, map, Compare())
         return Explanation(compared, found)
 
     def improve(

@@ -13,6 +13,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service.app import create_app
@@ -23,6 +24,7 @@ DOORS = {
     Identify: ("identify", "identify", rs.identify),
     Estimate: ("estimate", "models/{model}/estimate", rs.Model.estimate),
     Compare: ("compare", "models/{model}/compare", rs.Model.compare),
+    Explain: ("explain", "models/{model}/explain", rs.Model.explain),
     DesignController: ("control design", "control-designs", rs.control.design),
     DesignResidual: ("residual design", "residuals", None),
     RunResidual: ("residual run", "residuals", None),

@@ -17,6 +17,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
@@ -61,12 +62,8 @@ class Comparison(Compare, OnRecords):
     """The question `compare` of a stored model and stored records."""
 
 
-class Explanation(OnRecords):
-    """Which effects may explain a model's error."""
-
-    effects: Annotated[list[Text], Field(max_length=100, description="Only these of the catalogue (default: all that fit).")] = []
-    learned: Learned = False
-    seconds: Seconds = None
+class Explanation(Explain, OnRecords):
+    """The question `explain` of a stored model and stored records."""
 
 
 class Improvement(OnRecords):
@@ -162,9 +159,10 @@ def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
-    given = _asked(running, model, asked)
-    how = (_considered(asked.effects, given), asked.learned, asked.seconds)
-    return accepted(running.jobs.submit("explain", analyses.explain, given, *how, then=_result))
+    work, question = _asked(running, model, asked), part_of(asked, Explain)
+    if question.catalogue is None:  # a text's effects are known where it is read, in the job
+        _known(question.effects or (), work)
+    return accepted(running.jobs.submit("explain", analyses.explain, work, question, then=_result))
 
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)

@@ -21,6 +21,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
@@ -57,15 +58,12 @@ def compare(progress: Progress, asked: Asked, question: Compare) -> Mapping[str,
     return {"result": model.compare(records, map=asked.mapping, **question.model_dump()).to_dict()}
 
 
-def explain(
-    progress: Progress, asked: Asked, effects: Sequence[str] | None, learned: bool = False, seconds: float | None = None
-) -> Mapping[str, Any]:
-    """`result`: the `explain` object; `effects` None considers all of the catalogue, `learned` also curves over one signal."""
+def explain(progress: Progress, asked: Asked, question: Explain) -> Mapping[str, Any]:
+    """`result`: the `explain` object."""
     progress(0.0, "explain")
     keep_large_arrays()
     model, records = asked.opened()
-    found = model.explain(records, map=asked.mapping, effects=effects, learned=learned, seconds=seconds, progress=progress)
-    return {"result": found.to_dict()}
+    return {"result": model.explain(records, map=asked.mapping, progress=progress, **question.model_dump()).to_dict()}
 
 
 def improve(

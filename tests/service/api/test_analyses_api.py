@@ -258,6 +258,17 @@ def test_effects_that_a_model_file_defines_are_proposed_and_added(client, refuse
     assert refused("POST", "/api/v1/models/linear-axis/explain", json=asked)[0] == 404  # another model's
 
 
+def test_a_catalogue_that_is_none_is_the_jobs_one_line(client, leaking_tank):
+    effect = "effects: [{id: %s, acts_on: [volume], term: -c, parameters: {c: {unit: m**3/s, size: true}}}]"
+    for text, says in {
+        "own.yaml": "catalogue, line 1, column 1: a catalogue is a mapping that begins with 'effects:'",
+        effect % "Drain": "catalogue, line 1, column 16: effect 'Drain': an id is of small letters",
+        effect % "leak": "effect 'leak': the catalogue has one of this id",
+    }.items():
+        job = result(client, client.post("/api/v1/models/tank/explain", json={"records": [leaking_tank], "catalogue": text}))
+        assert job["state"] == "refused" and job["error"].startswith(says), job
+
+
 def test_an_improvement_names_its_effects_or_leaves_them_to_explain(refused, axis_with_friction):
     path, records = "/api/v1/models/linear-axis/improve", {"records": [axis_with_friction]}
     for body in ({}, {"add": ["coulomb-friction"], "auto": True}, {"add": ["coulomb-friction,backlash"]}):

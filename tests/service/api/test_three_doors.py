@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from contextvars import copy_context
 from functools import partial
 
 import numpy as np
@@ -75,6 +76,13 @@ NOT_WATCHED = {
     "an unknown threshold": ({"threshold": "peek"}, "threshold", "'peek': there is none of this name; did you mean 'peak'"),
     "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
 }
+OWN = """
+effects:
+  - id: own-drag
+    acts_on: [force]
+    term: -c * velocity
+    parameters: {c: {value: 0, unit: N*s/m, lower: 0, size: true}}
+"""
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
     "compare by other draws": ("compare", {"level": 0.05, "seed": 3}),
@@ -83,6 +91,8 @@ ASKED_OF_MODEL = {
     "estimate by prediction": ("estimate", {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True}),
     "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
     "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
+    "explain by one effect or a curve": ("explain", {"effects": "linear-spring", "learned": True, "seconds": 600}),
+    "explain by an effect of one's own": ("explain", {"effects": ["own-drag", "linear-spring"], "catalogue": OWN}),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
 }
 
@@ -91,6 +101,7 @@ NOT_ASKED_OF_MODEL = {
     "a level that no draws hold": ("compare", {"level": 1e-4}, "level", "must be ≥ 0.002"),
     "no chance of an error": ("compare", {"level": 1}, "level", "must be ≤ 0.2"),
     "a seed that is none": ("compare", {"seed": -1}, "seed", "must be ≥ 0"),
+    "no time": ("explain", {"seconds": 0}, "seconds", "must be > 0"),
 }
 
 
@@ -201,8 +212,14 @@ def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, refused_a
 def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
     verb, asked = ASKED_OF_MODEL[case]
     path, number = axis["weg" if "map" in asked else "position"]
-    told = shared(getattr(rs.model("linear-axis"), verb)(path, **asked).to_dict())
-    assert shared(printed(capsys, verb, "linear-axis", path, *options(asked), *out_of(verb, tmp_path))) == told
+    here = copy_context().run  # effects of one's own are known there alone
+    told = shared(here(getattr(rs.model("linear-axis"), verb), path, **asked).to_dict())
+    words = asked
+    if "catalogue" in asked:
+        words = asked | {"catalogue": tmp_path / "own.yaml"}
+        words["catalogue"].write_text(OWN, encoding="utf-8")
+        assert "own-drag" in json.dumps(told)
+    assert shared(here(printed, capsys, verb, "linear-axis", path, *options(words), *out_of(verb, tmp_path))) == told
     assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
 
 
