@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,9 @@ from residuum.library.comparison import Comparison
 from residuum.library.described_model import DescribedModel
 from residuum.library.progress import Progress, told
 from residuum.library.questions import asks
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 
@@ -100,7 +103,8 @@ class Model(DescribedModel):
         """The records without what no sensor measured, as `compare` leaves it out, and what that was."""
         return records_without_odd(self.physical, given, map)
 
-    def compare(self, records: Records, *, map: Mapped = None, **options: Any) -> Comparison:
+    @asks(Compare)
+    def compare(self, records: Records, *, map: Mapped = None, **given: Any) -> Comparison:
         """How large is the error on the records, is it structured, and where does it lie? Parameters stay as they are.
 
         Parameters
@@ -108,8 +112,6 @@ class Model(DescribedModel):
         records : Record, file, or a list of these
             Channels in any unit that can be converted to the model's.
         map : mapping of model name to column
-        options
-            Of `identification.residual_analysis.compare`: `level` of the test, `seed`.
 
         Returns
         -------
@@ -129,34 +131,21 @@ class Model(DescribedModel):
         >>> rs.model("gate-drive").compare(record).structured
         True
         """
-        given = self._measured(records, map)
-        return Comparison(self._given, _names(given), compare(self.physical, given, map, **options))
+        return self._compared(self._measured(records, map), map, Compare.of(given))
 
-    def explain(
-        self,
-        records: Records,
-        *,
-        map: Mapped = None,
-        effects: Iterable[str] | None = None,
-        seconds: float | None = None,
-        progress: Progress = None,
-        **options: Any,
-    ) -> Explanation:
+    def _compared(self, given: Sequence[MeasuredRecord], map: Mapped, asked: Compare) -> Comparison:
+        return Comparison(self._given, _names(given), compare(self.physical, given, map, **asked.model_dump()))
+
+    @asks(Explain)
+    def explain(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Explanation:
         """Which physical effect is missing?
 
         Parameters
         ----------
         records : Record, file, or a list of these
         map : mapping of model name to column
-        effects : iterable of effect id
-            Consider only these (default: all that fit the model).
-        seconds : float, optional
-            Longest time for the search [s]; the best answer so far is given, and says what was not tried. Without it the answer
-            depends on nothing but the data.
         progress : callable or bool
             Called with the share done (0 … 1) and what is being done; True or False shows or hides a line of progress.
-        options
-            Of `identification.discrepancy.explain`.
 
         Returns
         -------
@@ -182,49 +171,27 @@ class Model(DescribedModel):
         from residuum.identification.work import part_of  # noqa: PLC0415
         from residuum.library.explanation import Explanation  # noqa: PLC0415
 
-        given = self._measured(records, map)
+        asked = Explain.of(given)
+        asked.use_own()
+        measured = self._measured(records, map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            found = explain(
-                self.physical,
-                self._sensed(given, map)[0],
-                map,
-                effects=effects,
-                seconds=seconds,
-                tell=part_of(tell, 0.0, 0.9),
-                **options,
-            )
+            searching = partial(explain, self.physical, self._sensed(measured, map)[0], map, tell=part_of(tell, 0.0, 0.9))
+            found = asked.handed_to(searching)
             tell(0.9, "comparing")
-            compared = Comparison(self._given, _names(given), compare(self.physical, given, map))
+            compared = self._compared(measured, map, Compare())
         return Explanation(compared, found)
 
-    def improve(
-        self,
-        records: Records,
-        *,
-        add: Sequence[str] | str | None = None,
-        map: Mapped = None,
-        effects: Sequence[str] | None = None,
-        seconds: float | None = None,
-        progress: Progress = None,
-        **options: Any,
-    ) -> Improvement[Model]:
+    @asks(Improve)
+    def improve(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Improvement[Model]:
         """Add effects, estimate again, and count the error on data that were not used for it.
 
         Parameters
         ----------
         records : Record, file, or a list of these
-        add : list of effect, or of `effect@place`
-            None: what `explain` finds, until the model is adequate.
         map : mapping of model name to column
-        effects : list of effect id
-            Without `add`: consider only these.
-        seconds : float, optional
-            Longest time for each search [s], as in `explain`.
         progress : callable or bool
             As in `explain`.
-        options
-            Of `identification.discrepancy.improve`.
 
         Returns
         -------
@@ -249,21 +216,13 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
-        wanted = [add] if isinstance(add, str) else add
-        given, left_out = self._sensed(self._measured(records, map), map)
+        asked = Improve.of(given)
+        asked.use_own()
+        measured, left_out = self._sensed(self._measured(records, map), map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            found = improve(
-                self.physical,
-                given,
-                map,
-                add=wanted,
-                effects=effects,
-                seconds=seconds,
-                tell=tell,
-                **options,
-            )
-        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, given, map)), *left_out))
+            found = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
+        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, measured, map)), *left_out))
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:

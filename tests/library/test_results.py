@@ -85,6 +85,16 @@ def test_identify_and_control_say_what_the_commands_print(pushed, capsys, tmp_pa
     assert np.array_equal(rs.load_plant(tmp_path / "plant.json").sample(3, seed=2), plant.sample(3, seed=2))
 
 
+def test_another_level_draws_the_line_elsewhere_and_another_seed_draws_other_noise():
+    rng, force = np.random.default_rng(3), 60.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * 0.01 * np.arange(600)))
+    model = rs.model("linear-axis").with_values(M=95.0)
+    given = rs.from_arrays({"force": force}, units={"force": "N"}, sample_time=0.01)
+    velocity = model.with_effect("viscous-friction", "axis", d=0.4).simulate(given)["velocity"] + 2e-3 * rng.standard_normal(600)
+    record = rs.from_arrays({"force": force, "velocity": velocity}, units={"force": "N", "velocity": "m/s"}, sample_time=0.01)
+    usual, lenient, other = model.compare(record), model.compare(record, level=0.2), model.compare(record, seed=1)
+    assert not usual.structured and lenient.structured and other.found.p_value not in (usual.found.p_value, 1.0)
+
+
 def test_the_catalogue_is_the_command_s(capsys):
     assert printed(capsys, "effects") == (json.loads(json.dumps(rs.effects.to_dict())), str(rs.effects))
 

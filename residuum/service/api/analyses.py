@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
@@ -13,9 +14,11 @@ from residuum.identification.physics import BUILT_IN
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
 from residuum.library.answers.effect import effect_json
 from residuum.library.questions import field, part_of
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
@@ -37,18 +40,10 @@ RecordNumbers = Annotated[
 ]
 SaveAs = Annotated[NewModelName | None, Field(description="Store the resulting model under this name, as a new version.")]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
-PLACED_EFFECT = r"^[a-z][a-z0-9-]{0,63}([@:][^,@]{1,200})?$"
 Names = Annotated[dict[Text, Text], Field(max_length=100, description="Model's name of a signal → record's channel.")]
 
 
-Learned = Annotated[bool, Field(description="Learn a curve over one signal where no effect with a name explains the error.")]
-Seconds = Annotated[
-    float | None,
-    Field(gt=0, le=1e6, description="Longest time for the search [s]; the answer then depends on the machine, and says so."),
-]
-
-
-class Comparison(BaseModel, extra="forbid"):
+class OnRecords(BaseModel, extra="forbid"):
     """Which records a model is held against."""
 
     records: RecordNumbers
@@ -56,42 +51,21 @@ class Comparison(BaseModel, extra="forbid"):
     map: Names = {}
 
 
-class Explanation(Comparison):
-    """Which effects may explain a model's error."""
-
-    effects: Annotated[list[Text], Field(max_length=100, description="Only these of the catalogue (default: all that fit).")] = []
-    learned: Learned = False
-    seconds: Seconds = None
+class Comparison(Compare, OnRecords):
+    """The question `compare` of a stored model and stored records."""
 
 
-class Improvement(Comparison):
-    """Which effects a model is to get: those of `add`, or with `auto` whatever `explain` accepts."""
+class Explanation(Explain, OnRecords):
+    """The question `explain` of a stored model and stored records."""
 
-    add: Annotated[
-        list[Annotated[str, Field(pattern=PLACED_EFFECT)]],
-        Field(
-            max_length=20,
-            description="Effects to add, `id` or `id@balance` (also an input's or output's name); `learned@balance(signal)`, "
-            "`forgotten-input@balance(column)` and `coupling@balance(other)` name what they are tied to.",
-        ),
-    ] = []
-    auto: bool = Field(False, description="Add what explain finds until the model is adequate.")
-    effects: Annotated[list[Text], Field(max_length=100, description="With `auto`: consider only these.")] = []
-    free: Annotated[
-        list[Text], Field(max_length=100, description="Parameters that the model fixes, to be estimated; no other is.")
-    ] = []
-    learned: Learned = False
-    seconds: Seconds = None
+
+class Improvement(Improve, OnRecords):
+    """The question `improve` of a stored model and stored records."""
+
     save_as: SaveAs = None
 
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Improvement:
-        if self.auto == bool(self.add):
-            raise ValueError("give either add or auto")
-        return self
 
-
-class Estimation(Estimate, Comparison):
+class Estimation(Estimate, OnRecords):
     """The question `estimate` of a stored model and stored records."""
 
     save_as: SaveAs = None
@@ -150,15 +124,16 @@ def list_effects() -> Response:
 @router.post("/models/{model}/compare", status_code=202, response_model=JobAnswer)
 def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
     """How large is the model's error on records, is it structured, and where does it lie? The result is the `compare` object."""
-    return accepted(running.jobs.submit("compare", analyses.compare, _asked(running, model, asked), then=_result))
+    work = _asked(running, model, asked)
+    return accepted(running.jobs.submit("compare", analyses.compare, work, part_of(asked, Compare), then=_result))
 
 
 @router.post("/models/{model}/explain", status_code=202, response_model=JobAnswer)
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
-    given = _asked(running, model, asked)
-    how = (_considered(asked.effects, given), asked.learned, asked.seconds)
-    return accepted(running.jobs.submit("explain", analyses.explain, given, *how, then=_result))
+    work, question = _asked(running, model, asked), part_of(asked, Explain)
+    _check_known(question, question.effects, work)
+    return accepted(running.jobs.submit("explain", analyses.explain, work, question, then=_result))
 
 
 @router.post("/models/{model}/improve", status_code=202, response_model=JobAnswer)
@@ -167,9 +142,8 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
     """
-    given = _asked(running, model, asked)
-    _known([effect.replace(":", "@").split("@")[0] for effect in asked.add], given)
-    considered = _considered(asked.effects, given) if asked.auto else None
+    work, question = _asked(running, model, asked), part_of(asked, Improve)
+    _check_known(question, question.add or question.effects, work)
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -182,9 +156,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
         address = f"/api/v1/models/{stored.model}/versions/{stored.number}"
         return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
-    add = None if asked.auto else asked.add
-    work = (given, add, considered, asked.free, asked.learned, asked.seconds)
-    return accepted(running.jobs.submit("improve", analyses.improve, *work, then=keep))
+    return accepted(running.jobs.submit("improve", analyses.improve, work, question, then=keep))
 
 
 @router.post("/models/{model}/estimate", status_code=202, response_model=JobAnswer)
@@ -262,23 +234,19 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
     return keep
 
 
-def _considered(effects: Sequence[str], given: Asked) -> list[str] | None:
-    """The effects to be considered; None leaves none of the catalogue out."""
-    _known(effects, given)
-    return list(effects) or None
-
-
-def _known(effects: Sequence[str], given: Asked) -> None:
+def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -> None:
     """Raise NotFound for an effect that neither the catalogue nor the model's file defines."""
-    if effects and given.text is not None:
+    if names is None or question.catalogue is not None:  # which effects its text defines is known where it is read: in the job
+        return
+    if given.text is not None:
         model_of(given.model, given.text)  # its own effects are in the catalogue of this request from now on
-    if unknown := [effect for effect in effects if effect not in EFFECTS and effect not in STRUCTURAL]:
+    if unknown := [id for id in (re.split("[@:]", name)[0] for name in names) if id not in EFFECTS and id not in STRUCTURAL]:
         raise NotFound(
             f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in the model file's own_effects"
         )
 
 
-def _asked(running: Services, model: str, asked: Comparison) -> Asked:
+def _asked(running: Services, model: str, asked: OnRecords) -> Asked:
     """The model, the built-in one where no version is named, and what it is held against."""
     built_in = asked.version is None and model in BUILT_IN
     text = None if built_in else _content(running, model, "physical", asked.version)

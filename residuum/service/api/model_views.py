@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 
 from residuum.identification.physics import BUILT_IN, load_model, write_model
 from residuum.identification.record import Record
-from residuum.service.api.analyses import Comparison, Text
+from residuum.service.api.analyses import OnRecords, Text
 from residuum.service.api.answers import PROBLEMS, JobAnswer, ModelVersionAnswer
 from residuum.service.api.jobs import accepted
 from residuum.service.api.json_response import Json, StrictRoute
@@ -43,13 +43,13 @@ class Effect(BaseModel, extra="forbid"):
     parameters: Values = {}
 
 
-class Curves(Comparison):
+class Curves(OnRecords):
     """Which effects' curves are wanted."""
 
     effects: list[Effect] = Field(min_length=1, max_length=20)
 
 
-class Addition(Comparison):
+class Addition(OnRecords):
     """Which effect a model is to get."""
 
     add: Effect
@@ -100,7 +100,7 @@ def change_parameters(request: Request, running: Running, model: ModelName, aske
 
 
 @router.post("/{model}/views", status_code=202, response_model=JobAnswer)
-def view(running: Running, model: ModelName, asked: Comparison) -> Response:
+def view(running: Running, model: ModelName, asked: OnRecords) -> Response:
     """The `compare` object with everything that is drawn beside it; `signals` become records of their own."""
     text = _text(running, model, asked.version)
 

@@ -15,9 +15,12 @@ from residuum.library.questions import Question, help_of, kinds
 from residuum.service.commands import as_option
 from residuum.service.commands.report import progress
 
+_NAMES: Any = tuple[str, ...]
+"""Names that have no commas: written with commas between them, too."""
 _METAVARS: dict[Any, str | None] = {
     bool: None,
     list[str]: "NAME",
+    _NAMES: "NAME,…",
     dict[str, float]: "NAME=VALUE",
     dict[str, tuple[float, float]]: "NAME=LOW:HIGH",
     tuple[float | None, float | None]: "LOW HIGH",
@@ -26,7 +29,7 @@ _METAVARS: dict[Any, str | None] = {
     float: "NUMBER",
 }
 """What a field may take → what stands for it in the help; the first that it takes is shown."""
-_FORMS: dict[Any, Any] = {list: list[str] | None, dict: list[str] | None, tuple: tuple[str, str] | None}
+_FORMS: dict[Any, Any] = {_NAMES: list[str], list: list[str], dict: list[str], tuple: tuple[str, str]}
 """What is written several times, or as two words."""
 
 
@@ -66,8 +69,10 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
 
 
 def _read(question: type[Question], name: str, value: Any) -> Any:
-    """A value as the question reads it: of texts `NAME=VALUE` or `NAME=LOW:HIGH` a mapping."""
-    taken = next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+    """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or `NAME=LOW:HIGH` a mapping."""
+    taken = _taken(question, name)
+    if taken == _NAMES:
+        return [part.strip() for text in value for part in text.split(",")]
     if get_origin(taken) is not dict:
         return value
     form, read = _METAVARS[taken] or "", {}
@@ -80,15 +85,18 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     return read
 
 
+def _taken(question: type[Question], name: str) -> Any:
+    """What a field takes, as it is shown in the help."""
+    return next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+
+
 def _option(question: type[Question], name: str) -> inspect.Parameter:
     """One option: a flag, or a text; several texts where the field takes a list."""
-    field, kind = question.model_fields[name], get_type_hints(question)[name]
-    option = as_option(name)
+    field, taken, option = question.model_fields[name], _taken(question, name), as_option(name)
     default: Any = None if field.is_required() or field.default is None else str(field.default)
-    taken, metavar = next(each for each in _METAVARS.items() if each[0] in kinds(kind))
-    form: Any = _FORMS.get(get_origin(taken), str | None)
+    form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
         option, default, form = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool
-    told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] | None else "")
-    annotation = Annotated[form, typer.Option(option, help=told, metavar=metavar)]
+    told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] else "")
+    annotation = Annotated[form | None, typer.Option(option, help=told, metavar=_METAVARS[taken])]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -2,6 +2,8 @@
 
 import typer
 
+from residuum.library.questions.compare import Compare
+from residuum.service.commands.asked import asks
 from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -24,9 +26,11 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command(name="compare")
+@asks()
 def compare_command(
     model: ModelSource,
     records: RecordFiles,
+    asked: Compare,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -44,5 +48,5 @@ def compare_command(
     )
     keep_large_arrays()
     given, loaded = model_for(model, loaded, signals(channel_map))
-    comparison = given.compare(loaded, map=signals(channel_map))
+    comparison = given.compare(loaded, map=signals(channel_map), **asked.model_dump())
     report(comparison.to_dict() | drawn(plot, [comparison], f"{model} compared"), str(comparison), as_json=as_json)

@@ -1,9 +1,9 @@
 """`residuum explain`: which physical effect is missing in a model?"""
 
-from typing import Annotated
-
 import typer
 
+from residuum.library.questions.missing_effect import Explain
+from residuum.service.commands.asked import asks
 from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -24,25 +24,13 @@ from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
 
-Seconds = Annotated[
-    float | None,
-    typer.Option(
-        help="Longest time for the search [s]; the answer then depends on the machine, and says what was not tried.", min=0.0
-    ),
-]
-
-Learned = Annotated[
-    bool, typer.Option("--learned", help="Learn a curve over one signal when no effect of the catalogue explains the error.")
-]
-
 
 @app.command(name="explain")
+@asks(without=("catalogue",))
 def explain_command(
     model: ModelSource,
     records: RecordFiles,
-    effects: Annotated[str | None, typer.Option(metavar="ID,…", help="Consider only these effects of the catalogue.")] = None,
-    learned: Learned = False,
-    seconds: Seconds = None,
+    asked: Explain,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -58,9 +46,9 @@ def explain_command(
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
-    channels, wanted = signals(channel_map), None if effects is None else [id.strip() for id in effects.split(",")]
+    channels = signals(channel_map)
     given, loaded = model_for(model, loaded, channels)
     keep_large_arrays()
-    explanation = given.explain(loaded, map=channels, effects=wanted, learned=learned, seconds=seconds, progress=told)
+    explanation = given.explain(loaded, map=channels, progress=told, **asked.model_dump())
     told_of = drawn(plot, [explanation], f"What {model} lacks")
     report(explanation.to_dict() | told_of, str(explanation), as_json=as_json)

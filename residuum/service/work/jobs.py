@@ -9,6 +9,7 @@ import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from contextvars import copy_context
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -225,7 +226,8 @@ def _work_on(channel: Connection[Any, Any]) -> None:
         while True:
             work, arguments = channel.recv()
             try:
-                channel.send((JobState.DONE.value, dict(work(progress, *arguments))))
+                # in a context of its own: what a job's model brings, effects of its own above all, is no other job's
+                channel.send((JobState.DONE.value, dict(copy_context().run(work, progress, *arguments))))
             except BadInput as error:
                 channel.send((JobState.REFUSED.value, " ".join(said_over_http(error).split())))
             except Exception:

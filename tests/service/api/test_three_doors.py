@@ -3,6 +3,8 @@
 import json
 import re
 import time
+from contextvars import copy_context
+from functools import partial
 
 import numpy as np
 import pytest
@@ -74,14 +76,38 @@ NOT_WATCHED = {
     "an unknown threshold": ({"threshold": "peek"}, "threshold", "'peek': there is none of this name; did you mean 'peak'"),
     "an unknown evaluation": ({"evaluation": "rm"}, "evaluation", "did you mean 'rms'"),
 }
+OWN = """
+effects:
+  - id: own-drag
+    acts_on: [force]
+    term: -c * velocity
+    parameters: {c: {value: 0, unit: N*s/m, lower: 0, size: true}}
+"""
 ASKED_OF_MODEL = {
     "compare": ("compare", {}),
+    "compare by other draws": ("compare", {"level": 0.05, "seed": 3}),
     "compare with a column of another name": ("compare", {"map": {"position": "weg"}}),
     "estimate": ("estimate", {}),
     "estimate by prediction": ("estimate", {"method": "prediction", "steps": 30, "hold": "zero-order", "anyway": True}),
     "estimate by a Kalman filter": ("estimate", {"method": "kalman"}),
     "explain": ("explain", {"effects": ["viscous-friction", "linear-spring"]}),
+    "explain by one effect or a curve": ("explain", {"effects": "linear-spring", "learned": True, "seconds": 600}),
+    "explain by an effect of one's own": ("explain", {"effects": ["own-drag", "linear-spring"], "catalogue": OWN}),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
+    "improve by one effect": ("improve", {"add": "viscous-friction"}),
+    "improve by what is found": ("improve", {"effects": ["viscous-friction", "linear-spring"], "auto": True, "seconds": 600}),
+    "improve by an effect of one's own": ("improve", {"add": ["own-drag", "viscous-friction"], "catalogue": OWN}),
+}
+
+
+NOT_ASKED_OF_MODEL = {
+    "a level that no draws hold": ("compare", {"level": 1e-4}, "level", "must be ≥ 0.002"),
+    "no chance of an error": ("compare", {"level": 1}, "level", "must be ≤ 0.2"),
+    "a seed that is none": ("compare", {"seed": -1}, "seed", "must be ≥ 0"),
+    "effects in one name": ("improve", {"add": "viscous-friction@axis@shaft"}, "add", "must be an effect, or effect@place"),
+    "effects that are named and found": ("improve", {"add": "backlash", "auto": True}, "auto", ": is for a search; leave it out"),
+    "effects that are named and few": ("improve", {"add": "backlash", "effects": "lugre"}, "effects", ": is for a search; leave"),
+    "no time": ("explain", {"seconds": 0}, "seconds", "must be > 0"),
 }
 
 
@@ -130,6 +156,11 @@ def shared(answer):
     return {name: value for name, value in json.loads(text).items() if name not in OWN_TO_A_DOOR}
 
 
+def out_of(verb, folder):
+    """The option by which a command is told where to write a model, of those that make one."""
+    return ["--out", folder / "out.yaml"] if verb in ("estimate", "improve") else []
+
+
 def options(asked):
     for name, value in asked.items():
         if value is True:
@@ -155,29 +186,55 @@ def test_identify(case, axis, client, capsys):
     assert shared(answered(client, "identify", asked | {"records": [number]})) == told
 
 
+@pytest.fixture
+def refused_alike(refused, capsys):
+    """Ask every door what it must refuse (Python, where there is such a function, the command, a route): the rule is the same."""
+
+    def ask(field, says, python, words, path, body):
+        assert run(list(map(str, words))) == BAD_INPUT
+        told = [(capsys.readouterr().err.removeprefix("residuum: ").rstrip(), as_option(field))]
+        status, http = refused("POST", f"/api/v1/{path}", json=body)
+        told.append((http, f'"{field}"'))
+        if python is not None:
+            with pytest.raises(rs.BadInput) as error:
+                python()
+            told.append((str(error.value), field))
+        assert status == 422
+        for text, name in told:
+            assert text.startswith(name if field else "several") and says in text, text
+
+    return ask
+
+
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, client, refused, capsys):
+def test_a_refusal_says_the_same_in_the_words_of_each_door(case, axis, refused_alike):
     (path, number), (more, field, says) = axis["position"], REFUSED[case]
     asked = AXIS | more
-    with pytest.raises(rs.BadInput) as python:
-        rs.identify(path, **asked)
-    assert run(["identify", str(path), *map(str, options(asked))]) == BAD_INPUT
-    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
-    status, http = refused("POST", "/api/v1/identify", json=asked | {"records": [number]})
-    assert status == 422
-    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
-        assert told.startswith(name if field else "several"), told
-        assert says in told, told
+    words, body = ["identify", path, *options(asked)], asked | {"records": [number]}
+    refused_alike(field, says, partial(rs.identify, path, **asked), words, "identify", body)
 
 
 @pytest.mark.parametrize("case", ASKED_OF_MODEL)
 def test_what_is_asked_of_a_model(case, axis, client, capsys, tmp_path):
     verb, asked = ASKED_OF_MODEL[case]
     path, number = axis["weg" if "map" in asked else "position"]
-    told = shared(getattr(rs.model("linear-axis"), verb)(path, **asked).to_dict())
-    out = ["--out", tmp_path / "out.yaml"] if verb in ("estimate", "improve") else []
-    assert shared(printed(capsys, verb, "linear-axis", path, *options(asked), *out)) == told
+    here = copy_context().run  # effects of one's own are known there alone
+    told = shared(here(getattr(rs.model("linear-axis"), verb), path, **asked).to_dict())
+    words = asked
+    if "catalogue" in asked:
+        words = asked | {"catalogue": tmp_path / "own.yaml"}
+        words["catalogue"].write_text(OWN, encoding="utf-8")
+        assert "own-drag" in json.dumps(told)
+    assert shared(here(printed, capsys, verb, "linear-axis", path, *options(words), *out_of(verb, tmp_path))) == told
     assert shared(answered(client, f"models/linear-axis/{verb}", asked | {"records": [number]})) == told
+
+
+@pytest.mark.parametrize("case", NOT_ASKED_OF_MODEL)
+def test_what_is_asked_of_a_model_is_refused_alike(case, axis, refused_alike, tmp_path):
+    (path, number), (verb, asked, field, says) = axis["position"], NOT_ASKED_OF_MODEL[case]
+    words, body = [verb, "linear-axis", path, *options(asked), *out_of(verb, tmp_path)], asked | {"records": [number]}
+    ask = partial(getattr(rs.model("linear-axis"), verb), path, **asked)
+    refused_alike(field, says, ask, words, f"models/linear-axis/{verb}", body)
 
 
 @pytest.fixture(scope="module")
@@ -215,16 +272,11 @@ def test_a_controller(case, plant_file, client, capsys, tmp_path):
 
 
 @pytest.mark.parametrize("case", NOT_DESIGNED)
-def test_a_controller_is_refused_alike(case, plant_file, client, refused, capsys, tmp_path):
+def test_a_controller_is_refused_alike(case, plant_file, client, refused_alike, tmp_path):
     asked, field, says = NOT_DESIGNED[case]
-    with pytest.raises(rs.BadInput) as python:
-        rs.control.design(plant_file, **asked)
-    assert run(["control", "design", str(plant_file), "--out", str(tmp_path / "k"), *map(str, options(asked))]) == BAD_INPUT
-    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
-    status, http = refused("POST", "/api/v1/control-designs", json=asked | {"models": ["axis"]})
-    assert status == 422
-    for told, name in (str(python.value), field), (shell, as_option(field)), (http, f'"{field}"'):
-        assert told.startswith(name) and says in told, told
+    words = ["control", "design", plant_file, "--out", tmp_path / "k", *options(asked)]
+    design = partial(rs.control.design, plant_file, **asked)
+    refused_alike(field, says, design, words, "control-designs", asked | {"models": ["axis"]})
 
 
 @pytest.mark.parametrize("case", WATCHED)
@@ -239,15 +291,11 @@ def test_a_residual(case, axis, short_plant, client, capsys, tmp_path):
 
 
 @pytest.mark.parametrize("case", NOT_WATCHED)
-def test_a_residual_is_refused_alike(case, plant_file, refused, capsys, tmp_path):
+def test_a_residual_is_refused_alike(case, plant_file, refused_alike, tmp_path):
     asked, field, says = NOT_WATCHED[case]
     verb = ["design", plant_file, "--out", tmp_path / "d"] if field in DesignResidual.model_fields else ["run", "d", "r.csv"]
-    assert run(["residual", *map(str, verb), *map(str, options(asked))]) == BAD_INPUT
-    shell = capsys.readouterr().err.removeprefix("residuum: ").rstrip()
-    status, http = refused("POST", "/api/v1/residuals", json={"model": "axis", "healthy": [1], "records": [1]} | asked)
-    assert status == 422
-    for told, name in (shell, as_option(field)), (http, f'"{field}"'):
-        assert told.startswith(name) and says in told, told
+    body = {"model": "axis", "healthy": [1], "records": [1]} | asked
+    refused_alike(field, says, None, ["residual", *verb, *options(asked)], "residuals", body)
 
 
 @pytest.mark.parametrize("knocks", [0.0, 20.0], ids=["healthy", "faulty"])

@@ -9,8 +9,10 @@ from residuum.identification.linear_models.identified_model_file import identifi
 from residuum.identification.record import Record
 from residuum.library.model import model
 from residuum.library.plant import identified
+from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.identify import Identify
+from residuum.library.questions.missing_effect import Explain
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.service.work import analyses
 from residuum.service.work.analyses import Asked
@@ -50,7 +52,7 @@ def test_identifying_tells_how_far_it_is(plant):
 
 def test_explaining_tells_what_it_tries_and_names_the_record_as_it_is_told(axis):
     asked = Asked("linear-axis", None, [parts_of(axis, "record-7.npz")], {})
-    told, found = told_by(analyses.explain, asked, ["coulomb-friction"])
+    told, found = told_by(analyses.explain, asked, Explain(effects=["coulomb-friction"]))
     doings = [doing for _, doing in told]
     assert told[-1] == (0.9, "comparing") and doings[:2] == ["explain", "estimating the model as it is"]
     assert "beside nothing else" in doings
@@ -76,7 +78,7 @@ def test_a_design_that_cannot_be_is_an_answer(plant):
 def test_what_does_not_fit_is_refused_by_its_name(plant):
     asked = Asked("linear-axis", None, [parts_of(plant, "record-3.npz")], {})
     with pytest.raises(BadInput, match=r"record-3\.npz.*force"):
-        analyses.compare(lambda *_: None, asked)
+        analyses.compare(lambda *_: None, asked, Compare())
 
 
 class Enough(Exception):

@@ -13,7 +13,9 @@ from residuum.service.work.jobs import OVER, Jobs, JobState, TooManyJobs
 
 WORK = """
 import os, time
+from types import SimpleNamespace
 from residuum.identification.errors import BadInput
+from residuum.identification.physics.effects import EFFECTS
 
 def count(progress, upto):
     for number in range(upto):
@@ -25,6 +27,11 @@ def refuse(progress):
 
 def fail(progress):
     return {"never": 1 / 0}
+
+def define(progress):
+    before = "of-one-job" in EFFECTS
+    EFFECTS.use_here(SimpleNamespace(id="of-one-job"))
+    return {"before": before, "after": "of-one-job" in EFFECTS, "process": os.getpid()}
 
 def wait(progress):
     progress(0.5, f"waiting in {os.getpid()}")
@@ -73,6 +80,11 @@ def test_a_job_reports_progress_and_its_result_from_another_process(jobs, work, 
     assert shares == sorted(shares) and len(shares) > 10
     again = until(jobs, jobs.submit("count", work.count, 2), over)
     assert again.result["process"] == done.result["process"], "the worker stays warm"
+
+
+def test_effects_that_one_job_defines_are_not_the_next_one_s(jobs, work):
+    first, second = (until(jobs, jobs.submit("define", work.define), over).result for _ in range(2))
+    assert first == second == {"before": False, "after": True, "process": first["process"]}
 
 
 def test_bad_input_is_refused_in_one_line_and_a_fault_of_ours_is_told_apart(jobs, work):

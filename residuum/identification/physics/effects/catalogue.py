@@ -38,17 +38,17 @@ class EffectCatalogue(Mapping[str, Effect]):
     def __len__(self) -> int:
         return len(self._listed) + len({**self._added, **self._here.get()})
 
-    def use_here(self, effect: Effect) -> None:
-        """Put an effect that a file defines into the catalogue of this context alone: of this command, request or job.
+    def use_here(self, *effects: Effect) -> None:
+        """Put effects that a file defines into the catalogue of this context alone: of this command, request or job.
 
         Raises
         ------
         BadModel
             An id of the list.
         """
-        if effect.id in self._listed:
-            raise BadModel(f"effect {effect.id!r}: the catalogue has one of this id; choose another")
-        self._here.set(MappingProxyType({**self._here.get(), effect.id: effect}))
+        if taken := [effect.id for effect in effects if effect.id in self._listed]:
+            raise BadModel(f"effect {taken[0]!r}: the catalogue has one of this id; choose another")
+        self._here.set(MappingProxyType({**self._here.get(), **{effect.id: effect for effect in effects}}))
 
     def add(self, effect: Effect) -> None:
         """Put an effect of a user's own into the catalogue; an added one of the same id is replaced.

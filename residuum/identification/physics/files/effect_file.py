@@ -148,7 +148,12 @@ def read_effects(path: str | Path) -> list[WrittenEffect]:
             text = opened.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         raise BadModel(f"catalogue {str(path)!r}: cannot be read as UTF-8 text ({error.__class__.__name__})") from None
-    tree = read_tree(text, file.name)
+    return effects_in(text, file.name)
+
+
+def effects_in(text: str, source: str = "catalogue") -> list[WrittenEffect]:
+    """The effects that a text defines; `source` names it in refusals."""
+    tree = read_tree(text, source, "a catalogue is a mapping that begins with 'effects:'")
     tree.only(("effects",), "catalogue")
     return effects_of(tree.entries.get("effects"), tree)
 

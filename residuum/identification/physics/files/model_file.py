@@ -286,8 +286,7 @@ def _initial(tree: Table, model: PhysicalModel) -> Mapping[str, float]:
 
 def _with_effects(model: PhysicalModel, tree: Table) -> PhysicalModel:
     if "own_effects" in tree.entries:
-        for effect in effects_of(tree.entries["own_effects"], tree):
-            EFFECTS.use_here(effect)
+        EFFECTS.use_here(*effects_of(tree.entries["own_effects"], tree))
     listing = tree.entries.get("effects")
     if listing is None:
         return model

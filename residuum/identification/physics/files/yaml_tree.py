@@ -106,7 +106,7 @@ class Table:
 Tree = Scalar | Listing | Table
 
 
-def read_tree(text: str, source: str) -> Table:
+def read_tree(text: str, source: str, form: str = "a model file is a mapping that begins with 'name:'") -> Table:
     """The mapping that a YAML text holds; BadModel with line and column when it is not acceptable."""
     start = Place(source)
     if len(text) > MOST_CHARACTERS:
@@ -122,7 +122,7 @@ def read_tree(text: str, source: str) -> Table:
         raise start.refuse(f"not YAML: {' '.join(str(error).split())[:120]}") from None
     tree = _tree(node, source) if node is not None else None
     if not isinstance(tree, Table):
-        raise start.refuse("a model file is a mapping that begins with 'name:'")
+        raise start.refuse(form)
     return tree
 
 
