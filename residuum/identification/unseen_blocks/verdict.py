@@ -80,10 +80,11 @@ def steps_of(found: Search) -> list[Step]:
 
 def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
     """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
-    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more. What fits all blocks no better than the
+    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more of what is structured. What fits all blocks no better than the
     model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that block.
     """
     scale = found.court.scale
+    free = [] if adequate else free
     fitting = [one for one in found.every.values() if not one.keys or one.seen < found.base.seen]
     tried = sorted(fitting, key=lambda one: one.cost)[:MOST_RIVALS]
     powers = [scale.by_block(one.power) for one in tried] + [scale.by_block(term.power) for term in free]
