@@ -27,6 +27,16 @@ BALANCE_KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
 )
 """Balance kind → (unit of its terms, roles of the variables it may name)."""
 
+ROLE_UNITS = {
+    "position": {"torque": "rad", "force": "m"},
+    "velocity": {"torque": "rad/s", "force": "m/s"},
+    "current": {"voltage": "A"},
+    "temperature": {"heat": "K"},
+    "ambient": {"heat": "K"},
+    "level": {"volume": "m"},
+}
+"""Role → its unit in each kind of balance, which units are checked with."""
+
 CHANNELS = ("conveyor", "door")
 """Inputs of these names are offered to effects that know what to do with them."""
 

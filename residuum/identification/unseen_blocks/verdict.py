@@ -80,8 +80,9 @@ def steps_of(found: Search) -> list[Step]:
 
 def counted(found: Search, free: Sequence[BlockTerm], *, adequate: bool) -> dict[tuple[Key, ...] | str, float]:
     """How often each structure wins when blocks are drawn again. Where none is worth its place, "none" wins if the model is
-    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more of what is structured. What fits all blocks no better than the
-    model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw that has that block.
+    `adequate`, else "unknown". "unknown" wins also where a free term does plainly more of what is structured. What fits all
+    blocks no better than the model as it is wins nowhere: where one block tells a value alone, deletion is ahead in every draw
+    that has that block.
     """
     scale = found.court.scale
     free = [] if adequate else free

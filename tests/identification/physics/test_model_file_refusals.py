@@ -146,3 +146,41 @@ def test_towers_of_powers_and_models_that_measure_nothing_are_refused(before, af
     text = AXIS.replace(before, after) if before else AXIS[: AXIS.index("outputs:")] + after
     with pytest.raises(BadModel, match=line):
         read_model(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (
+            "inputs: {heat: W, outside: degC}\nstates: {T: {unit: degC}}\n"
+            "parameters: {C: {value: 2e7, unit: J/K}, R: {value: 0.006, unit: K/W}}\n"
+            "balances: {air: {kind: heat, storage: C * der(T), terms: {heater: heat, loss: (outside - T) / R}VARIABLES}}\n"
+            "outputs: {room: {value: T, unit: degC}}\n",
+            ", temperature: T",
+        ),
+        (
+            "inputs: {push: N}\nstates: {q: {unit: m, rate: v}, v: {unit: m/s}}\nparameters: {M: {value: 2, unit: kg}}\n"
+            "balances: {axis: {kind: force, storage: M * der(v), terms: {drive: push}VARIABLES}}\n"
+            "outputs: {place: {value: q, unit: m}}\n",
+            ", position: q, velocity: v",
+        ),
+        (
+            "inputs: {u: V}\nstates: {h: {unit: cm}}\n"
+            "parameters: {A: {value: 154, unit: cm**2}, k: {value: 3, unit: cm**3/s/V}}\n"
+            "balances: {tank: {kind: volume, storage: A * der(h), terms: {pump: k * u}VARIABLES}}\n"
+            "outputs: {h: {value: h, unit: cm}}\n",
+            ", level: h",
+        ),
+    ],
+)
+def test_a_variable_that_a_balance_does_not_name_is_what_it_stores(text, named):
+    left_out, said = (read_model("name: m\n" + text.replace("VARIABLES", words)) for words in ("", named))
+    assert left_out == said and candidates(left_out) == candidates(said)
+
+
+def test_a_state_in_another_unit_plays_no_role():
+    text = (
+        "name: rc\ninputs: {u: V}\nstates: {y: {unit: V}}\nparameters: {tau: {value: 2, unit: s}}\n"
+        "balances: {capacitor: {kind: voltage, storage: tau * der(y), terms: {u: u, y: -y}}}\noutputs: {y: {value: y, unit: V}}\n"
+    )
+    assert not read_model(text).balances["capacitor"].variables

@@ -11,7 +11,7 @@ from residuum.identification.errors import NoExplicitEquations
 from residuum.identification.physics.files.dimension import Dimension, dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Call, Expression, Name, Node, Operation, Place, evaluate, walk
 from residuum.identification.physics.files.yaml_tree import Table
-from residuum.identification.physics.model import Balance, Output, PhysicalModel, State
+from residuum.identification.physics.model import BALANCE_KINDS, ROLE_UNITS, Balance, Output, PhysicalModel, State
 from residuum.nearest_names import known_names
 
 _OTHER_UNITS: Mapping[str, tuple[str, ...]] = {
@@ -36,7 +36,7 @@ def check(model: PhysicalModel, tree: Table) -> PhysicalModel:
     for balance in model.balances.values():
         _storage_is_not_zero(balance, model.values)
     _defined_variables_can_be_solved(model)
-    return _with_units(model)
+    return _with_units(_with_roles(model))
 
 
 def _expressions(model: PhysicalModel) -> list[Expression]:
@@ -147,6 +147,29 @@ def _variables(model: PhysicalModel, tree: Table) -> None:
         for role, variable in balance.variables.items():
             if variable not in model.states and variable not in model.inputs and variable not in model.parameters:
                 raise table.scalar(role, name).place.refuse(f"balance {name!r}: {role} {variable!r} is not declared")
+
+
+def _with_roles(model: PhysicalModel) -> PhysicalModel:
+    """The model with the variables that its balances do not name: a heat balance that stores C der(T) is that of temperature T.
+
+    Without them effects that act through a variable, a second store of heat or a friction, would not be known to fit there.
+    """
+    balances = {}
+    for name, balance in model.balances.items():
+        (own,) = owners_of(balance)[:1] or ("",)
+        places = [state.name for state in model.states.values() if own and state.rate == own]
+        there = dict.fromkeys(("velocity", "current", "temperature", "level"), own) | {"position": (*places, "")[0]}
+        inferred = {
+            role: there[role]
+            for role in BALANCE_KINDS[balance.kind][1]
+            if role not in balance.variables and there.get(role) and _is_in(model.states[there[role]].unit, role, balance.kind)
+        }
+        balances[name] = replace(balance, variables=MappingProxyType({**balance.variables, **inferred}))
+    return replace(model, balances=MappingProxyType(balances))
+
+
+def _is_in(unit: str, role: str, kind: str) -> bool:
+    return dimension_of_unit(unit).exponents == dimension_of_unit(ROLE_UNITS[role][kind]).exponents
 
 
 def _no_division_by_zero(expression: Expression, values: Mapping[str, float]) -> None:

@@ -34,22 +34,13 @@ from residuum.identification.physics.effects.base import Conditions, Contributio
 from residuum.identification.physics.files.dimension import dimension_of, dimension_of_unit
 from residuum.identification.physics.files.expression import Expression, parse
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS, Listing, Scalar, Table, read_tree
-from residuum.identification.physics.model import BALANCE_KINDS
+from residuum.identification.physics.model import BALANCE_KINDS, ROLE_UNITS
 from residuum.identification.units import compatible, convert
 from residuum.nearest_names import known_names
 
 OWN_ID = r"[a-z][a-z0-9]*(-[a-z0-9]+)*"
 DEFINITION_KEYS = ("id", "title", "acts_on", "term", "signal", "parameters", "states", "reference")
 PLACES = (*(kind for kind in BALANCE_KINDS if kind != "signal"), "signal", "input", "output")
-_ROLES = {
-    "position": {"torque": "rad", "force": "m"},
-    "velocity": {"torque": "rad/s", "force": "m/s"},
-    "current": {"voltage": "A"},
-    "temperature": {"heat": "K"},
-    "ambient": {"heat": "K"},
-    "level": {"volume": "m"},
-}
-"""Role → its unit in each kind of balance, which units are checked with."""
 _FIRST = 0.1
 """Part of the balance's driving terms that an effect begins with."""
 
@@ -75,7 +66,7 @@ class WrittenEffect(Effect):
         self.acts_on = tuple(definition["acts_on"])  # type: ignore[misc]
         self._own = tuple(_parameter(name, entry) for name, entry in definition["parameters"].items())
         self.sizes = tuple(n for n, entry in definition["parameters"].items() if entry.get("size"))  # type: ignore[misc]
-        self.needs = tuple(role for role in _ROLES if role in _names(equation, states))  # type: ignore[misc]
+        self.needs = tuple(role for role in ROLE_UNITS if role in _names(equation, states))  # type: ignore[misc]
         self.rest = 0.001 if "sign" in equation.text else 0.0  # type: ignore[misc]
         self._equation, self._states = equation, dict(states)
 
@@ -236,7 +227,7 @@ def _states(table: Table, what: str) -> dict[str, OwnState]:
 def _check(what: str, equation: Expression, states: Mapping[str, OwnState], definition: Mapping[str, Any], on_path: bool) -> None:
     """Names are known, units agree in the first kind of balance, and nothing is left of the effect without its sizes."""
     own = {*definition["parameters"], *states}
-    allowed = own | ({"signal"} if on_path else {*_ROLES, "supply"})
+    allowed = own | ({"signal"} if on_path else {*ROLE_UNITS, "supply"})
     for expression in (equation, *(e for s in states.values() for e in (s.rate, s.start))):
         if unknown := sorted(expression.names - allowed):
             raise expression.place.refuse(
@@ -260,7 +251,7 @@ def _check_vanishes(what: str, equation: Expression, allowed: Iterable[str], siz
 
 def _check_units(what: str, equation: Expression, definition: Mapping[str, Any]) -> None:
     kind = definition["acts_on"][0]
-    units = {role: by_kind[kind] for role, by_kind in _ROLES.items() if kind in by_kind}
+    units = {role: by_kind[kind] for role, by_kind in ROLE_UNITS.items() if kind in by_kind}
     units |= {name: entry["unit"] for name, entry in definition["parameters"].items()}
     try:
         dimension = dimension_of(equation.tree, {name: dimension_of_unit(unit) for name, unit in units.items()})
@@ -273,7 +264,7 @@ def _check_units(what: str, equation: Expression, definition: Mapping[str, Any])
 
 def _in_si(role: str, value: sp.Expr, site: Site) -> sp.Expr:
     """A variable of the model in the unit in which definitions have its role; as it is where that is not known."""
-    unit, own = site.units.get(role, ""), _ROLES.get(role, {}).get(site.kind, "")
+    unit, own = site.units.get(role, ""), ROLE_UNITS.get(role, {}).get(site.kind, "")
     if not (unit and own) or not compatible(unit, own):
         return value
     zero, one = convert([0.0, 1.0], unit, own)
