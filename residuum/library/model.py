@@ -29,7 +29,7 @@ from residuum.library.progress import Progress, told
 from residuum.library.questions import asks
 from residuum.library.questions.compare import Compare
 from residuum.library.questions.estimate import Estimate
-from residuum.library.questions.missing_effect import Explain
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.reading import as_records
 from residuum.library.record import Record
 
@@ -182,33 +182,16 @@ class Model(DescribedModel):
             compared = self._compared(measured, map, Compare())
         return Explanation(compared, found)
 
-    def improve(
-        self,
-        records: Records,
-        *,
-        add: Sequence[str] | str | None = None,
-        map: Mapped = None,
-        effects: Sequence[str] | None = None,
-        seconds: float | None = None,
-        progress: Progress = None,
-        **options: Any,
-    ) -> Improvement[Model]:
+    @asks(Improve)
+    def improve(self, records: Records, *, map: Mapped = None, progress: Progress = None, **given: Any) -> Improvement[Model]:
         """Add effects, estimate again, and count the error on data that were not used for it.
 
         Parameters
         ----------
         records : Record, file, or a list of these
-        add : list of effect, or of `effect@place`
-            None: what `explain` finds, until the model is adequate.
         map : mapping of model name to column
-        effects : list of effect id
-            Without `add`: consider only these.
-        seconds : float, optional
-            Longest time for each search [s], as in `explain`.
         progress : callable or bool
             As in `explain`.
-        options
-            Of `identification.discrepancy.improve`.
 
         Returns
         -------
@@ -233,21 +216,13 @@ class Model(DescribedModel):
         from residuum.identification.discrepancy.improve import improve  # noqa: PLC0415
         from residuum.library.improvement import Improvement  # noqa: PLC0415
 
-        wanted = [add] if isinstance(add, str) else add
-        given, left_out = self._sensed(self._measured(records, map), map)
+        asked = Improve.of(given)
+        asked.use_own()
+        measured, left_out = self._sensed(self._measured(records, map), map)
         with told(progress) as tell:
             ensure_compiled(tell)
-            found = improve(
-                self.physical,
-                given,
-                map,
-                add=wanted,
-                effects=effects,
-                seconds=seconds,
-                tell=tell,
-                **options,
-            )
-        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, given, map)), *left_out))
+            found = asked.handed_to(partial(improve, self.physical, measured, map, tell=tell))
+        return Improvement(Model(found.model), found, (*begins_elsewhere(*match(self.physical, measured, map)), *left_out))
 
     @asks(Estimate)
     def estimate(self, records: Records, *, map: Mapped = None, **given: Any) -> Estimation[Model]:

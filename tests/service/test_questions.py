@@ -13,7 +13,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
-from residuum.library.questions.missing_effect import Explain
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.library.questions.uncertainty import Uncertainty
 from residuum.service.app import create_app
@@ -25,6 +25,7 @@ DOORS = {
     Estimate: ("estimate", "models/{model}/estimate", rs.Model.estimate),
     Compare: ("compare", "models/{model}/compare", rs.Model.compare),
     Explain: ("explain", "models/{model}/explain", rs.Model.explain),
+    Improve: ("improve", "models/{model}/improve", rs.Model.improve),
     DesignController: ("control design", "control-designs", rs.control.design),
     DesignResidual: ("residual design", "residuals", None),
     RunResidual: ("residual run", "residuals", None),
@@ -65,6 +66,15 @@ def test_a_field_is_an_option_a_key_and_a_keyword(question, described):
         assert key.get("default", None) == (None if declared.is_required() else default)
         assert key["description"] == declared.description and key.get("enum", []) == choices(declared)
         assert (name in body.get("required", ())) == declared.is_required()
+
+
+@pytest.mark.parametrize("question", [Compare, Estimate])
+def test_effects_of_ones_own_for_reading_a_model_are_the_commands_own(question, described):
+    """Over HTTP and in Python a model is read before it is asked, and brings its own."""
+    command, path, function = DOORS[question]
+    shown = get_command(import_module(f"residuum.service.commands.{command}").app).params
+    assert "catalogue" in [p.name for p in shown] and "catalogue" not in question.model_fields
+    assert "catalogue" not in {**inspect.signature(function).parameters, **body_of(described, f"/api/v1/{path}")["properties"]}
 
 
 class Weigh(Question):

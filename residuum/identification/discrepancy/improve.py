@@ -46,7 +46,7 @@ def improve(
     *,
     add: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
-    free: Sequence[str] = (),
+    free: Sequence[str] | None = None,
     learned: bool = False,
     seconds: float | None = None,
     tell: Tell = untold,
@@ -71,6 +71,7 @@ def improve(
     NotIdentifiable
         The model diverges on a record.
     """
+    free = free or ()
     _check_fixed(model, free)
     wanted = Wanted(None if effects is None else tuple(effects), learned)
     how = Request(mapping, wanted, free, None if seconds is None else EXPLAINING_TIME * seconds)

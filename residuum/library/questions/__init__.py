@@ -32,9 +32,12 @@ _RULES = {
     "less_than": "must be < {lt:.10g}",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    "tuple_type": "must be a list",
     **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
 }
 """pydantic's kinds of errors → rules of ours."""
+_SHOWN = {NoneType: "None", tuple[str, ...]: "str | tuple[str, ...]"}
+"""How a type is shown; of several names one may stand alone."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 _LONGEST = 60
 """Of a value in a refusal."""
@@ -176,4 +179,4 @@ def kinds(hint: Any) -> tuple[Any, ...]:
 
 
 def _kind(hint: Any) -> str:
-    return " | ".join("None" if each is NoneType else inspect.formatannotation(each) for each in kinds(hint))
+    return " | ".join(_SHOWN.get(each) or inspect.formatannotation(each) for each in kinds(hint))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
+from residuum.identification.errors import BadInput
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.files.effect_file import effects_in
 from residuum.identification.physics.files.yaml_tree import MOST_CHARACTERS
@@ -14,6 +16,7 @@ from residuum.library.questions import OLD_SPELLINGS, Question, field
 
 _Name = Annotated[str, Field(min_length=1, max_length=200)]
 _Several = Annotated[tuple[_Name, ...], Field(max_length=100)]
+_PLACED = re.compile(r"[^,@:]+([@:][^,@]+)?")
 
 
 def _named(given: Any, info: ValidationInfo) -> Any:
@@ -25,11 +28,11 @@ def _named(given: Any, info: ValidationInfo) -> Any:
 
 
 Names = Annotated[_Several | None, BeforeValidator(_named, json_schema_input_type=_Name | _Several | None)]
-"""One name or several; None: nothing said."""
+"""One name or several, which a question then has as a tuple; None: nothing said."""
 
 
-class Search(Question):
-    """What a search for missing effects may take, and for how long."""
+class Explain(Question):
+    """Which physical effect is missing in a model?"""
 
     effects: Names = field(None, "Consider only these effects of the catalogue. Default: all that fit the model.")
     learned: bool = field(False, "Learn a curve over one signal where no effect of the catalogue explains the error.")
@@ -48,5 +51,23 @@ class Search(Question):
         EFFECTS.use_here(*(effects_in(self.catalogue) if self.catalogue is not None else ()))
 
 
-class Explain(Search):
-    """Which physical effect is missing in a model?"""
+class Improve(Explain):
+    """A model with the effects that are missing, estimated again: those that are named, or that are found."""
+
+    add: Names = field(
+        None,
+        "Effects to add, `id` or `id@balance` (also an input's or output's name); `learned@balance(signal)`, "
+        "`forgotten-input@balance(column)` and `coupling@balance(other)` name what they are tied to. Default: what "
+        "explain finds, until the model is adequate.",
+    )
+    auto: bool = field(False, "Add what explain finds, as where `add` names nothing.")
+    free: Names = field(None, "Parameters that the model fixes, to be estimated; no other is.")
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if wrong := [name for name in self.add or () if not _PLACED.fullmatch(name)]:
+            raise BadInput(repr(wrong[0]), "add", "must be an effect, or effect@place")
+        for name in ("auto", "effects", "learned"):
+            if self.add and getattr(self, name):
+                raise BadInput("", name, "is for a search; leave it out where `add` names the effects")
+        return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
@@ -17,7 +18,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
-from residuum.library.questions.missing_effect import Explain
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.service.api.answers import PROBLEMS, JobAnswer
@@ -39,15 +40,7 @@ RecordNumbers = Annotated[
 ]
 SaveAs = Annotated[NewModelName | None, Field(description="Store the resulting model under this name, as a new version.")]
 Text = Annotated[str, Field(min_length=1, max_length=200)]
-PLACED_EFFECT = r"^[a-z][a-z0-9-]{0,63}([@:][^,@]{1,200})?$"
 Names = Annotated[dict[Text, Text], Field(max_length=100, description="Model's name of a signal → record's channel.")]
-
-
-Learned = Annotated[bool, Field(description="Learn a curve over one signal where no effect with a name explains the error.")]
-Seconds = Annotated[
-    float | None,
-    Field(gt=0, le=1e6, description="Longest time for the search [s]; the answer then depends on the machine, and says so."),
-]
 
 
 class OnRecords(BaseModel, extra="forbid"):
@@ -66,31 +59,10 @@ class Explanation(Explain, OnRecords):
     """The question `explain` of a stored model and stored records."""
 
 
-class Improvement(OnRecords):
-    """Which effects a model is to get: those of `add`, or with `auto` whatever `explain` accepts."""
+class Improvement(Improve, OnRecords):
+    """The question `improve` of a stored model and stored records."""
 
-    add: Annotated[
-        list[Annotated[str, Field(pattern=PLACED_EFFECT)]],
-        Field(
-            max_length=20,
-            description="Effects to add, `id` or `id@balance` (also an input's or output's name); `learned@balance(signal)`, "
-            "`forgotten-input@balance(column)` and `coupling@balance(other)` name what they are tied to.",
-        ),
-    ] = []
-    auto: bool = Field(False, description="Add what explain finds until the model is adequate.")
-    effects: Annotated[list[Text], Field(max_length=100, description="With `auto`: consider only these.")] = []
-    free: Annotated[
-        list[Text], Field(max_length=100, description="Parameters that the model fixes, to be estimated; no other is.")
-    ] = []
-    learned: Learned = False
-    seconds: Seconds = None
     save_as: SaveAs = None
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Improvement:
-        if self.auto == bool(self.add):
-            raise ValueError("give either add or auto")
-        return self
 
 
 class Estimation(Estimate, OnRecords):
@@ -160,8 +132,7 @@ def compare(running: Running, model: ModelName, asked: Comparison) -> Response:
 def explain(running: Running, model: ModelName, asked: Explanation) -> Response:
     """Which physical effect is missing in the model? The result is the `explain` object."""
     work, question = _asked(running, model, asked), part_of(asked, Explain)
-    if question.catalogue is None:  # a text's effects are known where it is read, in the job
-        _known(question.effects or (), work)
+    _check_known(question, question.effects, work)
     return accepted(running.jobs.submit("explain", analyses.explain, work, question, then=_result))
 
 
@@ -171,9 +142,8 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
 
     `file` is the larger model's text; with `save_as` it becomes a version of that model, and `model_file` is its address.
     """
-    given = _asked(running, model, asked)
-    _known([effect.replace(":", "@").split("@")[0] for effect in asked.add], given)
-    considered = _considered(asked.effects, given) if asked.auto else None
+    work, question = _asked(running, model, asked), part_of(asked, Improve)
+    _check_known(question, question.add or question.effects, work)
     by = caller_of(request).name
 
     def keep(outcome: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -186,9 +156,7 @@ def improve(request: Request, running: Running, model: ModelName, asked: Improve
         address = f"/api/v1/models/{stored.model}/versions/{stored.number}"
         return {**found, "model_file": address, "stored": {"model": stored.model, "version": stored.number}}
 
-    add = None if asked.auto else asked.add
-    work = (given, add, considered, asked.free, asked.learned, asked.seconds)
-    return accepted(running.jobs.submit("improve", analyses.improve, *work, then=keep))
+    return accepted(running.jobs.submit("improve", analyses.improve, work, question, then=keep))
 
 
 @router.post("/models/{model}/estimate", status_code=202, response_model=JobAnswer)
@@ -266,17 +234,13 @@ def _keep(request: Request, running: Services, name: str | None, kind: str) -> K
     return keep
 
 
-def _considered(effects: Sequence[str], given: Asked) -> list[str] | None:
-    """The effects to be considered; None leaves none of the catalogue out."""
-    _known(effects, given)
-    return list(effects) or None
-
-
-def _known(effects: Sequence[str], given: Asked) -> None:
+def _check_known(question: Explain, names: Sequence[str] | None, given: Asked) -> None:
     """Raise NotFound for an effect that neither the catalogue nor the model's file defines."""
-    if effects and given.text is not None:
+    if names is None or question.catalogue is not None:  # which effects its text defines is known where it is read: in the job
+        return
+    if given.text is not None:
         model_of(given.model, given.text)  # its own effects are in the catalogue of this request from now on
-    if unknown := [effect for effect in effects if effect not in EFFECTS and effect not in STRUCTURAL]:
+    if unknown := [id for id in (re.split("[@:]", name)[0] for name in names) if id not in EFFECTS and id not in STRUCTURAL]:
         raise NotFound(
             f"effect {unknown[0][:60]!r}: neither in the catalogue (GET /effects lists it) nor in the model file's own_effects"
         )

@@ -70,7 +70,7 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
 
 def _read(question: type[Question], name: str, value: Any) -> Any:
     """A value as the question reads it: of texts with commas a list, of `NAME=VALUE` or `NAME=LOW:HIGH` a mapping."""
-    taken = next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+    taken = _taken(question, name)
     if taken == _NAMES:
         return [part.strip() for text in value for part in text.split(",")]
     if get_origin(taken) is not dict:
@@ -85,15 +85,18 @@ def _read(question: type[Question], name: str, value: Any) -> Any:
     return read
 
 
+def _taken(question: type[Question], name: str) -> Any:
+    """What a field takes, as it is shown in the help."""
+    return next(each for each in _METAVARS if each in kinds(get_type_hints(question)[name]))
+
+
 def _option(question: type[Question], name: str) -> inspect.Parameter:
     """One option: a flag, or a text; several texts where the field takes a list."""
-    field, kind = question.model_fields[name], get_type_hints(question)[name]
-    option = as_option(name)
+    field, taken, option = question.model_fields[name], _taken(question, name), as_option(name)
     default: Any = None if field.is_required() or field.default is None else str(field.default)
-    taken, metavar = next(each for each in _METAVARS.items() if each[0] in kinds(kind))
     form: Any = _FORMS.get(taken, _FORMS.get(get_origin(taken), str))
     if taken is bool:
         option, default, form = option if not field.default else f"{option}/--no-{option[2:]}", field.default, bool
     told = help_of(field).replace("[", "\\[") + (" Repeat it for several." if form == list[str] else "")
-    annotation = Annotated[form | None, typer.Option(option, help=told, metavar=metavar)]
+    annotation = Annotated[form | None, typer.Option(option, help=told, metavar=_METAVARS[taken])]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

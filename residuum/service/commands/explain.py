@@ -1,7 +1,5 @@
 """`residuum explain`: which physical effect is missing in a model?"""
 
-from typing import Annotated
-
 import typer
 
 from residuum.library.questions.missing_effect import Explain
@@ -25,17 +23,6 @@ from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
 app = typer.Typer(add_completion=False)
-
-Seconds = Annotated[
-    float | None,
-    typer.Option(
-        help="Longest time for the search [s]; the answer then depends on the machine, and says what was not tried.", min=0.0
-    ),
-]
-
-Learned = Annotated[
-    bool, typer.Option("--learned", help="Learn a curve over one signal when no effect of the catalogue explains the error.")
-]
 
 
 @app.command(name="explain")

@@ -1,6 +1,5 @@
 """`residuum improve`: add effects to a model and re-estimate it."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,8 @@ from residuum.identification.errors import BadInput
 from residuum.library.answers.comparison import warning_lines
 from residuum.library.answers.improvement import improvement_text
 from residuum.library.model import model as read
-from residuum.service.commands.explain import Learned, Seconds
+from residuum.library.questions.missing_effect import Improve
+from residuum.service.commands.asked import asks
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
@@ -33,21 +33,12 @@ app = typer.Typer(add_completion=False)
 
 
 @app.command(name="improve")
+@asks(without=("catalogue",))
 def improve_command(
     model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="Model file to write. The model that was read is not changed.")],
-    add: Annotated[
-        list[str] | None, typer.Option(metavar="ID…", help="Effects to add: ID or ID@TARGET, also with commas.")
-    ] = None,
-    auto: Annotated[bool, typer.Option("--auto", help="Add what explain finds until the model is adequate.")] = False,
-    effects: Annotated[str | None, typer.Option(metavar="ID,…", help="With --auto: consider only these effects.")] = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME…", help="Parameters that the model fixes, to be estimated; also with commas."),
-    ] = None,
-    learned: Learned = False,
-    seconds: Seconds = None,
+    asked: Improve,
     channel_map: ChannelMap = None,
     resample: Resample = False,
     mapping: MappingFile = None,
@@ -59,8 +50,6 @@ def improve_command(
     as_json: AsJson = False,
 ) -> None:
     """Add effects to a model, re-estimate it, and show its error on data not used for that."""
-    if auto == bool(add):
-        raise BadInput("improve: give either --add ID or --auto")
     check_output_file(out)
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
@@ -68,30 +57,10 @@ def improve_command(
     loaded = load_records(
         records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
     )
-    wanted = None if auto else names_of(add)
-    considered = None if effects is None else [id.strip() for id in effects.split(",")]
     keep_large_arrays()
-    improvement = read(model).improve(
-        loaded,
-        add=wanted,
-        map=signals(channel_map),
-        effects=considered,
-        free=names_of(free),
-        learned=learned,
-        seconds=seconds,
-        progress=told,
-    )
+    improvement = read(model).improve(loaded, map=signals(channel_map), progress=told, **asked.model_dump())
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)
     text = "\n".join([*warning_lines(improvement.warnings), improvement_text(improvement.found, file)])
     report(improvement.to_dict() | {"model_file": file} | drawn(plot, [improvement], f"{model} improved"), text, as_json=as_json)
-
-
-def names_of(texts: Sequence[str] | None) -> list[str]:
-    """Names given once each or several with commas between them.
-
-    >>> names_of(["a,b", "c"])
-    ['a', 'b', 'c']
-    """
-    return [name.strip() for text in texts or [] for name in text.split(",")]

@@ -21,7 +21,7 @@ from residuum.library.questions.compare import Compare
 from residuum.library.questions.control_design import DesignController
 from residuum.library.questions.estimate import Estimate
 from residuum.library.questions.identify import Identify
-from residuum.library.questions.missing_effect import Explain
+from residuum.library.questions.missing_effect import Explain, Improve
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.robust_control.controller_export import LANGUAGES
 from residuum.robust_control.weights.nominal_performance import Infeasible
@@ -44,61 +44,36 @@ class Asked:
     records: Sequence[RecordParts]
     mapping: Mapping[str, str]
 
-    def opened(self) -> tuple[Model, list[Record]]:
-        """Model and records as the library takes them; BadModel for a text that is none."""
+    def opened(self, progress: Progress, work: str) -> tuple[Model, list[Record]]:
+        """Model and records as the library takes them, as the work begins; BadModel for a text that is none."""
+        progress(0.0, work)
+        keep_large_arrays()
         name = self.model if self.text is None else MODEL_FILE
         return Model(model_of(name, self.text), name), _records(self.records)
 
 
 def compare(progress: Progress, asked: Asked, question: Compare) -> Mapping[str, Any]:
     """`result`: the `compare` object."""
-    progress(0.0, "compare")
-    keep_large_arrays()
-    model, records = asked.opened()
+    model, records = asked.opened(progress, "compare")
     return {"result": model.compare(records, map=asked.mapping, **question.model_dump()).to_dict()}
 
 
 def explain(progress: Progress, asked: Asked, question: Explain) -> Mapping[str, Any]:
     """`result`: the `explain` object."""
-    progress(0.0, "explain")
-    keep_large_arrays()
-    model, records = asked.opened()
+    model, records = asked.opened(progress, "explain")
     return {"result": model.explain(records, map=asked.mapping, progress=progress, **question.model_dump()).to_dict()}
 
 
-def improve(
-    progress: Progress,
-    asked: Asked,
-    add: Sequence[str] | None,
-    effects: Sequence[str] | None,
-    free: Sequence[str] = (),
-    learned: bool = False,
-    seconds: float | None = None,
-) -> Mapping[str, Any]:
-    """`result`: the `improve` object; `file`: the larger model's text. `add` None adds what explain finds.
-
-    Values that the model fixes stay, but for those named in `free`.
-    """
-    progress(0.0, "improve")
-    keep_large_arrays()
-    model, records = asked.opened()
-    found = model.improve(
-        records,
-        map=asked.mapping,
-        add=add,
-        effects=effects,
-        free=free,
-        learned=learned,
-        seconds=seconds,
-        progress=progress,
-    )
+def improve(progress: Progress, asked: Asked, question: Improve) -> Mapping[str, Any]:
+    """`result`: the `improve` object; `file`: the larger model's text."""
+    model, records = asked.opened(progress, "improve")
+    found = model.improve(records, map=asked.mapping, progress=progress, **question.model_dump())
     return {"result": found.to_dict(), "file": found.model.text.encode()}
 
 
 def estimate(progress: Progress, asked: Asked, question: Estimate) -> Mapping[str, Any]:
     """`result`: the `estimate` object; `file`: the model's text, where its values have not settled only with `anyway`."""
-    progress(0.0, "estimate")
-    model, records = asked.opened()
+    model, records = asked.opened(progress, "estimate")
     found = model.estimate(records, map=asked.mapping, **question.model_dump())
     written = question.anyway or not found.unsettled
     return {"result": found.to_dict(), "file": None if not written else found.model.text.encode()}

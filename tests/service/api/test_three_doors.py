@@ -94,6 +94,9 @@ ASKED_OF_MODEL = {
     "explain by one effect or a curve": ("explain", {"effects": "linear-spring", "learned": True, "seconds": 600}),
     "explain by an effect of one's own": ("explain", {"effects": ["own-drag", "linear-spring"], "catalogue": OWN}),
     "improve": ("improve", {"add": ["viscous-friction@axis"]}),
+    "improve by one effect": ("improve", {"add": "viscous-friction"}),
+    "improve by what is found": ("improve", {"effects": ["viscous-friction", "linear-spring"], "auto": True, "seconds": 600}),
+    "improve by an effect of one's own": ("improve", {"add": ["own-drag", "viscous-friction"], "catalogue": OWN}),
 }
 
 
@@ -101,6 +104,9 @@ NOT_ASKED_OF_MODEL = {
     "a level that no draws hold": ("compare", {"level": 1e-4}, "level", "must be ≥ 0.002"),
     "no chance of an error": ("compare", {"level": 1}, "level", "must be ≤ 0.2"),
     "a seed that is none": ("compare", {"seed": -1}, "seed", "must be ≥ 0"),
+    "effects in one name": ("improve", {"add": "viscous-friction@axis@shaft"}, "add", "must be an effect, or effect@place"),
+    "effects that are named and found": ("improve", {"add": "backlash", "auto": True}, "auto", ": is for a search; leave it out"),
+    "effects that are named and few": ("improve", {"add": "backlash", "effects": "lugre"}, "effects", ": is for a search; leave"),
     "no time": ("explain", {"seconds": 0}, "seconds", "must be > 0"),
 }
 
