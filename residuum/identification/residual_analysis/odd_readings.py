@@ -25,6 +25,7 @@ import numpy.typing as npt
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, estimate, match
 from residuum.identification.record import Record
+from residuum.identification.units import compatible, convert
 
 FloatArray = npt.NDArray[np.float64]
 _ABOUT = 5
@@ -34,6 +35,7 @@ _MOST, _MOST_CODED = 0.05, 0.3
 _ENDS = tuple(whole * digit for whole in (32767, 32768, 65535) for digit in (1.0, 0.5, 0.125, 0.1, 0.01))
 _MARKS = (127.0, 850.0, 999.0, 9999.0, 99999.0, 999.9, 9999.9, *_ENDS)
 """Sizes of values that are written for none: DS18B20, Pt100, loggers, and the ends of 16 bits in usual scalings."""
+POWER_ON = 85.0
 _ZERO_CELSIUS = 273.15
 _LONG, _TIMES, _DIGITS = 20, 5.0, 5.0
 """Rows, usual runs and least steps by which a still span stands out."""
@@ -131,7 +133,7 @@ def odd_readings(model: PhysicalModel, experiments: Sequence[Experiment], simula
             y = experiment.Y[:, k]
             if np.isfinite(y).sum() < _FEWEST:
                 continue
-            rows, codes, off = far_beside(y)
+            rows, codes, off = far_beside(y, model.outputs[name].unit)
             coded = rows[np.isin(y[rows], codes)]
             alone = off[~np.isin(rows, coded)]
             distance = (float(alone.min()), float(alone.max())) if alone.size else (0.0, 0.0)
@@ -218,7 +220,7 @@ def _left_out(
     return mended, found
 
 
-def far_beside(y: FloatArray) -> tuple[npt.NDArray[np.intp], tuple[float, ...], FloatArray]:
+def far_beside(y: FloatArray, unit: str = "") -> tuple[npt.NDArray[np.intp], tuple[float, ...], FloatArray]:
     """Rows far beside the median of those about them, the values that come again among these, and how far each row is.
 
     >>> y = np.sin(np.arange(200) / 20)
@@ -239,7 +241,8 @@ def far_beside(y: FloatArray) -> tuple[npt.NDArray[np.intp], tuple[float, ...], 
     far = off > _SPREADS * 1.4826 * float(np.median(np.abs(np.diff(values))))
     low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
     apart = _OF_RANGE * float(high - low)
-    out = ((values < low - apart) | (values > high + apart)) & is_mark(values)
+    first = np.arange(len(values)) == 0
+    out = ((values < low - apart) | (values > high + apart)) & (is_mark(values) | (first & _is_power_on(values, unit)))
     large = far & (off > apart) & ((lengths == 1) | out)
     read = Counter(np.repeat(values[large], lengths[large]).tolist())
     codes = tuple(sorted(value for value, count in read.items() if count > 1))
@@ -255,6 +258,12 @@ def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether values are what sensors and their buses write for none, in kelvin too where a record in degC was."""
     near = [np.isclose(np.abs(values + shift), mark, rtol=1e-9) for mark in _MARKS for shift in (0.0, -_ZERO_CELSIUS)]
     return np.asarray(np.any(near, axis=0))
+
+
+def _is_power_on(values: FloatArray, unit: str) -> npt.NDArray[np.bool_]:
+    """Whether values are what a 1-wire thermometer reads before its first conversion, 85 °C, for as long as it takes."""
+    temperature = bool(unit) and compatible(unit, "degC")
+    return np.asarray(np.isclose(values, float(convert(POWER_ON, "degC", unit)) if temperature else np.inf, rtol=1e-9))
 
 
 def _may_rest(model: PhysicalModel, output: str, y: FloatArray, span: tuple[int, int]) -> bool:

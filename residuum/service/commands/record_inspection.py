@@ -12,10 +12,8 @@ from residuum.identification.record_formats import ReadOptions
 from residuum.identification.record_formats.loggers.first_rows import first_rows
 from residuum.identification.record_formats.loggers.logger_file import LoggerFile
 from residuum.identification.record_formats.read_apart import read_safely
-from residuum.identification.residual_analysis.odd_readings import far_beside, is_mark
+from residuum.identification.residual_analysis.odd_readings import POWER_ON, far_beside, is_mark
 
-_POWER_ON = 85.0
-"""What a 1-wire thermometer reads before its first conversion."""
 _FEWEST = 30
 _Column = tuple[int, str, str, int]
 """Its number, name and unit, and how many of its samples are missing."""
@@ -33,7 +31,7 @@ def _of_record(file: Path, record: Record) -> dict[str, Any]:
     samples |= {"gaps": [], "gap_count": 0, "reordered": 0, "duplicates": 0}
     rows = first_rows(record.time, np.stack([record[name] for name in record.names]))
     signals = {name: np.asarray(record[name]) for name in record.names}
-    shown = _shown(file, columns, samples, rows) | {"notes": [*record.notes, *_error_codes(signals)]}
+    shown = _shown(file, columns, samples, rows) | {"notes": [*record.notes, *_error_codes(signals, record.units)]}
     shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
     return shown
 
@@ -51,7 +49,9 @@ def _understood(file: Path, found: LoggerFile) -> dict[str, Any]:
     missing, rows, notes = samples.pop("missing"), samples.pop("first_rows"), samples.pop("notes")
     signals = samples.pop("signals")
     columns = [(k, name, mapping.units.get(k, ""), missing[name]) for k, name in mapping.names.items()]
-    shown = _shown(file, columns, samples, rows) | {"notes": [*notes, *_error_codes(signals)]}
+    shown = _shown(file, columns, samples, rows) | {
+        "notes": [*notes, *_error_codes(signals, {name: unit for _, name, unit, _ in columns})]
+    }
     shown["ranges"] = {name: _range(signal) for name, signal in signals.items()}
     return shown
 
@@ -100,15 +100,15 @@ def _span(shown: dict[str, Any], column: dict[str, Any]) -> str:
     return "" if span is None else f", {span[0]:.6g} … {span[1]:.6g}"
 
 
-def _error_codes(signals: Mapping[str, npt.NDArray[np.floating]]) -> list[str]:
+def _error_codes(signals: Mapping[str, npt.NDArray[np.floating]], units: Mapping[str, str]) -> list[str]:
     """What sensors write where they have no value, among rows far beside their neighbours."""
     says = []
     for name, signal in signals.items():
         if np.isfinite(signal).sum() < _FEWEST:
             continue
         values = np.asarray(signal, dtype=float)
-        rows, _, _ = far_beside(values)
-        coded = rows[is_mark(values[rows]) | (values[rows] == _POWER_ON)].tolist()
+        rows, _, _ = far_beside(values, units[name])
+        coded = rows[is_mark(values[rows]) | (values[rows] == POWER_ON)].tolist()
         if coded:
             codes = sorted({float(values[row]) for row in coded})
             marks = " ".join(f"--missing {code:.10g}" for code in codes)

@@ -213,3 +213,17 @@ def test_an_encoder_that_held_is_one_all_the_same():
     found = shaft_compared(torque, angle, speed)
     assert any(odd.output == "angle" and odd.held for odd in found.odd)
     assert any(odd.output == "speed" and odd.still for odd in found.odd)
+
+
+@pytest.mark.parametrize("rows", [2, 5, 12])
+def test_what_a_thermometer_reads_before_its_first_conversion_is_left_out(rows):
+    """Of 85 °C at the begin, for several rows, and in any unit of temperature; 85 of another quantity is a value."""
+    power, y, _ = tank(3)
+    y[:rows] = 85.0
+    found = compared(power, y)
+    assert found.outputs["measured"].rmse < 0.08 and not found.present
+    assert any(f"{rows} samples (numbers 0, 1" in text and "read 85 degC, an error code" in text for text in found.warnings)
+    assert far_beside(y + 273.15, "K")[1] == (358.15,)
+    assert not far_beside(y, "rpm")[1] and not far_beside(y)[1]
+    y[:rows], y[300 : 300 + rows] = 21.0, 85.0
+    assert not far_beside(y, "degC")[1], "in the midst no thermometer is switched on"

@@ -301,3 +301,70 @@ def test_a_file_of_nothing_but_such_lines_is_none(tmp_path):
     (tmp_path / "bus.dbc").write_text("".join(f"BO_ {k} a{k} 8 A\n" for k in range(60)))
     with pytest.raises(BadBusDescription, match="cannot be read as a DBC file"):
         read_dbc(tmp_path / "bus.dbc")
+
+
+CODES = """VERSION ""
+BS_:
+BU_: A
+BO_ 2566834942 engine: 8 A
+ SG_ speed : 0|16@1+ (0.125,0) [0|8031.875] "rpm" A
+ SG_ oil : 16|8@1+ (1,-40) [-40|210] "degC" A
+ SG_ gas : 24|16@1+ (0.03125,-273) [-273|1734.96875] "degC" A
+ SG_ switch : 40|2@1+ (1,0) [0|3] "" A
+ SG_ load : 42|6@1+ (1,0) [0|0] "%" A
+ SG_ raw : 48|8@1+ (1,0) [0|255] "" A
+ SG_ bare : 56|8@1+ (0.4,0) [0|0] "%" A
+BO_ 300 plain: 8 A
+ SG_ turned : 7|16@0- (-0.1,5) [-3000|3000] "A" A
+ SG_ level : 16|12@1+ (0.5,0) [0|2000] "%" A
+ SG_ mode : 28|4@1+ (1,0) [0|15] "" A
+ SG_ any : 32|8@1+ (1,0) [0|0] "" A
+ SG_ far : 40|24@1+ (1,0) [0|16000000] "m" A
+VAL_ 300 mode 0 "off" 1 "error" 7 "SNA" 15 "signal_not_available" ;
+"""
+J1939 = (
+    'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\nBA_DEF_DEF_ "VFrameFormat" "J1939PG";\n'
+)
+
+
+def frames_of(layout, **raw):
+    """Frames with these raw numbers, one after the other, and 1 in all other signals."""
+    n = max(map(len, raw.values()))
+    numbers = np.ones((n, len(layout._names)), np.uint64)
+    for name, values in raw.items():
+        numbers[: len(values), layout._names.index(name)] = np.array(values, np.uint64)
+    return layout._bits.frames(numbers, layout.length)
+
+
+@pytest.mark.parametrize("j1939", [False, True])
+def test_codes_for_no_value_are_told_by_their_bits_whatever_the_scaling(tmp_path, j1939):
+    (tmp_path / "bus.dbc").write_text(CODES + J1939 * j1939)
+    layout = read_dbc(tmp_path / "bus.dbc")["engine"]
+    two = [0xFAFF, 0xFB00, 0xFE00, 0xFEFF, 0xFF00, 0xFFFF]
+    one = [0xFA, 0xFB, 0xFE, 0xFE, 0xFF, 0xFF]
+    frames = frames_of(layout, speed=two, gas=two, oil=one, raw=one, bare=one, switch=[0, 1, 2, 2, 3, 3], load=[63] * 6)
+    _, values = layout.decode(frames)
+    for name in ("speed", "gas", "oil"):
+        assert np.isnan(values[name]).tolist() == [False, True, True, True, True, True], name
+    assert values["speed"][0] == 8031.875 and values["oil"][0] == 210.0
+    assert not np.isnan(values["raw"]).any(), "the file says that 255 is a value"
+    assert np.isnan(values["bare"][1:]).all() == j1939 and not np.isnan(values["switch"]).any()
+    assert layout.codes(frames) == {"speed": 5, "oil": 5, "gas": 5} | ({"bare": 5} if j1939 else {})
+
+
+def test_codes_of_another_bus_are_all_ones_ends_of_a_sign_and_what_a_value_table_names(tmp_path):
+    (tmp_path / "bus.dbc").write_text(CODES)
+    layout = read_dbc(tmp_path / "bus.dbc")["plain"]
+    frames = frames_of(
+        layout,
+        turned=[0x8000, 0x7FFF, 0x8001, 0],
+        level=[0xFFF, 4000, 0, 1],
+        mode=[7, 15, 1, 0],
+        any=[0xFF] * 4,
+        far=[0xFFFFFF, 16000000, 1, 2],
+    )
+    _, values = layout.decode(frames)
+    lacks = {name: np.flatnonzero(np.isnan(each)).tolist() for name, each in values.items()}
+    assert lacks == {"turned": [0, 1], "level": [0], "mode": [0, 1], "any": [], "far": [0]}
+    _, values = layout.decode(frames_of(layout, level=[0xFFE], far=[0xFFFFFE]))
+    assert np.isfinite(values["level"]).all() and np.isfinite(values["far"]).all(), "only J1939 keeps more"

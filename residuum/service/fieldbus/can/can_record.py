@@ -162,6 +162,13 @@ def _notes(
             f"{len(found)} messages on the clock of {fastest.layout.name} ({fastest.sample_time:.6g} s); samples of others stand "
             f"at its nearest instants and are {'interpolated' if resample else 'missing'} between"
         )
+    names = _names(found)
+    for message in found:
+        for name, count in message.layout.codes(message.frames).items():
+            many = f"{count} frame{'s say' if count > 1 else ' says'}"
+            notes.append(
+                f"{names[message.layout.name, name]}: {many} that there is no value (not available, error); missing there"
+            )
     notes += [f"not read: {why}" for why in messages.unusable.values()]
     if others:
         notes.append(f"{sum(others.values())} frames of {len(others)} identifiers are not used: {_some(others)}")

@@ -22,6 +22,7 @@ from residuum.identification.errors import BadInput
 from residuum.service.fieldbus.block import Samples, StreamFormat
 from residuum.service.fieldbus.can.dbc_text import read_text
 from residuum.service.fieldbus.can.frame_batch import EXTENDED
+from residuum.service.fieldbus.can.no_value_codes import NoValueCodes
 from residuum.service.fieldbus.can.signal_bits import MOST_BITS, Bytes, SignalBits, usable_bits
 
 COUNTER = "counter"
@@ -66,7 +67,7 @@ class FrameLayout:
         signals = list(message.signals)
         _refuse_misplaced(message, signals, where)
         self._names = [signal.name for signal in signals]
-        self._bits, self._multiplexing = SignalBits(signals), Multiplexing(signals)
+        self._bits, self._multiplexing, self._codes = SignalBits(signals), Multiplexing(signals), NoValueCodes(message)
         self.choices: dict[str, dict[int, str]] = {
             signal.name: {int(key): str(value) for key, value in (signal.choices or {}).items()} for signal in signals
         }
@@ -137,14 +138,22 @@ class FrameLayout:
     def decode(self, frames: Bytes) -> tuple[npt.NDArray[np.int64], dict[str, Samples]]:
         """Counter of each frame, shape (n,), and the samples of each channel, shape (n · samples,), in physical units.
 
-        `frames` has shape (n, length). What a frame does not carry is NaN; without a counter it is 0.
+        `frames` has shape (n, length). What a frame does not carry, and a code for no value, is NaN; without a counter it is 0.
         """
         raw = self._bits.raw(frames)
         values = self._bits.values(raw)
         if self._multiplexing.paged:
             values[~self._multiplexing.carried(values)] = np.nan
+        values[self._codes.there(raw)] = np.nan
         counter = np.zeros(len(frames), np.int64) if self._counter is None else raw[:, self._counter].astype(np.int64)
         return counter, {name: values[:, members].reshape(-1) for name, members in self._channels.items()}
+
+    def codes(self, frames: Bytes) -> dict[str, int]:
+        """How many samples of each channel are codes for no value, of those that have some."""
+        raw = self._bits.raw(frames)
+        found = self._codes.there(raw) & self._multiplexing.carried(self._bits.values(raw))
+        many = {name: int(found[:, members].sum()) for name, members in self._channels.items()}
+        return {name: count for name, count in many.items() if count}
 
     def encode(self, counter: npt.ArrayLike, channels: Mapping[str, npt.ArrayLike]) -> Bytes:
         """Frames, shape (n, length), from channels of shape (n · samples,); values are rounded and clipped to what fits.
