@@ -13,7 +13,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.report import AsJson, report
-from residuum.service.fieldbus.opcua.node_map import node_map_text, read_node_map
+from residuum.service.fieldbus.opcua.node_map import ChannelNode, node_map_text, read_node_map
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -36,11 +36,22 @@ def browse(
     found = asyncio.run(_answered(url, _library().numeric_variables(url, nodes, under, _TIMEOUT)))
     if not found:
         raise BadInput(f"{url}: no variable with a number{f' whose id begins with {under!r}' if under else ''}")
-    out.write_text(node_map_text({"signals": (every, found)}), encoding="utf-8")
+    channels = {name: ChannelNode(**_said(each)) for name, each in found.items()}
+    out.write_text(node_map_text({"signals": (every, channels)}), encoding="utf-8")
     lines = [f"{out}: {len(found)} channels, a sample every {every:g} s"]
-    lines += [f"  {name} [{unit or '1'}]  {node}" for name, (node, unit) in found.items()]
-    plain = {name: {"node": node, "unit": unit} for name, (node, unit) in found.items()}
+    lines += [f"  {name} [{each.unit or '1'}]  {each.node}{_what(each)}" for name, each in found.items()]
+    plain = {name: {**_said(each), "kind": each.kind, "names": list(each.names)} for name, each in found.items()}
     report({"file": str(out), "channels": plain}, "\n".join(lines), as_json=as_json)
+
+
+def _said(found: Any) -> dict[str, Any]:
+    """What the map says of a variable: that it holds, too, of one that takes few values."""
+    return {"node": found.node, "unit": found.unit} | ({"held": True} if found.held else {})
+
+
+def _what(found: Any) -> str:
+    names = f" ({', '.join(found.names)})" if found.names else ""
+    return f"  {found.kind}{names}, held until it changes" if found.held else ""
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import json
 import socket
 import threading
 import time
@@ -201,3 +202,58 @@ def test_a_bad_map_is_refused(tmp_path, text, says):
     file.write_text(text)
     with pytest.raises(BadBusDescription, match=says):
         read_node_map(file)
+
+
+def test_browsing_marks_what_takes_few_values_and_names_them(tmp_path, capsys):
+    """A server reports an enumeration or a boolean when it changes: the map says that its value holds."""
+    url, stop, ready = f"opc.tcp://127.0.0.1:{free_port()}/", threading.Event(), threading.Event()
+
+    async def serve():
+        server = Server()
+        await server.init()
+        server.set_endpoint(url)
+        space = await server.register_namespace("urn:test:pump")
+        kinds = await server.nodes.enum_data_type.add_data_type(ua.NodeId("Mode", space), ua.QualifiedName("Mode", space))
+        texts = [ua.LocalizedText(text) for text in ("off", "manual", "auto")]
+        await kinds.add_property(ua.NodeId("Mode.Names", space), ua.QualifiedName("EnumStrings", 0), texts)
+
+        async def add(name, value, kind, data_type=None):
+            at = ua.NodeId(f"p.{name}", space)
+            return await server.nodes.objects.add_variable(at, ua.QualifiedName(name, space), value, kind, data_type)
+
+        await add("speed", 1.5, ua.VariantType.Double)
+        await add("count", 3, ua.VariantType.Int32)
+        await add("running", True, ua.VariantType.Boolean)
+        await add("mode", 2, ua.VariantType.Int32, kinds.nodeid)
+        bare = await server.nodes.enum_data_type.add_data_type(ua.NodeId("Bare", space), ua.QualifiedName("Bare", space))
+        await add("bare", 1, ua.VariantType.Int32, bare.nodeid)
+        state = await add("state", 1, ua.VariantType.UInt16)
+        await state.add_property(ua.NodeId("p.state.Names", space), ua.QualifiedName("EnumStrings", 0), texts[:2])
+        async with server:
+            ready.set()
+            while not stop.is_set():
+                await asyncio.sleep(0.02)
+
+    thread = threading.Thread(target=lambda: asyncio.run(serve()), daemon=True)
+    thread.start()
+    assert ready.wait(60)
+    out = tmp_path / "nodes.yaml"
+    assert run(["opcua", "browse", url, "--out", str(out), "--under", "ns=2;s=p.", "--json"]) == DONE
+    found = json.loads(capsys.readouterr().out)["channels"]
+    assert run(["opcua", "browse", url, "--out", str(out), "--under", "ns=2;s=p."]) == DONE
+    said_of = capsys.readouterr().out
+    stop.set()
+    thread.join(20)
+    gc.collect()
+    kinds = {name: (each["kind"], each["names"]) for name, each in found.items()}
+    assert kinds == {
+        "speed": ("number", []),
+        "count": ("number", []),
+        "running": ("boolean", []),
+        "mode": ("enumeration", ["0 off", "1 manual", "2 auto"]),
+        "bare": ("enumeration", []),
+        "state": ("enumeration", ["0 off", "1 manual"]),
+    }
+    held = {name: each.held for name, each in read_node_map(out).streams["signals"].channels.items()}
+    assert held == {name: True if kind != "number" else None for name, (kind, _) in kinds.items()}
+    assert "ns=2;s=p.mode  enumeration (0 off, 1 manual, 2 auto), held until it changes" in said_of

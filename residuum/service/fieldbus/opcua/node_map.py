@@ -102,10 +102,13 @@ def _files(made: NodeMap) -> list[Path]:
     return [*secured, *([made.user.password_file] if made.user else [])]
 
 
-def node_map_text(streams: Mapping[str, tuple[float, Mapping[str, tuple[str, str]]]]) -> str:
-    """The file of streams: name → (sample time [s], channel → (node, unit))."""
+def node_map_text(streams: Mapping[str, tuple[float, Mapping[str, ChannelNode]]]) -> str:
+    """The file of streams: name → (sample time [s], channels)."""
     plain = {
-        name: {"sample_time": every, "channels": {c: {"node": node, "unit": unit} for c, (node, unit) in channels.items()}}
+        name: {
+            "sample_time": every,
+            "channels": {c: {"unit": "", **each.model_dump(exclude_unset=True)} for c, each in channels.items()},
+        }
         for name, (every, channels) in streams.items()
     }
     return yaml.safe_dump({"streams": plain}, allow_unicode=True, sort_keys=False)

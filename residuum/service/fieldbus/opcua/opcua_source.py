@@ -14,9 +14,10 @@ import time
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from datetime import UTC
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from asyncua import Client, ua
+from asyncua import Client, Node, ua
+from asyncua.common.ua_utils import get_base_data_type
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 
@@ -45,6 +46,7 @@ _NUMERIC = {
 }
 _WHOLE_UNTIL = 2**53
 """A double tells whole numbers apart up to here."""
+_PLAIN = "number"
 _WAITING = 100_000
 _MOST_BROWSED = 5000
 
@@ -304,16 +306,29 @@ async def variables(client: Client, most: int) -> AsyncIterator[tuple[str, Any]]
             waiting.append(child)
 
 
-async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout: float) -> dict[str, tuple[str, str]]:
-    """Channel → (node id, unit) of a server's variables that hold numbers and whose id begins with `under`."""
+class Variable(NamedTuple):
+    """A variable that holds a number: its node's id, its unit, and what it is: a number, a boolean, an enumeration with names."""
+
+    node: str
+    unit: str
+    kind: str
+    names: tuple[str, ...] = ()
+
+    @property
+    def held(self) -> bool:
+        """Whether its value is one of few, which servers report when it changes, and which holds until then."""
+        return self.kind != _PLAIN
+
+
+async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout: float) -> dict[str, Variable]:
+    """Channel → variable of a server's variables that hold numbers and whose id begins with `under`."""
     client = make_client(url, nodes, timeout)
-    found: dict[str, tuple[str, str]] = {}
+    found: dict[str, Variable] = {}
     await enter(client, url, nodes, timeout)
     try:
         async for node_id, node in variables(client, _MOST_BROWSED):
             if node_id.startswith(under) and await _is_numeric(node):
-                name = _channel_name(node_id, found)
-                found[name] = (node_id, await _unit(node))
+                found[_channel_name(node_id, found)] = Variable(node_id, await _unit(node), *await _kind(node))
     finally:
         await client.disconnect()
     return found
@@ -322,6 +337,27 @@ async def numeric_variables(url: str, nodes: NodeMap | None, under: str, timeout
 async def _is_numeric(node: Any) -> bool:
     kind = await node.read_data_type_as_variant_type()
     return kind in _NUMERIC and (await node.read_value_rank()) in (-1, ua.ValueRank.Scalar)
+
+
+async def _kind(node: Any) -> tuple[str, tuple[str, ...]]:
+    """What a variable of numbers is, and the names of an enumeration's values (Part 3, 5.8.3; MultiStateDiscrete of Part 8)."""
+    kind = Node(node.session, await node.read_data_type())
+    base = (await get_base_data_type(kind)).nodeid.Identifier
+    if base == ua.ObjectIds.Boolean:
+        return "boolean", ()
+    names = await _names(node) or (await _names(kind) if base == ua.ObjectIds.Enumeration else ())
+    return ("enumeration" if names or base == ua.ObjectIds.Enumeration else _PLAIN), names
+
+
+async def _names(node: Any) -> tuple[str, ...]:
+    """Number and name of each value, where a variable or a data type has a table of them."""
+    for table in ("0:EnumStrings", "0:EnumValues"):
+        try:
+            rows = await (await node.get_child(table)).read_value()
+            return tuple(f"{getattr(row, 'Value', k)} {getattr(row, 'DisplayName', row).Text}" for k, row in enumerate(rows))
+        except (ua.UaError, AttributeError, TypeError):
+            continue
+    return ()
 
 
 async def _unit(node: Any) -> str:
