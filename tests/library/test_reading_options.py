@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import residuum as rs
+from residuum.library.questions.compare import Compare
 from residuum.service.commands import compare
 from residuum.service.commands import inspect as inspection
 from tests.identification.record_formats.left_open import LEFT_OPEN
@@ -57,7 +58,7 @@ def test_a_file_is_read_by_the_mapping_that_is_named_or_lies_beside_it(tmp_path)
 
 def test_every_option_of_reading_that_a_command_has_is_a_keyword():
     both = {*inspect.signature(compare.compare_command).parameters, *inspect.signature(inspection.inspect_command).parameters}
-    elsewhere = {"model", "records", "file", "catalogue", "plot", "as_json", "out"}
+    elsewhere = {"model", "records", "file", "catalogue", "plot", "as_json", "out", *Compare.model_fields}
     called = {"channel_map": "map", "mapped": "map", "unit": "units"}
     of_buses = {"dbc"}
     wanted = {called.get(name, name) for name in both - elsewhere - of_buses}

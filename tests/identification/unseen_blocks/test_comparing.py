@@ -30,6 +30,10 @@ class One:
     def cost(self):
         return self.scale.cost(self.power, self.parameters)
 
+    @property
+    def seen(self):
+        return self.cost
+
 
 def one(power, parameters=1, scale=POWER):
     return One(np.broadcast_to(power, 20)[:, None], parameters, scale)

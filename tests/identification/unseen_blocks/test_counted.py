@@ -15,7 +15,8 @@ ONE, OTHER = (Key("coulomb-friction", "shaft"),), (Key("quadratic-drag", "shaft"
 
 def structure(keys, power, parameters):
     scale = Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))
-    return SimpleNamespace(keys=keys, power=power[:, None], parameters=parameters, cost=scale.cost(power[:, None], parameters))
+    cost = scale.cost(power[:, None], parameters)
+    return SimpleNamespace(keys=keys, power=power[:, None], parameters=parameters, cost=cost, seen=cost)
 
 
 def wins(one, other, base=None, adequate=False):
@@ -38,6 +39,17 @@ def test_what_is_better_in_some_blocks_shares_the_draws():
     assert sum(found.values()) == pytest.approx(1.0)
     assert 0.05 < found[ONE] < 0.95 and 0.05 < found[OTHER] < 0.95
     assert wins(other, one)[ONE] == pytest.approx(found[OTHER], abs=0.1)
+
+
+def test_what_fits_all_blocks_no_better_wins_no_draw():
+    """One block alone tells a value: left out with it, the value lies anywhere, and another structure ahead of it by chance."""
+    base = np.where(np.arange(20) == 3, 30.0, 0.1)
+    known = {(): structure((), base, 0), ONE: structure(ONE, np.full(20, 0.1), 1)}
+    found = SimpleNamespace(court=SimpleNamespace(scale=Scale(np.ones(1), np.ones(1), unit=np.array([20.0]))), base=known[()])
+    found.every, found.tried = known, 2
+    assert counted(found, [], adequate=True)[ONE] > 0.5
+    known[()].seen = known[ONE].seen = 2.0
+    assert counted(found, [], adequate=True) == {"none": pytest.approx(1.0)}
 
 
 @pytest.mark.parametrize(("adequate", "says"), [(True, "none"), (False, "unknown")])

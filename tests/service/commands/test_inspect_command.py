@@ -89,5 +89,5 @@ def test_uneven_steps_of_a_text_are_shown_as_resample_makes_them(tmp_path, capsy
         assert run(["inspect", str(tmp_path / "uneven.csv"), "--json", *option]) == DONE
         found[bool(option)] = json.loads(capsys.readouterr().out)
     assert not found[False]["samples"]["even"] and found[True]["samples"]["even"]
-    assert any(note.startswith("n resampled to 1.3 s") for note in found[True]["notes"])
+    assert any(note.startswith("n resampled to 1.00056 s: each sample kept at its even") for note in found[True]["notes"])
     assert found[True]["guesses"] == found[False]["guesses"] and found[True]["mapping"] == found[False]["mapping"]

@@ -110,8 +110,8 @@ def test_a_machine_that_failed_is_red_with_the_reason_and_the_way_on(machines, o
     )
     legible(page)
     card.get_by_role("link", name="Press", exact=True).click()
-    expect(page.locator(".title .badge")).to_have_text("Failed")
     expect(page.locator(".says-large")).to_have_text("Training failed: no such file: windows.py.")
+    expect(page.locator(".title .badge")).to_have_text("Failed")
     way_on = page.get_by_role("link", name="Change it or train it again")
     expect(way_on).to_have_attribute("href", "#/watch?machine=press")
 
