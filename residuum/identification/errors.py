@@ -71,10 +71,10 @@ class BadUnit(BadInput):
     """A unit is unknown, or incompatible with the one that is needed.
 
     >>> import residuum as rs
-    >>> rs.from_arrays({"u": [1.0]}, units={"u": "V"}, sample_time=0.1).in_unit("u", "A")
+    >>> rs.from_arrays({"u": [1.0]}, units={"u": "V"}, sample_time=0.1).in_unit("u", "A")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    residuum.identification.errors.BadUnit: channel 'u': unit 'V' cannot be converted to 'A'
+    residuum.identification.errors.BadUnit: channel 'u': unit 'V' cannot be converted to 'A'; ...
     """
 
 
