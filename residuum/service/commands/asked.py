@@ -13,6 +13,7 @@ import typer
 from residuum.identification.errors import BadInput
 from residuum.library.questions import Question, help_of, kinds
 from residuum.service.commands import as_option
+from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
 _NAMES: Any = tuple[str, ...]
@@ -40,30 +41,20 @@ def asks(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callabl
     """
 
     def command(function: Callable[..., Any]) -> Callable[..., Any]:
-        hints = get_type_hints(function, include_extras=True)
-        parameters = dict(inspect.signature(function).parameters)
-        name = next(each for each in parameters if inspect.isclass(hints[each]) and issubclass(hints[each], Question))
-        question: type[Question] = hints[name]
+        name, question = parameter_of(function, Question)
         options = {field: _option(question, field) for field in question.model_fields if field not in without}
 
-        def asked(**given: Any) -> Any:
-            said = {field: given.pop(field) for field in options}
+        def made(said: dict[str, Any]) -> Question:
             with warnings.catch_warnings(record=True) as told:
                 warnings.simplefilter("always")
-                made = question.of(
+                asked = question.of(
                     {field: _read(question, field, value) for field, value in said.items() if value not in (None, [])}
                 )
             for warning in told:
                 progress(f"--{warning.message}")
-            return function(**given, **{name: made})
+            return asked
 
-        own = {each: [p.replace(kind=p.KEYWORD_ONLY, annotation=hints[each])] for each, p in parameters.items()}
-        own[name] = list(options.values())
-        signature = inspect.Signature([each for listed in own.values() for each in listed])
-        asked.__name__, asked.__doc__ = function.__name__, function.__doc__
-        asked.__signature__ = signature  # type: ignore[attr-defined]
-        asked.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
-        return asked
+        return expanded(function, name, options, made)
 
     return command
 

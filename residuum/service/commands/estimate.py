@@ -13,17 +13,7 @@ from residuum.service.commands.asked import asks
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-    signals,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -33,26 +23,20 @@ _NOT_WRITTEN = "not written (--anyway writes the model all the same)"
 
 @app.command(name="estimate")
 @asks()
+@reads()
 def estimate_command(
     model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the model with the estimated parameters (YAML).")],
     asked: Estimate,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
+    reading: Reading,
     catalogue: OwnCatalogue = None,
     as_json: AsJson = False,
 ) -> None:
     """Estimate the free parameters. The note `# split: 0.7` in a record keeps the last 30 % for validation."""
     check_output_file(out)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
-    )
-    estimation = read(model).estimate(loaded, map=signals(channel_map), **asked.model_dump())
+    loaded = reading.for_model(records)
+    estimation = read(model).estimate(loaded, map=reading.signals, **asked.model_dump())
     written = asked.anyway or not estimation.unsettled
     if written:
         estimation.model.save(out)

@@ -8,17 +8,7 @@ from residuum.service.commands.fmu_process import model_for
 from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-    signals,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
@@ -27,26 +17,20 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="explain")
 @asks(without=("catalogue",))
+@reads()
 def explain_command(
     model: ModelSource,
     records: RecordFiles,
     asked: Explain,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
+    reading: Reading,
     catalogue: OwnCatalogue = None,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
     """Name the physical effect that is missing in a model, from records."""
     check_plot(plot)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
-    )
-    channels = signals(channel_map)
+    loaded = reading.for_model(records)
+    channels = reading.signals
     given, loaded = model_for(model, loaded, channels)
     keep_large_arrays()
     explanation = given.explain(loaded, map=channels, progress=told, **asked.model_dump())

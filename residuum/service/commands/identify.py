@@ -10,16 +10,7 @@ from residuum.library.questions.identify import Identify
 from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report, told
 
 app = typer.Typer(add_completion=False)
@@ -27,16 +18,12 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 @asks()
+@reads()
 def identify(
     records: RecordFiles,
     asked: Identify,
+    reading: Reading,
     out: Annotated[Path | None, typer.Option(help="File for the identified model (JSON).")] = None,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
     plot: Plot = None,
     as_json: AsJson = False,
 ) -> None:
@@ -44,9 +31,7 @@ def identify(
     if out is not None:
         check_output_file(out)
     check_plot(plot)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
-    )
+    loaded = reading.named(records)
     plant = identified(loaded, asked, told)
     if out is not None:
         plant.save(out)

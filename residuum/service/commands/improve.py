@@ -15,17 +15,7 @@ from residuum.service.commands.model_source import ModelSource
 from residuum.service.commands.output_file import check_output_file
 from residuum.service.commands.own_catalogue import OwnCatalogue
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-    signals,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.work.large_arrays import keep_large_arrays
 
@@ -34,17 +24,13 @@ app = typer.Typer(add_completion=False)
 
 @app.command(name="improve")
 @asks(without=("catalogue",))
+@reads()
 def improve_command(
     model: ModelSource,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="Model file to write. The model that was read is not changed.")],
     asked: Improve,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
+    reading: Reading,
     catalogue: OwnCatalogue = None,
     plot: Plot = None,
     as_json: AsJson = False,
@@ -54,11 +40,9 @@ def improve_command(
     if Path(model).exists() and out.exists() and Path(model).samefile(out):
         raise BadInput(f"improve: --out {out} is the model itself; write a new file, the previous one is the way back")
     check_plot(plot)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, model_map=channel_map
-    )
+    loaded = reading.for_model(records)
     keep_large_arrays()
-    improvement = read(model).improve(loaded, map=signals(channel_map), progress=told, **asked.model_dump())
+    improvement = read(model).improve(loaded, map=reading.signals, progress=told, **asked.model_dump())
     file = str(out) if improvement.found.helps else None
     if file:
         improvement.model.save(out)

@@ -1,9 +1,11 @@
 """The options by which every command takes records, and reading them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, fields
 from importlib import import_module
+from inspect import Parameter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -15,6 +17,7 @@ from residuum.identification.record_formats.even_time import RESAMPLED
 from residuum.identification.record_formats.loggers.no_value import NO_VALUE
 from residuum.identification.record_formats.read_apart import mapping_beside, read_mapped
 from residuum.identification.record_formats.time_bases import MEASURED_AT, NOT_READ
+from residuum.service.commands.options_of import expanded, parameter_of
 from residuum.service.commands.report import progress
 
 RecordFiles = Annotated[list[Path], typer.Argument(metavar="RECORD…", help="Record files; each is a separate experiment.")]
@@ -66,34 +69,56 @@ def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:
     return found
 
 
-def signals(channel_map: Sequence[str] | None) -> dict[str, str]:
-    """What a model maps: all but the column of times."""
-    return {name: column for name, column in pairs("--map", channel_map).items() if name != "time"}
+@dataclass(frozen=True)
+class Reading:
+    """How a command reads its records: an option a field."""
+
+    channel_map: ChannelMap = None
+    resample: Resample = False
+    mapping: MappingFile = None
+    dbc: DbcFile = None
+    sample_time: SampleTime = None
+    unit: Units = None
+
+    @property
+    def signals(self) -> dict[str, str]:
+        """What a model maps itself: all but the column of times."""
+        return {name: column for name, column in self._columns.items() if name != "time"}
+
+    def for_model(self, files: Sequence[Path]) -> list[Record]:
+        """The records, their columns named as in the file: a model maps them (`signals`)."""
+        if self.dbc is not None and not any(is_can_log(file) for file in files):
+            raise BadRecord(f"--dbc {self.dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
+        # a unit is said of a column, or of the name that it gets
+        told = {self._columns.get(name, name): unit for name, unit in pairs("--unit", self.unit).items()}
+        time = self._columns.get("time")
+        options = ReadOptions(resample=self.resample, sample_time=self.sample_time, units=told, time_column=time)
+        return [_read(file, options, self.mapping, self.dbc) for file in files]
+
+    def named(self, files: Sequence[Path]) -> list[Record]:
+        """The records, their columns under the names that they were given."""
+        names = {column: name for name, column in self.signals.items()}
+        return [record.rename(names) for record in self.for_model(files)]
+
+    @property
+    def _columns(self) -> dict[str, str]:
+        return pairs("--map", self.channel_map)
 
 
-def load_records(
-    files: Sequence[Path],
-    *,
-    resample: bool = False,
-    sample_time: float | None = None,
-    units: Sequence[str] | None = None,
-    channel_map: Sequence[str] | None = None,
-    model_map: Sequence[str] | None = None,
-    mapping: Path | None = None,
-    dbc: Path | None = None,
-) -> list[Record]:
-    """Read the record files of a command; `channel_map` renames column → name (`time`: the column of times), `mapping` reads
-    loggers' files, `dbc` CAN logs, `model_map` is what a model maps itself (`signals`). A unit is said of a column, or of the
-    name that it gets.
-    """
-    if dbc is not None and not any(is_can_log(file) for file in files):
-        raise BadRecord(f"--dbc {dbc}: no record is a CAN log; these end in {', '.join(CAN_LOGS)}")
-    columns = pairs("--map", channel_map or model_map)
-    told = {columns.get(name, name): unit for name, unit in pairs("--unit", units).items()}
-    time = columns.pop("time", None)
-    options = ReadOptions(resample=resample, sample_time=sample_time, units=told, time_column=time)
-    renames = {column: name for name, column in columns.items()} if channel_map else {}
-    return [_read(file, options, mapping, dbc).rename(renames) for file in files]
+def reads(without: Container[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Turn the parameter of a command that is a `Reading` into its options, but for those in `without`."""
+
+    def command(function: Callable[..., Any]) -> Callable[..., Any]:
+        name, kind = parameter_of(function, Reading)
+        hints = get_type_hints(kind, include_extras=True)
+        options = {
+            field.name: Parameter(field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+            for field in fields(kind)
+            if field.name not in without
+        }
+        return expanded(function, name, options, lambda said: kind(**said))
+
+    return command
 
 
 def is_can_log(file: Path) -> bool:

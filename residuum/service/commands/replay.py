@@ -11,7 +11,7 @@ import typer
 
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
-from residuum.service.commands.records import ChannelMap, MappingFile, Resample, SampleTime, Units, is_can_log, load_records
+from residuum.service.commands.records import Reading, is_can_log, reads
 from residuum.service.commands.report import AsJson, progress, report
 from residuum.service.fieldbus.can.can_bus import open_bus
 from residuum.service.fieldbus.can.can_log import TimedFrame, read_can_log
@@ -33,26 +33,21 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 @app.command()
+@reads(without=("dbc",))
 def replay(
     file: Annotated[Path, typer.Argument(help="BLF, ASC, candump or TRC log, register trace, or any record file.")],
     to: Annotated[str, typer.Option(help="can:INTERFACE:CHANNEL, or modbus:HOST:PORT to serve there.")],
+    reading: Reading,
     speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Playing speed; 2 is twice as fast as recorded.")] = 1.0,
     bus_map: Annotated[str | None, typer.Option(help="DBC file or register map for a record; default: what fits.")] = None,
     linger: Annotated[float, typer.Option(min=0, help="modbus: seconds to keep serving after the last page.")] = 3.0,
-    channel_map: ChannelMap = None,
-    unit: Units = None,
-    sample_time: SampleTime = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Send a recording to a CAN bus, or offer it as a Modbus device. The device starts at its first request."""
     kind, _, address = to.partition(":")
 
     def load() -> Record:
-        return load_records(
-            [file], mapping=mapping, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
-        )[0]
+        return reading.named([file])[0]
 
     if kind == "can" and address:
         sent = _send(_frames(file, bus_map, load), address, speed)

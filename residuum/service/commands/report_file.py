@@ -12,16 +12,7 @@ from residuum.library.record import shown
 from residuum.library.result import Result
 from residuum.library.whole_file import write_whole
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-    signals,
-)
+from residuum.service.commands.records import Reading, reads
 from residuum.service.commands.report import AsJson, report, told
 from residuum.service.results.analysis_page import analysis_page
 
@@ -30,18 +21,14 @@ _MODEL_FILES = (".yaml", ".yml")
 
 
 @app.command(name="report")
+@reads()
 def report_command(
     files: Annotated[
         list[str], typer.Argument(metavar="[MODEL] RECORD…", help="Record files; before them a model to hold against them.")
     ],
     out: Annotated[Path, typer.Option(help="The HTML file to write.")],
+    reading: Reading,
     explain: Annotated[bool, typer.Option("--explain", help="Also say which physical effect the model lacks.")] = False,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
     as_json: AsJson = False,
 ) -> None:
     """Write records, and how well a model meets them, as one page that opens offline and can be sent."""
@@ -51,18 +38,10 @@ def report_command(
     if explain and model is None:
         raise BadInput("report: --explain needs a model; name it before the records")
     check_output_file(out)
-    loaded = load_records(
-        [Path(file) for file in records],
-        mapping=mapping,
-        dbc=dbc,
-        resample=resample,
-        sample_time=sample_time,
-        units=unit,
-        model_map=channel_map,
-    )
+    loaded = reading.for_model([Path(file) for file in records])
     answers: list[Result] = []
     if model is not None:
-        given, channels = read_model(model), signals(channel_map)
+        given, channels = read_model(model), reading.signals
         if explain:
             answers.append(given.explain(loaded, map=channels, progress=told))
         else:

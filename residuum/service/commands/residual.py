@@ -23,7 +23,7 @@ from residuum.library.answers.residual import design_json, design_text, run_json
 from residuum.library.questions.residual import DesignResidual, RunResidual, residual_for
 from residuum.service.commands.asked import asks
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import ChannelMap, DbcFile, MappingFile, Resample, SampleTime, Units, load_records
+from residuum.service.commands.records import ChannelMap, Reading, reads
 from residuum.service.commands.report import AsJson, progress, report
 
 app = typer.Typer(add_completion=False)
@@ -47,7 +47,7 @@ def design(
         answer = _design_several(identified, out, asked, healthy or [], channel_map)
         return report(answer, several.design_text(answer), as_json=as_json)
     model = load_identified(identified)
-    records = load_records(healthy, channel_map=channel_map) if healthy else _own_records(model.provenance.get("records", ()))
+    records = Reading(channel_map).named(healthy) if healthy else _own_records(model.provenance.get("records", ()))
     made = residual_for(model, records, asked)
     made.save(out)
     answer = design_json(made, records, identified=str(identified), file=str(out))
@@ -59,7 +59,7 @@ def _design_several(
 ) -> dict[str, Any]:
     model = load_multivariable(identified)
     own = model.models[0][0].provenance.get("records", ())
-    records = load_records(healthy, channel_map=channel_map) if healthy else _own_records(own)
+    records = Reading(channel_map).named(healthy) if healthy else _own_records(own)
     made = design_multivariable_residual(model, records, method=asked.method, unknown=asked.unknown_input or [])
     made.save(out)
     return several.design_json(made, identified=str(identified), file=str(out))
@@ -71,27 +71,21 @@ def _own_records(names: Any) -> list[Record]:
     if not files or not all(file.is_file() for file in files):
         progress("no healthy record at hand: noise as the model says, no `calibrated` threshold (give one with --healthy)")
         return []
-    return load_records(files)
+    return Reading().named(files)
 
 
 @app.command()
 @asks()
+@reads()
 def run(
     design: Annotated[Path, typer.Argument(help="Design file, as `residuum residual design` writes it.")],
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record file.")],
     asked: RunResidual,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
+    reading: Reading,
     as_json: AsJson = False,
 ) -> None:
     """Run a residual design on a record: is there a fault, since when, of which kind and size?"""
-    loaded = load_records(
-        [record], mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
-    )[0]
+    loaded = reading.named([record])[0]
     if stored_kind(design) == KIND:
         _only_posterior(asked)
         seen = detect_multivariable(MultivariableResidual.load(design), loaded, false_alarms_per_day=asked.false_alarms_per_day)

@@ -25,16 +25,7 @@ from residuum.service.commands.diagnoser_options import (
     new_diagnoser,
 )
 from residuum.service.commands.plot_option import Plot, check_plot, drawn
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -42,16 +33,12 @@ _WORST_FIRST = (Verdict.FAULTY, Verdict.NOT_ASSESSABLE, Verdict.HEALTHY)
 
 
 @app.command()
+@reads()
 def score(
     diagnoser: DiagnoserName,
     records: RecordFiles,
+    reading: Reading,
     baseline: Baseline = None,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
@@ -67,9 +54,7 @@ def score(
     settings = diagnoser_settings(speed_rpm, orders, hertz, method) | model_settings(None, False, false_alarms_per_day)
     check_plot(plot)
     judge = _judge(diagnoser, baseline, settings)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
-    )
+    loaded = reading.named(records)
     judged = [judge.score(record) for record in loaded]
     findings = [finding.to_json() | {"record": str(file)} for file, finding in zip(records, judged, strict=True)]
     worst = min(findings, key=lambda finding: _WORST_FIRST.index(finding["verdict"]))

@@ -25,16 +25,7 @@ from residuum.service.commands.diagnoser_options import (
     new_diagnoser,
 )
 from residuum.service.commands.output_file import check_output_file
-from residuum.service.commands.records import (
-    ChannelMap,
-    DbcFile,
-    MappingFile,
-    RecordFiles,
-    Resample,
-    SampleTime,
-    Units,
-    load_records,
-)
+from residuum.service.commands.records import Reading, RecordFiles, reads
 from residuum.service.commands.report import AsJson, report
 
 app = typer.Typer(add_completion=False)
@@ -45,17 +36,13 @@ _LABELS = (
 
 
 @app.command()
+@reads()
 def train(
     diagnoser: DiagnoserName,
     records: RecordFiles,
     out: Annotated[Path, typer.Option(help="File for the trained diagnoser.")],
+    reading: Reading,
     labels: Annotated[Path | None, typer.Option(help=_LABELS)] = None,
-    channel_map: ChannelMap = None,
-    resample: Resample = False,
-    mapping: MappingFile = None,
-    dbc: DbcFile = None,
-    sample_time: SampleTime = None,
-    unit: Units = None,
     speed_rpm: SpeedRpm = None,
     orders: Orders = None,
     hertz: Hertz = None,
@@ -76,9 +63,7 @@ def train(
     untrained = new_diagnoser(diagnoser, diagnoser_settings(speed_rpm, orders, hertz, method) | of_model)
     check_output_file(out)
     names, exemplars = read_labels(labels, records) if labels else (None, None)
-    loaded = load_records(
-        records, mapping=mapping, dbc=dbc, resample=resample, sample_time=sample_time, units=unit, channel_map=channel_map
-    )
+    loaded = reading.named(records)
     if exemplars is not None and validate is None and not isinstance(untrained, GateActuator):
         raise BadInput(
             f"{labels}: only the gate-actuator diagnoser knows exemplars, not {diagnoser!r}; give record,label, or --validate"

@@ -1,0 +1,41 @@
+"""A parameter of a command that stands for several options."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar, get_type_hints
+
+T = TypeVar("T")
+
+
+def parameter_of(function: Callable[..., Any], kind: type[T]) -> tuple[str, type[T]]:
+    """Name and class of the parameter of this kind."""
+    return next(
+        (name, hint) for name, hint in get_type_hints(function).items() if inspect.isclass(hint) and issubclass(hint, kind)
+    )
+
+
+def expanded(
+    function: Callable[..., Any],
+    name: str,
+    options: Mapping[str, inspect.Parameter],
+    made: Callable[[dict[str, Any]], Any],
+) -> Callable[..., Any]:
+    """A command with these options in the place of the parameter `name`, which is `made` of what they say."""
+    hints = get_type_hints(function, include_extras=True)
+
+    def command(**given: Any) -> Any:
+        said = {option: given.pop(option) for option in options}
+        return function(**given, **{name: made(said)})
+
+    own = {
+        each: [parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[each])]
+        for each, parameter in inspect.signature(function).parameters.items()
+    }
+    own[name] = list(options.values())
+    signature = inspect.Signature([each for listed in own.values() for each in listed])
+    command.__name__, command.__doc__ = function.__name__, function.__doc__
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
+    return command
