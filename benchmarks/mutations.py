@@ -46,7 +46,7 @@ class Mutation:
 MUTATIONS = (
     Mutation(
         "friction drives instead of braking",
-        "residuum/identification/physics/effects/friction/coulomb_friction.py",
+        "residuum/identification/physics/effects/friction.py",
         'term=-scene.p["tau_c"]',
         'term=scene.p["tau_c"]',
         "tests/identification/physics/test_effect_conformance.py",

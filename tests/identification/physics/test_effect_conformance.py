@@ -14,25 +14,13 @@ from residuum.identification.physics import (
 )
 from residuum.identification.physics.effects import EFFECTS
 from residuum.identification.physics.effects.base import Conditions
-from residuum.identification.physics.effects.electric.brush_drop import BrushDrop
-from residuum.identification.physics.effects.electric.resistance_heating import ResistanceHeating
-from residuum.identification.physics.effects.electric.supply_sag import SupplySag
-from residuum.identification.physics.effects.friction.friction import Friction
-from residuum.identification.physics.effects.friction.lugre import LuGre
-from residuum.identification.physics.effects.hydraulic.drain import Drain
-from residuum.identification.physics.effects.hydraulic.orifice import Orifice
-from residuum.identification.physics.effects.load.bouc_wen import BoucWen
-from residuum.identification.physics.effects.load.cogging import Cogging
-from residuum.identification.physics.effects.load.constant_load import ConstantLoad
-from residuum.identification.physics.effects.load.cubic_spring import CubicSpring
-from residuum.identification.physics.effects.load.hysteresis import Hysteresis
-from residuum.identification.physics.effects.load.linear_spring import LinearSpring
-from residuum.identification.physics.effects.load.position_load import PositionLoad
-from residuum.identification.physics.effects.load.tooth_ripple import ToothRipple
-from residuum.identification.physics.effects.thermal.constant_heat import ConstantHeat
-from residuum.identification.physics.effects.thermal.heat_loss import HeatLoss
-from residuum.identification.physics.effects.thermal.second_heat_store import SecondHeatStore
-from residuum.identification.physics.effects.transmission.end_stop import EndStop
+from residuum.identification.physics.effects.electric import BrushDrop, ResistanceHeating, SupplySag
+from residuum.identification.physics.effects.friction import Friction, LuGre
+from residuum.identification.physics.effects.hydraulic import Drain, Orifice
+from residuum.identification.physics.effects.load import Cogging, ConstantLoad, PositionLoad, ToothRipple
+from residuum.identification.physics.effects.spring import BoucWen, CubicSpring, Hysteresis, LinearSpring
+from residuum.identification.physics.effects.thermal import ConstantHeat, HeatLoss, SecondHeatStore
+from residuum.identification.physics.effects.transmission import EndStop
 from residuum.identification.units import parse_unit
 
 

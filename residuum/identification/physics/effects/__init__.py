@@ -1,4 +1,4 @@
-"""The catalogue of physical effects: id → effect. A new effect is one file here and one line in `EFFECTS`."""
+"""The catalogue of physical effects: id → effect. A new effect is one class in the file of its kind and one line in `EFFECTS`."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -6,61 +6,51 @@ from types import MappingProxyType
 from residuum.identification.entry_points import from_entry_points
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.effects.catalogue import EffectCatalogue
-from residuum.identification.physics.effects.electric.brush_drop import BrushDrop
-from residuum.identification.physics.effects.electric.inductance import Inductance
-from residuum.identification.physics.effects.electric.resistance_heating import ResistanceHeating
-from residuum.identification.physics.effects.electric.supply_sag import SupplySag
-from residuum.identification.physics.effects.friction.coulomb_friction import CoulombFriction
-from residuum.identification.physics.effects.friction.directional_friction import DirectionalFriction
-from residuum.identification.physics.effects.friction.directional_viscous import DirectionalViscous
-from residuum.identification.physics.effects.friction.load_friction import LoadFriction
-from residuum.identification.physics.effects.friction.lugre import LuGre
-from residuum.identification.physics.effects.friction.place_friction import PlaceFriction
-from residuum.identification.physics.effects.friction.quadratic_drag import QuadraticDrag
-from residuum.identification.physics.effects.friction.stribeck_friction import StribeckFriction
-from residuum.identification.physics.effects.friction.viscous_friction import ViscousFriction
-from residuum.identification.physics.effects.hydraulic.check_valve import CheckValve
-from residuum.identification.physics.effects.hydraulic.leak import Leak
-from residuum.identification.physics.effects.hydraulic.orifice import Orifice
-from residuum.identification.physics.effects.hydraulic.outflow import Outflow
-from residuum.identification.physics.effects.hydraulic.overflow import Overflow
-from residuum.identification.physics.effects.hydraulic.pump_nonlinearity import PumpNonlinearity
-from residuum.identification.physics.effects.load.bouc_wen import BoucWen
-from residuum.identification.physics.effects.load.cogging import Cogging
-from residuum.identification.physics.effects.load.constant_load import ConstantLoad
-from residuum.identification.physics.effects.load.cubic_spring import CubicSpring
-from residuum.identification.physics.effects.load.hysteresis import Hysteresis
-from residuum.identification.physics.effects.load.linear_spring import LinearSpring
-from residuum.identification.physics.effects.load.position_load import PositionLoad
-from residuum.identification.physics.effects.load.tooth_ripple import ToothRipple
-from residuum.identification.physics.effects.path.input_backlash import InputBacklash
-from residuum.identification.physics.effects.path.input_dead_zone import InputDeadZone
-from residuum.identification.physics.effects.path.input_delay import InputDelay
-from residuum.identification.physics.effects.path.input_lag import InputLag
-from residuum.identification.physics.effects.path.input_offset import InputOffset
-from residuum.identification.physics.effects.path.input_power import InputPower
-from residuum.identification.physics.effects.path.input_saturation import InputSaturation
-from residuum.identification.physics.effects.path.output_absolute import OutputAbsolute
-from residuum.identification.physics.effects.path.output_drift import OutputDrift
-from residuum.identification.physics.effects.path.output_gain_curve import OutputGainCurve
-from residuum.identification.physics.effects.path.output_lag import OutputLag
-from residuum.identification.physics.effects.path.output_offset import OutputOffset
-from residuum.identification.physics.effects.path.output_quantisation import OutputQuantisation
-from residuum.identification.physics.effects.path.output_saturation import OutputSaturation
-from residuum.identification.physics.effects.structure.coupling import Coupling
-from residuum.identification.physics.effects.structure.forgotten_input import ForgottenInput
-from residuum.identification.physics.effects.structure.learned import Learned
-from residuum.identification.physics.effects.thermal.ambient_loss import AmbientLoss
-from residuum.identification.physics.effects.thermal.constant_heat import ConstantHeat
-from residuum.identification.physics.effects.thermal.convection import Convection
-from residuum.identification.physics.effects.thermal.conveyor_load import ConveyorLoad
-from residuum.identification.physics.effects.thermal.door_opening import DoorOpening
-from residuum.identification.physics.effects.thermal.heater_nonlinearity import HeaterNonlinearity
-from residuum.identification.physics.effects.thermal.radiation import Radiation
-from residuum.identification.physics.effects.thermal.second_heat_store import SecondHeatStore
-from residuum.identification.physics.effects.transmission.backlash import Backlash
-from residuum.identification.physics.effects.transmission.elastic_transmission import ElasticTransmission
-from residuum.identification.physics.effects.transmission.end_stop import EndStop
+from residuum.identification.physics.effects.electric import BrushDrop, Inductance, ResistanceHeating, SupplySag
+from residuum.identification.physics.effects.friction import (
+    CoulombFriction,
+    DirectionalFriction,
+    DirectionalViscous,
+    LoadFriction,
+    LuGre,
+    PlaceFriction,
+    QuadraticDrag,
+    StribeckFriction,
+    ViscousFriction,
+)
+from residuum.identification.physics.effects.hydraulic import CheckValve, Leak, Orifice, Outflow, Overflow, PumpNonlinearity
+from residuum.identification.physics.effects.input_path import (
+    InputBacklash,
+    InputDeadZone,
+    InputDelay,
+    InputLag,
+    InputOffset,
+    InputPower,
+    InputSaturation,
+)
+from residuum.identification.physics.effects.load import Cogging, ConstantLoad, PositionLoad, ToothRipple
+from residuum.identification.physics.effects.output_path import (
+    OutputAbsolute,
+    OutputDrift,
+    OutputGainCurve,
+    OutputLag,
+    OutputOffset,
+    OutputQuantisation,
+    OutputSaturation,
+)
+from residuum.identification.physics.effects.spring import BoucWen, CubicSpring, Hysteresis, LinearSpring
+from residuum.identification.physics.effects.structure import Coupling, ForgottenInput, Learned
+from residuum.identification.physics.effects.thermal import (
+    AmbientLoss,
+    ConstantHeat,
+    Convection,
+    ConveyorLoad,
+    DoorOpening,
+    HeaterNonlinearity,
+    Radiation,
+    SecondHeatStore,
+)
+from residuum.identification.physics.effects.transmission import Backlash, ElasticTransmission, EndStop
 
 EFFECTS = EffectCatalogue(
     {

@@ -1,4 +1,4 @@
-"""A load that repeats with every tooth, ball or pole."""
+"""Loads: constant, over the travel, with every tooth."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -18,6 +18,76 @@ from residuum.identification.physics.effects.base import (
     quotient,
 )
 from residuum.identification.physics.effects.example_models import axis_example, drive_example
+
+
+class ConstantLoad(Effect):
+    """Weight, preload, inclination: −τ_0.
+
+    `tau_0` [balance unit], either sign.
+    """
+
+    id = "constant-load"
+    title = "Constant load"
+    equation = "−τ_0"
+    reference = "Newton 1687"
+    acts_on = ("torque", "force")
+    needs = ("velocity",)
+    sizes = ("tau_0",)
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (Parameter("tau_0", 0.0, site.unit, meaning="load against positive motion"),)
+
+    def contribution(self, scene: Scene) -> Contribution:
+        return Contribution(term=-scene.p["tau_0"])
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        return [{"tau_0": 0.1 * conditions.magnitude}]
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example()]
+
+
+class PositionLoad(Effect):
+    """Unbalanced arms, slopes, cranks: −(a·sin κq + b·cos κq), a wave of at most a few periods over the travel.
+
+    `a`, `b` [balance unit]; `kappa` [rad / position unit] > 0, the wave number. Over less than half a period it cannot be
+    told from a
+    spring with preload.
+    """
+
+    id = "position-load"
+    title = "Position-dependent load"
+    equation = "−(a·sin κq + b·cos κq)"
+    reference = "J. Norton, Design of Machinery, McGraw-Hill, ch. 11"
+    acts_on = ("torque", "force")
+    needs = ("position",)
+    sizes = ("a", "b")
+    generalises = "linear-spring"
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        return (
+            Parameter("a", 0.0, site.unit, meaning="sine amplitude"),
+            Parameter("b", 0.0, site.unit, meaning="cosine amplitude"),
+            Parameter("kappa", 1.0, quotient("rad", site.units["position"]), lower=1e-9, meaning="wave number"),
+        )
+
+    def contribution(self, scene: Scene) -> Contribution:
+        p, angle = scene.p, scene.p["kappa"] * scene["position"]
+        return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle)))
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        size, travel = 0.1 * conditions.magnitude, conditions.span("position")
+        waves = [*(np.pi * periods / travel for periods in (1.0, 2.0, 4.0)), 1.0]  # the last: once a turn, an arm's own weight
+        return [{"a": size, "b": size, "kappa": float(kappa)} for kappa in waves]
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """Waves that have the spring's stiffness at q = 0: of about half a period, and of one a radian (an arm's own weight)."""
+        waves = (1.0, 2.0 / conditions.span("position"))
+        return [{"a": special["k"] / kappa, "b": special["tau_0"], "kappa": kappa} for kappa in waves]
+
+    def examples(self) -> list[Example]:
+        return [axis_example(), drive_example()]
+
 
 _FEWEST, _MANY = 5.0, 12.0
 """Periods over the travel from which on a wave may be a ripple, and up to which it may be a load that depends on the position."""
@@ -115,3 +185,43 @@ class ToothRipple(Effect):
 
     def examples(self) -> list[Example]:
         return [axis_example(), drive_example()]
+
+
+class Cogging(ToothRipple):
+    """−(a·sin nq + b·cos nq + a₂·sin 2nq + b₂·cos 2nq): magnets over iron, whose ripple is no sine.
+
+    Amplitudes [balance unit]; `n` [rad / position unit] > 0. A tooth ripple has the first wave alone.
+    """
+
+    id = "cogging"
+    title = "Cogging"
+    equation = "−Σ (aₖ·sin knq + bₖ·cos knq), k = 1, 2"
+    reference = "D. C. Hanselman, Brushless Permanent Magnet Motor Design, ch. 10"
+    sizes = ("a", "b", "a2", "b2")
+    generalises = "tooth-ripple"
+
+    def parameters(self, site: Site) -> tuple[Parameter, ...]:
+        first, second, wave = super().parameters(site)
+        more = [Parameter(name, 0.0, site.unit, meaning="amplitude of the harmonic") for name in ("a2", "b2")]
+        return (first, second, *more, wave)
+
+    def contribution(self, scene: Scene) -> Contribution:
+        p, angle = scene.p, scene.p["n"] * scene["position"]
+        harmonic = p["a2"] * sp.sin(2 * angle) + p["b2"] * sp.cos(2 * angle)
+        return Contribution(term=-(p["a"] * sp.sin(angle) + p["b"] * sp.cos(angle) + harmonic))
+
+    def starts(self, conditions: Conditions) -> list[dict[str, float]]:
+        return [start | {"a2": 0.3 * start["a"], "b2": 0.3 * start["b"]} for start in super().starts(conditions)]
+
+    def grown(self, special: Mapping[str, float], conditions: Conditions) -> list[dict[str, float]]:
+        """The same wave with a small harmonic."""
+        size = 0.1 * float(np.hypot(special["a"], special["b"]))
+        return [dict(special) | {"a2": size, "b2": size}]
+
+    def specialised(self, general: Mapping[str, float], conditions: Conditions) -> dict[str, float]:
+        """The first wave."""
+        return {name: general[name] for name in ("a", "b", "n")}
+
+    def says_more(self, general: Mapping[str, float], std: Mapping[str, float]) -> bool:
+        """Not without a harmonic."""
+        return any(abs(general[name]) > 2.0 * std[name] for name in ("a2", "b2"))

@@ -1,1 +1,0 @@
-"""Frictions and drags."""

@@ -1,1 +1,0 @@
-"""Loads, springs and position-dependent forces."""

@@ -1,1 +1,0 @@
-"""Effects on input and output paths."""

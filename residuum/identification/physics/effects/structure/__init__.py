@@ -1,1 +1,0 @@
-"""Effects that tie a balance to other signals: a forgotten input, a coupling of two balances, a learned curve."""

@@ -1,1 +1,0 @@
-"""Transmissions: elasticity, play and stops."""
