@@ -14,8 +14,8 @@ from residuum.identification.discrepancy.joined import Joined, joined_of
 from residuum.identification.discrepancy.kept_aside import is_noted, split
 from residuum.identification.discrepancy.policy import EXPLAINING_TIME
 from residuum.identification.errors import BadModel
-from residuum.identification.physics import Key, PhysicalModel, candidates
-from residuum.identification.physics.model import find_effect, tied_to
+from residuum.identification.physics import Key, PhysicalModel
+from residuum.identification.physics.model import find_effect, fitting, tied_to
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.compare import compare
 from residuum.identification.unseen_blocks.asked import with_asked
@@ -160,12 +160,11 @@ def _parts(id: str) -> Key:
 
 def _resolved(model: PhysicalModel, id: str) -> Key:
     name, target = _parts(id)
-    fitting = [t for _, t in candidates(model, [name])]
     if target:
         model.with_effect(name, target)
         return Key(name, target)
-    if not fitting:
-        raise BadModel(f"effect {name!r}: fits no balance, input or output of model {model.name!r}, or is in it already")
-    if len(fitting) > 1:
-        raise BadModel(f"effect {name!r}: fits {', '.join(fitting)}; say which, as {name}@{fitting[0]}")
-    return Key(name, fitting[0])
+    key, *more = fitting(model, name)
+    if more:
+        places = ", ".join(each.target for each in (key, *more))
+        raise BadModel(f"effect {name!r}: fits {places}; say which, as {name}@{key.target}")
+    return key

@@ -270,8 +270,7 @@ class PhysicalModel:
             raise BadModel(f"effect {id!r} at {target!r}: is tied to no signal; say where as {place_of(target)!r}")
         site = self.site(target, effect)
         if not effect.fits(site):
-            needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
-            raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: it acts on {' or '.join(effect.acts_on)}{needs}")
+            raise BadModel(f"effect {id!r} does not fit {site.kind} {target!r}: {_acts_on(effect)}")
         declared = _declared(effect, site, dict(values or {}), tuple(fixed))
         instance = 1 + sum(use.id == id and use.target == target for use in self.effects)
         own = effect if EFFECTS.is_here(id) else None
@@ -353,6 +352,22 @@ def term_name(use: EffectUse) -> str:
 def missing_name(balance: str) -> str:
     """Name of the additive unknown term of a balance among the kernel's parameters."""
     return f"missing@{balance}"
+
+
+def _acts_on(effect: Effect) -> str:
+    needs = f" with {', '.join(effect.needs)}" if effect.needs else ""
+    return f"it acts on {' or '.join(effect.acts_on)}{needs}"
+
+
+def fitting(model: PhysicalModel, id: str) -> list[Key]:
+    """The keys of one effect that fit the model; BadModel where it fits nowhere, or is in it already."""
+    found = candidates(model, [id])
+    if not found:
+        raise BadModel(
+            f"effect {id!r}: fits no balance, input or output of model {model.name!r}, or is in it already: "
+            f"{_acts_on(find_effect(id))}"
+        )
+    return found
 
 
 def candidates(model: PhysicalModel, ids: Iterable[str] | None = None) -> list[Key]:

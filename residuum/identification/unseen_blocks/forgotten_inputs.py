@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import PhysicalModel, find_effect, match
+from residuum.identification.physics.model import fitting
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import data_of, long_enough
 from residuum.identification.unseen_blocks.following import followed
@@ -21,6 +22,10 @@ def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[s
     """
     asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
     matched, experiments = match(model, records, mapping)
+    there = {use.id for use in model.effects}
+    for id in wanted.effects or ():
+        if id not in there and not find_effect(id).takes_columns:
+            fitting(matched, id)  # who asks for what can act nowhere is told so
     if not (asked and any(e.spare for e in experiments)) or not long_enough([e.n for e in experiments]):
         return model
     data = data_of(matched, experiments)
