@@ -244,3 +244,13 @@ def test_effects_of_a_current_that_flows_by_cases_go_together(pair):
         if any(id == "output-quantisation" for id, _ in pair):
             error = error[:, 1:]  # the differences of what is read in steps are steps
         assert np.quantile(error, 0.95) <= 1e-3 * np.max(np.abs(exact[:, :, column])), name
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+@pytest.mark.parametrize("size", [0.0, 1e-310, 1e-120])
+def test_first_values_are_numbers_where_nothing_moves(name, size):
+    """A simulation of a machine at rest leaves next to nothing of a position, and its cube underflows."""
+    roles = ("position", "velocity", "current", "temperature", "ambient", "level", "signal", "supply")
+    still = {role: size * np.linspace(0.0, 1.0, 400) for role in roles}
+    at_rest = Conditions(sample_time=0.01, duration=4.0, magnitude=1.0, variables=still, missing=np.zeros(400))
+    assert all(np.isfinite(value) for start in EFFECTS[name].starts(at_rest) for value in start.values())

@@ -15,6 +15,8 @@ from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.units import Unit, parse_unit
 
 Array = npt.NDArray[np.float64]
+RESTS = 1e-60
+"""Below it a variable does not move; its cube is still a number. Chosen."""
 
 
 @dataclass(frozen=True)
@@ -149,15 +151,20 @@ class Conditions:
 
     def largest(self, role: str) -> float:
         """Largest magnitude of a variable (1 when it never moves)."""
-        return float(np.max(np.abs(self.variables[role]))) or 1.0
+        return _or_one(float(np.max(np.abs(self.variables[role]))))
 
     def span(self, role: str) -> float:
         """Largest minus smallest value of a variable (1 when it never moves)."""
-        return float(np.ptp(self.variables[role])) or 1.0
+        return _or_one(float(np.ptp(self.variables[role])))
 
     def quantile(self, role: str, fraction: float) -> float:
         """The value below which a variable spends `fraction` of the time."""
         return float(np.quantile(self.variables[role], fraction))
+
+
+def _or_one(size: float) -> float:
+    """A size that effects divide by, also by its powers: what a simulation of a machine at rest leaves of it is none."""
+    return size if size > RESTS else 1.0
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import numpy as np
 
 from residuum.identification.physics.compile import symbolic as sp
 from residuum.identification.physics.effects.base import (
+    RESTS,
     Array,
     Conditions,
     Contribution,
@@ -102,7 +103,7 @@ def strongest_wave_numbers(position: Array, signal: Array, count: int = 3, fewes
     of the cells' spectrum are returned, strongest first; waves with under `fewest_periods` over the travel are left out.
     """
     travel = float(np.ptp(position))
-    if travel <= 0.0:
+    if travel <= RESTS:
         return []
     cells = int(min(4096, max(64, position.size // 4)))
     cell = np.minimum(((position - position.min()) / travel * cells).astype(int), cells - 1)
