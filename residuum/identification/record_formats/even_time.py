@@ -11,9 +11,9 @@ from residuum.identification.errors import BadRecord
 FloatArray = npt.NDArray[np.float64]
 JITTER = 0.01  # of the step
 HOLE = 3.0
+"""Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
 _NEAR = 0.2
 """Part of the step by which stamps may lie beside even instants that their samples were taken at: what writes them is late."""
-"""Of a channel's own median step: over a longer stretch without a value nothing is interpolated."""
 RESAMPLED = "resampled to"
 """How a note tells of it."""
 _MOST = 1e8
@@ -210,15 +210,8 @@ def resampled(time: FloatArray, values: FloatArray, source: str) -> tuple[float,
         even = np.clip(even + time[0] - near[2][0], time[0], time[-1])
     pairs = [on_instants(time[held], column[held], even, step) for column in values for held in [~np.isnan(column)]]
     if near:
-        _, place, beside = near
-        alone = _stamps_alone_late(time, place, values)
-        late = f"each sample kept at its even instant, at most {np.abs(beside).max():.2g} s beside its stamp"
-        for k, column in enumerate(values):
-            held = ~np.isnan(column)
-            if held.sum() > 2 and (alone or _kept(column[held], place[held], beside, step)):
-                signal = pairs[k][0].copy()
-                signal[place[held]] = column[held]
-                pairs[k] = signal, (late, int(np.isnan(signal).sum()))
+        alone = _stamps_alone_late(time, near[1], values)
+        pairs = [_at_its_places(pair, column, *near, alone) for pair, column in zip(pairs, values, strict=True)]
     return step, np.array([signal for signal, _ in pairs]).reshape(len(values), len(even)), [told for _, told in pairs]
 
 
@@ -231,6 +224,24 @@ def _stamps_alone_late(time: FloatArray, place: npt.NDArray[np.int64], values: F
             over = [_linear_error(at[held].astype(float), column[held]) for at in (place, time)]
             smoother += float(np.log(max(over[0], 1e-300) / max(over[1], 1e-300)))
     return smoother <= 0.0
+
+
+def _at_its_places(
+    pair: tuple[FloatArray, tuple[str, int]],
+    column: FloatArray,
+    step: float,
+    place: npt.NDArray[np.int64],
+    beside: FloatArray,
+    alone: bool,
+) -> tuple[FloatArray, tuple[str, int]]:
+    """A channel with its samples at their own places, where the stamps alone were late or that changes it less."""
+    held = ~np.isnan(column)
+    if held.sum() <= 2 or not (alone or _kept(column[held], place[held], beside, step)):
+        return pair
+    signal = pair[0].copy()
+    signal[place[held]] = column[held]
+    late = f"each sample kept at its even instant, at most {np.abs(beside).max():.2g} s beside its stamp"
+    return signal, (late, int(np.isnan(signal).sum()))
 
 
 def _kept(taken: FloatArray, place: npt.NDArray[np.int64], beside: FloatArray, step: float) -> bool:

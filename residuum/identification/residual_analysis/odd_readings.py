@@ -113,8 +113,8 @@ class OddReadings:
                 )
         if self.held:
             found.append(
-                f"{where}: stands still in samples {_spans(self.held)} while the model moves, and jumps on after it: a sensor "
-                "that held its last value; they are left out here"
+                f"{where}: stands still in samples {_spans(self.held)} while the model moves, as no machine at rest does: a "
+                "sensor that held its last value; they are left out here"
             )
         if self._merely_still:
             spans = _spans(self._merely_still)
@@ -249,15 +249,13 @@ def far_beside(y: FloatArray, unit: str = "") -> tuple[npt.NDArray[np.intp], tup
     >>> rows.tolist(), codes
     ([30, 90, 150], (85.0,))
     """
-    from scipy.ndimage import median_filter  # noqa: PLC0415
-
     known = np.flatnonzero(np.isfinite(y))
     every = y[known]
     begins = np.r_[True, every[1:] != every[:-1]][: len(every)]
     values, lengths = every[begins], np.diff(np.flatnonzero(np.r_[begins, True]))
     if len(values) < _ABOUT:
         return known[:0], (), every[:0]
-    off = np.abs(values - median_filter(values, _ABOUT, mode="mirror"))
+    off = _beside_neighbours(values)
     far = off > _SPREADS * 1.4826 * float(np.median(np.abs(np.diff(values))))
     low, high = np.quantile(values[~far], [0.005, 0.995]) if not far.all() else (0.0, 0.0)
     apart = _OF_RANGE * float(high - low)
@@ -282,10 +280,14 @@ def is_mark(values: FloatArray) -> npt.NDArray[np.bool_]:
 
 def _jumps(simulated: FloatArray, rows: npt.NDArray[np.intp], off: FloatArray) -> npt.NDArray[np.bool_]:
     """Whether a simulation lies at these rows as far beside its own neighbours as the reading, in part."""
-    from scipy.ndimage import median_filter  # noqa: PLC0415
+    return np.asarray(_beside_neighbours(simulated)[rows] > _JUMPS_TOO * off)
 
-    aside = np.abs(simulated - median_filter(simulated, _ABOUT, mode="mirror"))[rows]
-    return np.asarray(aside > _JUMPS_TOO * off)
+
+def _beside_neighbours(values: FloatArray) -> FloatArray:
+    """How far each value lies from the median of those about it."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415  of a question alone: starting is for all
+
+    return np.abs(values - median_filter(values, _ABOUT, mode="mirror"))
 
 
 def _never_repeats(y: FloatArray, still: Sequence[tuple[int, int]]) -> bool:
@@ -337,9 +339,8 @@ def _still(y: FloatArray, simulated: FloatArray) -> tuple[tuple[int, int], ...]:
     if len(known) < _FEWEST:
         return ()
     if not np.ptp(y[known]):  # it never moves: no digit of it is known
-        moves = np.isfinite(simulated).any() and np.nanmax(simulated) - np.nanmin(simulated) > _RESTS * np.nanmax(
-            np.abs(simulated)
-        )
+        beside = simulated[np.isfinite(simulated)]
+        moves = beside.size > 0 and np.ptp(beside) > _RESTS * np.abs(beside).max()
         return ((int(known[0]), int(known[-1])),) if moves else ()
     filled[np.isnan(y)] = np.interp(np.flatnonzero(np.isnan(y)), known, y[known])
     starts = np.flatnonzero(np.r_[True, filled[1:] != filled[:-1]])

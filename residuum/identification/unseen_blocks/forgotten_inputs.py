@@ -15,6 +15,14 @@ from residuum.identification.unseen_blocks.proposals import forgotten_columns
 from residuum.identification.unseen_blocks.tried import Wanted
 
 
+def _check_fitting(model: PhysicalModel, wanted: Wanted) -> None:
+    """BadModel for an effect that was asked for, is not in the model, and can act nowhere in it, whatever columns there are."""
+    there = {use.id for use in model.effects}
+    for id in wanted.effects or ():
+        if id not in there and not find_effect(id).takes_columns:
+            fitting(model, id)
+
+
 def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[str, str] | None, wanted: Wanted) -> PhysicalModel:
     """The model with those spare columns as idle inputs that what a balance lacks resembles.
 
@@ -22,10 +30,7 @@ def informed(model: PhysicalModel, records: Sequence[Record], mapping: Mapping[s
     """
     asked = wanted.effects is None or any(find_effect(id).takes_columns for id in wanted.effects)
     matched, experiments = match(model, records, mapping)
-    there = {use.id for use in model.effects}
-    for id in wanted.effects or ():
-        if id not in there and not find_effect(id).takes_columns:
-            fitting(matched, id)  # who asks for what can act nowhere is told so
+    _check_fitting(matched, wanted)
     if not (asked and any(e.spare for e in experiments)) or not long_enough([e.n for e in experiments]):
         return model
     data = data_of(matched, experiments)
