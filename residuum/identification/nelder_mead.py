@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 
 def nelder_mead(function: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int) -> FloatArray:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -26,7 +26,6 @@ from residuum.robust_control.weights.nominal_performance import NominalAim, desi
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 from residuum.robust_control.weights.reference_model import ReferenceModel
 
-FloatArray = npt.NDArray[np.float64]
 AIMS = ("nominal", "robust")
 STRUCTURES: dict[str, type[ControllerStructure]] = {"pidn": PIDN, "pid": PID, "pi": PI, "lead-lag": LeadLag, "rational": Rational}
 _VALIDATION_PLANTS = 200

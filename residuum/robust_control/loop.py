@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.schur import is_schur
@@ -16,8 +17,6 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
 from residuum.robust_control.weights.weighted_cost import rational_response, weighted_cost, weighted_slopes
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 Plant = TransferFunction | MeasuredPlant
 
 

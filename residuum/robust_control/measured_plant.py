@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 _LONGEST_TURN = 0.5 * np.pi
 _FURTHEST_FROM_AXIS = np.pi / 4

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
@@ -14,8 +14,6 @@ from residuum.identification.linear_models.error_bounds.error_grid import refine
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import chernoff_samples, weight_above
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def average_plant(models: Sequence[IdentifiedModel]) -> TransferFunction:

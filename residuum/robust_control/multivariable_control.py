@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel
@@ -38,7 +38,6 @@ from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
 from residuum.robust_control.weights.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
 
-FloatArray = npt.NDArray[np.float64]
 _FOLLOWED = 3.0
 """Steps are followed for so many of the longest promised settling times."""
 _FIRST_PLANTS, _MORE_PLANTS, _MOST_PLANTS = 200, 4, 3200

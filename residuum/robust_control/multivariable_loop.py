@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def closed_loop_steps(

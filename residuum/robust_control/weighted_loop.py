@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def interconnect(blocks: Sequence[StateSpace], between: FloatArray, external: FloatArray, outputs: FloatArray) -> StateSpace:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
@@ -32,7 +32,6 @@ from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert, say_unit
 from residuum.nearest_names import known_names
 
-Array = npt.NDArray[Any]
 SHAPE = ("rms", "kurtosis", "crest")
 PROMINENT = 6.0  # healthy records, real and made, stay below 5.3; see benchmarks/results/vibration.md
 PROMINENT_BESIDE_A_CHANGE = 4.5
@@ -44,7 +43,7 @@ _RIVAL = 0.8  # of the most prominent family: one fault's lines make another fam
 _BALL_BESIDE_CAGE = (3.5, 0.5)  # deciles and share of the cage's: balls change their load once a turn of the cage
 _WINDOW = 1.0  # s
 _SHORTEST = 1024
-_LEAST_CHANGE: Array = np.array([1.6, 1.6, 1.6])
+_LEAST_CHANGE: AnyArray = np.array([1.6, 1.6, 1.6])
 _LEAST_CHANGE_OF_BAND = (2.5, 2.0)  # below and above 1 kHz: load moves rotor-related bands, bearing faults ring higher
 _FEWEST_WINDOWS = 4
 _VERSION = 1
@@ -57,7 +56,7 @@ class _Baseline:
     sampling_rate: float
     window: float
     shape: HealthyBand
-    edges: Array
+    edges: AnyArray
     bands: HealthyBand
     lines: Mapping[str, float]
 
@@ -163,7 +162,7 @@ class Bearing(Diagnoser):
         rate = healthy[0].sampling_rate
         window = min(_WINDOW, *(record.duration for record in healthy))
         edges = octave_edges(rate, window)
-        parts: list[Array] = []
+        parts: list[AnyArray] = []
         lines: dict[str, float] = {}
         for record in healthy:
             speed = self._speed_channel(record)
@@ -180,7 +179,7 @@ class Bearing(Diagnoser):
         self._baseline = _Baseline(rate, window, shape, edges, bands, lines)
         return self
 
-    def _trainable(self, record: Record) -> Array:
+    def _trainable(self, record: Record) -> AnyArray:
         """The acceleration of a record that may be trained on; BadInput says why another may not."""
         x, _ = self._acceleration(record)
         if reason := unusable(x, _SHORTEST):
@@ -226,7 +225,7 @@ class Bearing(Diagnoser):
             return Finding.not_assessable(self.name, line)
         return judged
 
-    def _lines(self, record: Record, x: Array, speed: str | None, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
+    def _lines(self, record: Record, x: AnyArray, speed: str | None, frequencies: BearingFrequencies) -> dict[str, LineEvidence]:
         steady = at_steady_speed(x, record, speed, self.speed_rpm, in_hertz=bool(self.hertz))
         return line_evidence(steady, record.sampling_rate, frequencies)
 
@@ -279,7 +278,7 @@ class Bearing(Diagnoser):
             limit = PROMINENT_WITHOUT_A_CHANGE
         return max(limit, 1.3 * (self._baseline.lines.get(name, 0.0) if self._baseline else 0.0))
 
-    def _acceleration(self, record: Record) -> tuple[Array, str]:
+    def _acceleration(self, record: Record) -> tuple[AnyArray, str]:
         """The vibration in m/s² (or without unit), float32 kept."""
         name = self.channel or next((name for name in record.names if compatible(record.units[name], "m/s²")), None)
         if name is None and len(record.names) == 1 and compatible(record.units[record.names[0]], ""):
@@ -374,12 +373,12 @@ class Bearing(Diagnoser):
 class _Measured:
     """Indicators of a record: medians over windows; `comparable` when rate (and so bandwidth) is the baseline's."""
 
-    shape: Array
+    shape: AnyArray
     bands: dict[str, float]
     comparable: bool
 
     @classmethod
-    def of(cls, x: Array, rate: float, baseline: _Baseline | None) -> _Measured:
+    def of(cls, x: AnyArray, rate: float, baseline: _Baseline | None) -> _Measured:
         parts = _windows(x, rate, baseline.window if baseline else _WINDOW)
         shape = np.median([_shape(part) for part in parts], axis=0)
         if baseline is None:
@@ -403,25 +402,25 @@ def _healthy(records: Sequence[Record], labels: Sequence[str] | None) -> list[Re
     return [block for record in healthy for block in blocks_of(record)]
 
 
-def _keep_largest(lines: dict[str, float], parts: list[Array], rate: float, frequencies: BearingFrequencies) -> None:
+def _keep_largest(lines: dict[str, float], parts: list[AnyArray], rate: float, frequencies: BearingFrequencies) -> None:
     """Raise `lines` to how prominent each family is in healthy signals anyway: the largest over them."""
     for part in parts:
         for name, evidence in line_evidence(part, rate, frequencies).items():
             lines[name] = max(lines.get(name, -np.inf), evidence.prominence)
 
 
-def _windows(x: Array, rate: float, window: float) -> list[Array]:
+def _windows(x: AnyArray, rate: float, window: float) -> list[AnyArray]:
     """Whole windows of `window` seconds; the record itself when it is shorter than one."""
     n = round(window * rate)
     return [x[start : start + n] for start in range(0, x.shape[0] - n + 1, n)] or [x]
 
 
-def _shape(x: Array) -> list[float]:
+def _shape(x: AnyArray) -> list[float]:
     found = indicators(x - x.mean())
     return [found.rms, found.kurtosis, found.crest]
 
 
-def _band_names(edges: Array) -> list[str]:
+def _band_names(edges: AnyArray) -> list[str]:
     return [f"rms_{low:.4g}_{high:.4g}_hz" for low, high in pairwise(edges)]
 
 
@@ -488,7 +487,7 @@ def _held(finding: Finding) -> str:
     return ", ".join(held) + "; train on healthy records for a baseline"
 
 
-def _moving(x: Array, record: Record, frequencies: BearingFrequencies) -> str:
+def _moving(x: AnyArray, record: Record, frequencies: BearingFrequencies) -> str:
     """Why no line that was not found says anything: the vibration shows a changing speed; empty for a steady one."""
     lines = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
     line = moving_line(x, record.sampling_rate, lines) if lines else None

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
@@ -23,12 +23,11 @@ from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 
-Array = npt.NDArray[Any]
 QUADRANTS = 4
 OF_ROUND = ("kurtosis", "rms", "crest", "impulsiveness")
 OF_QUADRANT = ("kurtosis", "rms")
 NAMES = (*OF_ROUND, *(f"{name}_q{q + 1}" for name in OF_QUADRANT for q in range(QUADRANTS)))
-_LEAST_CHANGE: Array = np.array([1.3 if name.startswith(("kurtosis", "crest", "impulsiveness")) else 1.15 for name in NAMES])
+_LEAST_CHANGE: AnyArray = np.array([1.3 if name.startswith(("kurtosis", "crest", "impulsiveness")) else 1.15 for name in NAMES])
 _LEAST_BAND_CHANGE = 1.5
 _VERSION = 1
 
@@ -129,7 +128,7 @@ class GrippingPliers(Diagnoser):
             raise BadInput(f"gripping-pliers: record {record.source!r} cannot be compared: {reason}")
         return compare_rounds(baseline.profile, part.profiles(baseline.band), self.false_alarm, QUADRANTS)
 
-    def _judge(self, baseline: _Baseline, part: _RoundsOf, measured: Array, bands: Array) -> Finding:
+    def _judge(self, baseline: _Baseline, part: _RoundsOf, measured: AnyArray, bands: AnyArray) -> Finding:
         share = self.false_alarm / (len(NAMES) + bands[0].size)
         limits = baseline.indicators.upper(share, _LEAST_CHANGE)
         band_limits = baseline.bands.upper(share, _LEAST_BAND_CHANGE)
@@ -147,7 +146,7 @@ class GrippingPliers(Diagnoser):
         says = _says(found, thresholds, evidence) if faulty else None
         return Finding(self.name, verdict, fault_class, found, thresholds, units, evidence, says).with_remarks(part.remarks)
 
-    def _evidence(self, baseline: _Baseline, part: _RoundsOf, excess: Array, bands: Array) -> dict[str, Any]:
+    def _evidence(self, baseline: _Baseline, part: _RoundsOf, excess: AnyArray, bands: AnyArray) -> dict[str, Any]:
         row, column = np.unravel_index(int(np.argmax(excess)), excess.shape)
         differs = part.axes(self.levels).band(int(row))
         quadrant_ratio = (bands[row] / np.exp(baseline.bands.mean[row]))[:QUADRANTS]
@@ -246,7 +245,7 @@ class _RoundsOf:
         """Median duration of a round [s]."""
         return float(np.median(np.diff(self.rounds.edges[:, [0, -1]]))) * self.record.sample_time
 
-    def segments(self) -> list[Array]:
+    def segments(self) -> list[AnyArray]:
         """The acceleration of each round."""
         return [self.acceleration[first:last] for first, last in self.rounds.edges[:, [0, -1]]]
 
@@ -254,18 +253,18 @@ class _RoundsOf:
         """A kurtogram of the first round, for its bands."""
         return kurtogram(self.segments()[0], self.record.sampling_rate, levels, method="fft")
 
-    def envelope(self, a: Array, edges: Array, band: Band) -> tuple[Array, list[Array]]:
+    def envelope(self, a: AnyArray, edges: AnyArray, band: Band) -> tuple[AnyArray, list[AnyArray]]:
         """Envelope of one round in the band, and its quadrants from the first to the last."""
         envelope = band_envelope(a - a.mean(), self.record.sampling_rate, band.low, band.high, decimate=False).values
         parts = np.split(envelope, (edges - edges[0])[1:-1])
         return envelope, [parts[s] for s in self._segment_of_quadrant()]
 
-    def profiles(self, band: Band) -> Array:
+    def profiles(self, band: Band) -> AnyArray:
         """Envelope RMS along each round, shape (rounds, PLACES)."""
         pairs = zip(self.segments(), self.rounds.edges, strict=True)
         return np.array([round_profile(self.envelope(a, edges, band)[1]) for a, edges in pairs])
 
-    def measure(self, band: Band, levels: int) -> tuple[Array, Array]:
+    def measure(self, band: Band, levels: int) -> tuple[AnyArray, AnyArray]:
         """What is judged of each round.
 
         Indicators of the chosen band, shape (rounds, indicators); of every band of the kurtogram the RMS in the
@@ -283,7 +282,7 @@ class _RoundsOf:
         return sorted(range(QUADRANTS), key=self.rounds.quadrant)
 
 
-def _indicators(envelope: Array, quadrants: list[Array]) -> list[float]:
+def _indicators(envelope: AnyArray, quadrants: list[AnyArray]) -> list[float]:
     whole, parts = indicators(envelope), [indicators(quadrant) for quadrant in quadrants]
     return [*(getattr(whole, name) for name in OF_ROUND), *(getattr(part, name) for name in OF_QUADRANT for part in parts)]
 
@@ -300,7 +299,7 @@ class _Baseline:
     round_duration: float
     marked: bool
 
-    def deaf(self, bands: Array) -> str | None:
+    def deaf(self, bands: AnyArray) -> str | None:
         """Why the sensor does not hear what it heard at training, by the RMS in each band of the kurtogram."""
         healthy = np.exp(self.bands.mean)[:, :QUADRANTS].mean(axis=1)
         current = np.median(bands[:, :, :QUADRANTS], axis=0).mean(axis=1)
@@ -347,7 +346,7 @@ def _mean_kurtogram(parts: list[_RoundsOf], levels: int) -> Kurtogram:
     return kurtogram(every, parts[0].record.sampling_rate, levels)
 
 
-def _pooled(measured: Array, bands: Array, profiles: Array) -> tuple[Array, Array, Array]:
+def _pooled(measured: AnyArray, bands: AnyArray, profiles: AnyArray) -> tuple[AnyArray, AnyArray, AnyArray]:
     """Every round turned by 0, 1, 2, 3 quadrants, so that all quadrants share one distribution."""
     turns = [np.roll(np.arange(QUADRANTS), turn) for turn in range(QUADRANTS)]
     first = len(OF_ROUND)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy import signal
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
@@ -24,7 +25,6 @@ from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.state_space import FloatArray
 from residuum.identification.linear_models.uncertainty import WEIGHT_ORDER, design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.nearest_names import did_you_mean

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from residuum.diagnosis.gate.notch_match import ComplexArray, NotchMatch, Signal
+from residuum.array_types import ComplexArray
+from residuum.diagnosis.gate.notch_match import NotchMatch, Signal
 
 _GRID = 4096  # places a turn at which two patterns are laid over each other: a fortieth of the finest order's period
 _COARSE_GRID = 512  # enough to choose the nearest among many: twelve places a period of the finest order

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from residuum.array_types import ComplexArray
 from residuum.diagnosis.vibration.rotation.shaft_pattern import POINTS_OF_A_TURN
 from residuum.identification.errors import NotIdentifiable
 
 Signal = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _WIDTHS = (0.6, 0.8, 1.0, 1.25)  # standard deviations of the bump in pitches of the gear: about the two teeth that spread
 _SMOOTHING = 3  # orders; over more, the steep power of the lowest orders leaks into the next
 

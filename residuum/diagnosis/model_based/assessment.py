@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.model_based.baseline import Baseline, alone, wide_prior
 from residuum.diagnosis.model_based.causes import Cause, causes
@@ -42,12 +42,12 @@ class Detected:
     """
 
     p: float
-    mean: Array
-    covariance: Array
-    surprise: Array
+    mean: FloatArray
+    covariance: FloatArray
+    surprise: FloatArray
 
 
-def detected(baseline: Baseline, fit: Fit, offsets: tuple[Array, Array], features: Array) -> Detected:
+def detected(baseline: Baseline, fit: Fit, offsets: tuple[FloatArray, FloatArray], features: FloatArray) -> Detected:
     """Hold the window's own estimate, its error and its offsets (with the information on them) against healthy ones;
     Bonferroni's bound over the tests.
     """
@@ -68,7 +68,6 @@ def detected(baseline: Baseline, fit: Fit, offsets: tuple[Array, Array], feature
     return Detected(min(1.0, _TESTS * min(each)), mean, covariance, z)
 
 
-Array = npt.NDArray[np.float64]
 _RAREST = 1e-300
 
 
@@ -83,9 +82,9 @@ class Seen:
     """
 
     window: Experiment
-    features: Array
+    features: FloatArray
     fit: Fit
-    offsets: tuple[Array, Array]
+    offsets: tuple[FloatArray, FloatArray]
 
 
 @one_thread()

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
@@ -24,7 +25,6 @@ from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, informa
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
 
-Array = npt.NDArray[np.float64]
 _VERSION = 6
 
 
@@ -33,10 +33,10 @@ class Usual:
     """What a hypothesis shows in healthy windows: its mean gain [nat], and its sizes there, shape (windows, sizes)."""
 
     gain: float
-    sizes: Array
+    sizes: FloatArray
 
     @property
-    def variance(self) -> Array | float:
+    def variance(self) -> FloatArray | float:
         """Of its sizes from window to window; 0 where too few are known."""
         return self.sizes.var(axis=0, ddof=1) if len(self.sizes) > 2 else 0.0
 
@@ -74,12 +74,12 @@ class Baseline:
     errors: Scatter
     offsets: Scatter
     usual: Mapping[str, Usual]
-    information: Array
-    typical: Array
-    input_spans: Array
-    spans: Array
+    information: FloatArray
+    typical: FloatArray
+    input_spans: FloatArray
+    spans: FloatArray
     measured: npt.NDArray[np.bool_]
-    hold: Array
+    hold: FloatArray
     sample_time: float
     seconds: float
     windows: int
@@ -101,7 +101,7 @@ class Baseline:
         """Effects that the user's model lacks."""
         return tuple(use for use in self.model.effects if use.label in self.mended)
 
-    def fitter(self, window: Experiment, features: Array) -> WindowFitter:
+    def fitter(self, window: Experiment, features: FloatArray) -> WindowFitter:
         """What fits hypotheses to a window of a run of this kind."""
         (mean, covariance), log = self.values.at(features), self.errors.at(features)[0]
         known = self.model.all_parameters
@@ -110,13 +110,13 @@ class Baseline:
         model = self.model.with_values(dict(zip(self.free, mean.tolist(), strict=True)))
         return WindowFitter(model, window, mean, covariance, whitening, self.values.freedom)
 
-    def surprise(self, features: Array, fit: Fit) -> Array:
+    def surprise(self, features: FloatArray, fit: Fit) -> FloatArray:
         """How far error power lies above the usual [standard deviations], of errors as they are and whitened, (2 · outputs,)."""
         log, covariance = self.errors.at(features)
         there = np.tile(self.measured, 2)
         return np.where(there, (log_power(fit) - log) / np.sqrt(np.diag(covariance)), 0.0)
 
-    def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[Array, Array]:
+    def offsets_in(self, fitter: WindowFitter, healthy: Fit | None) -> tuple[FloatArray, FloatArray]:
         """The offset of each output that explains a window best beside values in their healthy scatter, and its information.
         Each has shape (outputs,). Begun where the healthy model's fit ended.
         """
@@ -178,7 +178,7 @@ class Baseline:
             raise BadInput(f"{path}: is not a model-based baseline: {error}") from None
 
 
-def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> Baseline:
+def _read(meta: Mapping[str, Any], arrays: Mapping[str, FloatArray], source: str) -> Baseline:
     asked, model = (with_absent(read_model(meta[name], source), meta["absent"]) for name in ("asked", "model"))
     values, errors, offsets = (
         Scatter(arrays[f"{name}_B"], arrays[f"{name}_S"], arrays[f"{name}_M"], float(freedom))
@@ -209,12 +209,14 @@ def _read(meta: Mapping[str, Any], arrays: Mapping[str, Array], source: str) -> 
     )
 
 
-def wide_prior(values: Array) -> Array:
+def wide_prior(values: FloatArray) -> FloatArray:
     """Covariance of values that a window is asked for by itself."""
     return np.diag((WIDE * np.maximum(np.abs(values), 1e-12)) ** 2)
 
 
-def alone(model: PhysicalModel, window: Experiment, mean: Array, whitening: Whitening, begin: Fit | None = None) -> Fit | None:
+def alone(
+    model: PhysicalModel, window: Experiment, mean: FloatArray, whitening: Whitening, begin: Fit | None = None
+) -> Fit | None:
     """The window's own values of the healthy model, all of them free; the lower of the descents from their mean and from a fit
     to begin with.
     """

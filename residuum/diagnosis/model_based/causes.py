@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.hypotheses import Hypothesis
 from residuum.diagnosis.model_based.policy import (
@@ -98,7 +99,7 @@ def _after(first: Edit | None, second: Edit | None, n: int) -> Edit | None:
     if first is None and second is None:
         return None
 
-    def edit(signals: Array, sizes: Array) -> Array:
+    def edit(signals: FloatArray, sizes: FloatArray) -> FloatArray:
         out = signals if first is None else first(signals, sizes[:n])
         return out if second is None else second(out, sizes[n:])
 
@@ -114,7 +115,6 @@ def _whose(first: Variant, second: Variant) -> tuple[list[int], list[int]]:
     )
 
 
-Array = npt.NDArray[np.float64]
 _RANK = {"parameter": 0, "sensor": 1, "actuator": 1, "effect": 2, "disturbance": 3}
 """Order of what cannot be told apart: what changed before what is new."""
 
@@ -132,14 +132,14 @@ class Cause:
 
     hypothesis: Hypothesis | None
     probability: float
-    size: Array
-    std: Array
+    size: FloatArray
+    std: FloatArray
     onset: int
     alike: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
 
-def causes(baseline: Baseline, window: Experiment, features: Array) -> list[Cause]:
+def causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
     """The likeliest first; none of size zero."""
     return of_some_size(_causes(baseline, window, features))
 
@@ -173,7 +173,7 @@ def _is_of_size_zero(cause: Cause) -> bool:
     return bool(np.all(np.abs(cause.size) <= _NOTHING * np.nan_to_num(cause.std)))
 
 
-def _causes(baseline: Baseline, window: Experiment, features: Array) -> list[Cause]:
+def _causes(baseline: Baseline, window: Experiment, features: FloatArray) -> list[Cause]:
     fitter = baseline.fitter(window, features)
     healthy, found = tried(fitter, baseline.hypotheses, baseline.usual_gain)
     if not found:
@@ -236,7 +236,7 @@ def _cheapest(baseline: Baseline, fitter: WindowFitter, fits: Iterable[Tried]) -
     return min(fits, key=lambda t: fitter.nats(t.fit) + baseline.usual_gain(t.hypothesis))
 
 
-def _unknown(baseline: Baseline, fitter: WindowFitter, features: Array, healthy: Fit, best: Fit) -> float:
+def _unknown(baseline: Baseline, fitter: WindowFitter, features: FloatArray, healthy: Fit, best: Fit) -> float:
     """Probability that something else is there too: the part of the excess that the best fit leaves; 0 where that is usual.
 
     Not asked of noise and lost readings: they are what is left, and take nothing away from it.
@@ -272,7 +272,7 @@ def _weighed(baseline: Baseline, fitter: WindowFitter, listed: Sequence[Tried]) 
     return found
 
 
-def _wins(logs: Array, fixed: Array, sizes: Array | None = None) -> Array:
+def _wins(logs: FloatArray, fixed: FloatArray, sizes: FloatArray | None = None) -> FloatArray:
     """How often each is the cheapest over resampled blocks; those within a factor of twenty share a draw, of them the ones of
     fewest sizes.
     """
@@ -286,20 +286,20 @@ def _wins(logs: Array, fixed: Array, sizes: Array | None = None) -> Array:
     return wins
 
 
-def _near(logs: Array, total: Array, lead: int) -> npt.NDArray[np.bool_]:
+def _near(logs: FloatArray, total: FloatArray, lead: int) -> npt.NDArray[np.bool_]:
     """Whether each lies within the doubt of its difference to the leading one."""
     doubt = np.std(logs - logs[lead], axis=1, ddof=1) * np.sqrt(BLOCKS)
     return np.asarray(total - total[lead] < np.maximum(TIE, doubt))
 
 
-def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> Array:
+def _doubt(baseline: Baseline, fitter: WindowFitter, tried: Tried) -> FloatArray:
     """Standard deviation of the sizes: what the window leaves open, and how the same sizes scatter in healthy windows."""
     fit, h = tried.fit, tried.hypothesis
     variance = _scatter(baseline, fitter, h, fit.variant.own, len(fit.own))
     return np.sqrt(variance) if h.seen is not None else np.sqrt(_open(fitter, fit) ** 2 + variance)
 
 
-def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Sequence[str], sizes: int) -> Array:
+def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Sequence[str], sizes: int) -> FloatArray:
     """Variance of a hypothesis' sizes from one healthy window to the next, shape (sizes,)."""
     if own and own[0] in fitter.free:
         return np.diag(fitter.covariance)[[fitter.free.index(name) for name in own]]
@@ -308,7 +308,7 @@ def _scatter(baseline: Baseline, fitter: WindowFitter, h: Hypothesis, own: Seque
     return np.broadcast_to(variance if np.size(variance) in (1, sizes) else 0.0, (sizes,))
 
 
-def _open(fitter: WindowFitter, fit: Fit) -> Array:
+def _open(fitter: WindowFitter, fit: Fit) -> FloatArray:
     """Standard deviation of the sizes that the window leaves open; NaN where nothing can be said of it."""
     k, own = len(fit.others), fit.variant.own
     H = information(fit, k + len(fit.own))
@@ -327,7 +327,7 @@ _SHORTEST = 10
 """[samples] Before and after a beginning."""
 
 
-def begun(baseline: Baseline, fitter: WindowFitter, features: Array) -> dict[str, Tried]:
+def begun(baseline: Baseline, fitter: WindowFitter, features: FloatArray) -> dict[str, Tried]:
     """The best beginning of each hypothesis, found on a coarse grid; those that promise most halved in."""
     window, found = fitter.window, dict[str, Tried]()
     listed = [h for h in baseline.hypotheses if not (h.seen or h.begin or h.kind == "disturbance")]
@@ -350,7 +350,7 @@ def _keep(found: dict[str, Tried], new: Sequence[Tried], fitter: WindowFitter) -
 
 
 def _beginning_at(
-    baseline: Baseline, fitter: WindowFitter, features: Array, at: int, listed: Sequence[Hypothesis], steps: int
+    baseline: Baseline, fitter: WindowFitter, features: FloatArray, at: int, listed: Sequence[Hypothesis], steps: int
 ) -> list[Tried]:
     window = fitter.window
     if not _SHORTEST < at < window.n - _SHORTEST:

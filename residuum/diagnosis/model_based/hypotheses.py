@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.policy import FIRST_SIZE, GRID, KNOTS, LOST_READING, SHAPES_LOOKED_AT
 from residuum.diagnosis.model_based.variant import Variant, amplified, delayed, edited, held
 from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, candidates, conditions_at, find_effect
 
-Array = npt.NDArray[np.float64]
 UNKNOWN_LOAD = "unknown-load"
 _LATE = (0.5, 3.0, 12.0)
 """[samples] Delays to begin with."""
@@ -47,7 +46,7 @@ class Hypothesis:
     name: str
     place: str = ""
     unit: str = ""
-    variants: Callable[[Experiment, Array], list[Variant]] = lambda e, X: []
+    variants: Callable[[Experiment, FloatArray], list[Variant]] = lambda e, X: []
     begin: Callable[[Experiment, int], Variant] | None = None
     seen: Callable[[WindowFitter, Fit], Fit | None] | None = None
     in_samples: bool = False
@@ -90,7 +89,7 @@ def _new_effect(model: PhysicalModel, key: Key) -> Hypothesis:
     return Hypothesis(kind, name, key.target, unit, lambda e, X: _beginnings(model, key, e, X), key=key)
 
 
-def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: Array) -> list[Variant]:
+def _beginnings(model: PhysicalModel, key: Key, e: Experiment, X: FloatArray) -> list[Variant]:
     """An effect at each of its first shapes, small: the fit finds its sizes."""
     effect, found = find_effect(key.effect), []
     try:
@@ -119,7 +118,7 @@ def _sensor(model: PhysicalModel, o: int, name: str, unit: str) -> list[Hypothes
         value = float(np.median(y[np.isfinite(y)])) if np.isfinite(y).any() else 0.0
         return Variant(model, sizes=(value,), lower=(-np.inf,), onset=t, reading=edited(o, held, t))
 
-    def anywhere(e: Experiment, X: Array) -> list[Variant]:
+    def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
         return [stuck(e, t) for t in sorted({_longest_run(e.Y[:, o]), *range(0, e.n - 2, max(e.n // GRID, 1))})]
 
     return [
@@ -137,7 +136,7 @@ def _actuator(model: PhysicalModel, i: int, name: str, unit: str) -> list[Hypoth
     def stuck(e: Experiment, t: int) -> Variant:
         return Variant(model, sizes=(float(e.U[t, i]),), lower=(-np.inf,), onset=t, inputs=edited(i, held, t))
 
-    def anywhere(e: Experiment, X: Array) -> list[Variant]:
+    def anywhere(e: Experiment, X: FloatArray) -> list[Variant]:
         return [stuck(e, t) for t in range(0, e.n - 2, max(e.n // GRID, 1))]
 
     return [
@@ -146,7 +145,7 @@ def _actuator(model: PhysicalModel, i: int, name: str, unit: str) -> list[Hypoth
     ]
 
 
-def _longest_run(y: Array) -> int:
+def _longest_run(y: FloatArray) -> int:
     """Where the longest run of equal readings begins."""
     edges = np.flatnonzero(np.concatenate([[True], y[1:] != y[:-1], [True]]))
     return int(edges[np.argmax(np.diff(edges))])
@@ -158,7 +157,7 @@ def _unknown_load(model: PhysicalModel, balance: str) -> Variant:
     for k in range(KNOTS):
         larger = larger.with_input(f"knot{k}", "").with_effect("forgotten-input", f"{balance}(knot{k})", {"gain": 0.0})
 
-    def hats(U: Array, sizes: Array) -> Array:
+    def hats(U: FloatArray, sizes: FloatArray) -> FloatArray:
         at = np.linspace(0.0, KNOTS - 1.0, len(U))
         return np.column_stack([U[:, :inputs], *(np.interp(at, np.arange(KNOTS), hat) for hat in np.eye(KNOTS))])
 

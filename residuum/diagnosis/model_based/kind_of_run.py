@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.policy import STILL
 from residuum.identification.physics import Experiment
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +25,8 @@ class KindOfRun:
     """
 
     beside: tuple[str, ...]
-    centre: Array
-    spread: Array
+    centre: FloatArray
+    spread: FloatArray
 
     @classmethod
     def of(cls, windows: Sequence[Experiment]) -> KindOfRun:
@@ -38,11 +36,11 @@ class KindOfRun:
         spread = np.maximum(F.std(axis=0), STILL * np.max(np.abs(F), axis=0, initial=0.0))
         return cls(beside, F.mean(axis=0), np.where(spread > 0.0, spread, np.inf))
 
-    def features(self, e: Experiment) -> Array:
+    def features(self, e: Experiment) -> FloatArray:
         """1 and the features in healthy spreads, shape (1 + features,); usual (0) for a channel that was not recorded."""
         return np.concatenate([[1.0], np.nan_to_num((_raw(e, self.beside) - self.centre) / self.spread)])
 
 
-def _raw(e: Experiment, beside: Sequence[str]) -> Array:
+def _raw(e: Experiment, beside: Sequence[str]) -> FloatArray:
     means = [float(e.spare[name].values.mean()) if name in e.spare else np.nan for name in beside]
     return np.concatenate([e.U.mean(axis=0), e.U.std(axis=0), np.sqrt(np.mean(np.diff(e.U, axis=0) ** 2, axis=0)), means])

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import alone
 from residuum.diagnosis.model_based.policy import ALWAYS, CALIBRATED, NO_ERROR, OPEN, SEARCH, SEARCHED
 from residuum.diagnosis.model_based.whitening import Whitening
@@ -26,8 +26,6 @@ from residuum.identification.unseen_blocks.tried import Search, Wanted
 from residuum.identification.unseen_blocks.verdict import is_timing
 from residuum.identification.work import at_most
 
-Array = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class _Mended:
@@ -38,7 +36,7 @@ class _Mended:
     fits: Sequence[Fit | None]
 
     @property
-    def log_errors(self) -> Array:
+    def log_errors(self) -> FloatArray:
         """Mean over the outputs of the logarithm of the RMS error in each window, in the model's over all of them; infinite where
         it diverges.
 
@@ -49,7 +47,7 @@ class _Mended:
         return np.array([np.inf if p is None else 0.5 * np.mean(np.log(p + NO_ERROR**2), where=there) for p in power])
 
     @property
-    def told(self) -> Array:
+    def told(self) -> FloatArray:
         """What each window tells of the values, shape (windows, values, values): 0 where the model diverges."""
         count = len(self.model.free)
         return np.array([np.zeros((count, count)) if f is None else information(f, count) for f in self.fits])
@@ -90,7 +88,7 @@ def evenly(windows: int, count: int) -> list[int]:
     return np.unique(np.linspace(0, windows - 1, count + 2)[1:-1].round().astype(int)).tolist()
 
 
-def _telling(base: _Mended) -> Array:
+def _telling(base: _Mended) -> FloatArray:
     """How much each window tells of the values, shape (windows,): the geometric mean of the information on each of them."""
     told = np.nan_to_num(np.diagonal(base.told, axis1=1, axis2=2))
     return np.asarray(np.log(np.maximum(told, 1e-12 * told.max(axis=0, initial=0.0)) + 1e-300).sum(axis=1))
@@ -145,7 +143,7 @@ def _settled(found: _Mended, before: PhysicalModel) -> PhysicalModel:
     return held(found.model.with_values(dict(zip(names, values.tolist(), strict=True))), new)
 
 
-def _middle(values: Array, weights: Array) -> Array:
+def _middle(values: FloatArray, weights: FloatArray) -> FloatArray:
     """The weighted median over the rows."""
     order = np.argsort(values, axis=0, kind="stable")
     below = np.cumsum(np.take_along_axis(weights + 1e-300, order, axis=0), axis=0)
@@ -153,6 +151,6 @@ def _middle(values: Array, weights: Array) -> Array:
     return np.asarray(np.take_along_axis(values, np.take_along_axis(order, at[None], axis=0), axis=0)[0])
 
 
-def _falls(gain: Array, times: float = ALWAYS) -> bool:
+def _falls(gain: FloatArray, times: float = ALWAYS) -> bool:
     """Whether the error falls in windows by more than so many standard errors."""
     return bool(np.isfinite(gain).all() and gain.mean() > times * gain.std(ddof=1) / np.sqrt(len(gain)))

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.assessment import NotAssessable, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.hypotheses import UNKNOWN_LOAD
@@ -25,7 +25,6 @@ from residuum.identification.physics import Key
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.policy import TIE
 
-Array = npt.NDArray[np.float64]
 _FEWEST = 2
 
 
@@ -40,7 +39,7 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted
     An effect that the user has `accepted` is none of them.
     """
     chosen = np.unique(np.linspace(0, len(records) - 1, min(CALIBRATED, len(records))).astype(int))
-    sizes: dict[str, list[Array]] = {}
+    sizes: dict[str, list[FloatArray]] = {}
     gains: dict[str, float] = {}
     for k in chosen:
         try:
@@ -75,7 +74,7 @@ def refuse_recalibration(baseline: Baseline, records: Sequence[Record], accepted
     )
 
 
-def _chance(baseline: Baseline, label: str, sizes: Sequence[Array]) -> float:
+def _chance(baseline: Baseline, label: str, sizes: Sequence[FloatArray]) -> float:
     """That healthy windows' first size lies so far from that of the training's."""
     usual = baseline.usual.get(label)
     if usual is None or len(usual.sizes) < _FEWEST or len(sizes) < _FEWEST:

@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.policy import EM_STEPS, EVIDENT, RIDGES
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +35,13 @@ class Scatter:
         Windows that S is worth.
     """
 
-    B: Array
-    S: Array
-    M: Array
+    B: FloatArray
+    S: FloatArray
+    M: FloatArray
     freedom: float
 
     @classmethod
-    def of(cls, F: Array, x: Array, information: Sequence[Array] | None, floor: Array) -> Scatter:
+    def of(cls, F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray) -> Scatter:
         """Learned from windows.
 
         Parameters
@@ -62,13 +60,15 @@ class Scatter:
             found, post = _fitted(F, x, information, floor, ridges)
         return found
 
-    def at(self, features: Array) -> tuple[Array, Array]:
+    def at(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (values,) and covariance (values, values) of a further window."""
         widened = np.sqrt(1.0 + np.einsum("i,pij,j->p", features, self.M, features))
         return features @ self.B, self.S * np.outer(widened, widened)
 
 
-def _fitted(F: Array, x: Array, information: Sequence[Array] | None, floor: Array, ridges: Array) -> tuple[Scatter, Array]:
+def _fitted(
+    F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray, ridges: FloatArray
+) -> tuple[Scatter, FloatArray]:
     """The scatter with these ridges, and each window's values as it and the others tell them."""
     n, p = x.shape
     M = np.array([np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges])
@@ -89,7 +89,7 @@ def _fitted(F: Array, x: Array, information: Sequence[Array] | None, floor: Arra
     return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
 
 
-def _evident_ridge(F: Array, y: Array, floor: float) -> float:
+def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
     """The ridge under which the values of the windows are likeliest; less of it only where that is evident."""
     best, chosen = -np.inf, RIDGES[0]
     r = (y - y.mean()) / max(float(y.std()), float(floor), 1e-300)

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.baseline import Baseline, Usual, alone
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.mending import evenly, held, mended
@@ -36,8 +36,6 @@ from residuum.identification.physics.estimation import gauss_newton
 from residuum.identification.record import Record
 from residuum.identification.unseen_blocks.data import Data, data_of
 from residuum.identification.unseen_blocks.ladder import climb, climb_at_likelier_timing
-
-Array = npt.NDArray[np.float64]
 
 
 class Undetermined(NotIdentifiable):
@@ -140,10 +138,10 @@ class _Windows:
     """Each window's own fit, and its features."""
 
     fits: list[Fit]
-    F: Array
+    F: FloatArray
 
     @property
-    def theta(self) -> Array:
+    def theta(self) -> FloatArray:
         return np.array([fit.others for fit in self.fits])
 
 
@@ -193,7 +191,7 @@ def _sized(model: PhysicalModel, experiments: Sequence[Experiment]) -> Whitening
     return Whitening.plain(np.maximum(np.nan_to_num(estimate(model, experiments, free=()).rmse), 1e-9))
 
 
-def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: Array, whitening: Whitening) -> list[Fit]:
+def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: FloatArray, whitening: Whitening) -> list[Fit]:
     found = []
     for e in experiments:
         fit = alone(model, e, start, whitening)
@@ -205,17 +203,17 @@ def _each_alone(model: PhysicalModel, experiments: Sequence[Experiment], start: 
     return found
 
 
-def _inputs(e: Experiment) -> Array:
+def _inputs(e: Experiment) -> FloatArray:
     return e.U
 
 
-def _readings(e: Experiment) -> Array:
+def _readings(e: Experiment) -> FloatArray:
     """Readings, a missing one as their mean."""
     count = np.maximum(np.isfinite(e.Y).sum(axis=0), 1)
     return np.where(np.isfinite(e.Y), e.Y, np.nan_to_num(e.Y).sum(axis=0) / count)
 
 
-def _apart(F: Array, x: Array) -> tuple[int, ...]:
+def _apart(F: FloatArray, x: FloatArray) -> tuple[int, ...]:
     """Windows that differ from all others in a value or in their error, each held against the scatter of the others."""
     found, n = [], len(x)
     for k in range(n):
@@ -246,7 +244,7 @@ def _calibrated(baseline: Baseline, experiments: Sequence[Experiment]) -> Baseli
     return replace(baseline, usual=usual)
 
 
-def _sizes(fits: Sequence[Fit]) -> Array:
+def _sizes(fits: Sequence[Fit]) -> FloatArray:
     """Shape (windows, sizes); a hypothesis whose number of sizes differs from window to window has none that scatter."""
     counts = {len(fit.own) for fit in fits}
     return np.array([fit.own for fit in fits]) if len(counts) == 1 else np.zeros((0, 1))

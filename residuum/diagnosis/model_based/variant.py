@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import PhysicalModel
 
-Array = npt.NDArray[np.float64]
-Edit = Callable[[Array, Array], Array]
+Edit = Callable[[FloatArray, FloatArray], FloatArray]
 """Signals (n, channels) and sizes → signals."""
 
 
@@ -41,14 +40,14 @@ class Variant:
     lower: tuple[float, ...] = ()
     inputs: Edit | None = None
     reading: Edit | None = None
-    louder: Callable[[Array], Array] | None = None
+    louder: Callable[[FloatArray], FloatArray] | None = None
     onset: int = 0
 
 
 def edited(column: int, how: Edit, first: int = 0) -> Edit:
     """The signals with one column changed from a sample on."""
 
-    def edit(values: Array, sizes: Array) -> Array:
+    def edit(values: FloatArray, sizes: FloatArray) -> FloatArray:
         out = values.copy()
         out[first:, column] = how(values[first:, column], sizes)
         return out
@@ -56,22 +55,22 @@ def edited(column: int, how: Edit, first: int = 0) -> Edit:
     return edit
 
 
-def amplified(y: Array, sizes: Array) -> Array:
+def amplified(y: FloatArray, sizes: FloatArray) -> FloatArray:
     """A share more of the signal."""
     return np.asarray(y * (1.0 + sizes[0]))
 
 
-def shifted(y: Array, sizes: Array) -> Array:
+def shifted(y: FloatArray, sizes: FloatArray) -> FloatArray:
     """The signal so much higher."""
     return np.asarray(y + sizes[0])
 
 
-def held(y: Array, sizes: Array) -> Array:
+def held(y: FloatArray, sizes: FloatArray) -> FloatArray:
     """The signal at one value."""
     return np.full_like(y, sizes[0])
 
 
-def delayed(y: Array, sizes: Array) -> Array:
+def delayed(y: FloatArray, sizes: FloatArray) -> FloatArray:
     """The signal so many samples late, between samples a line."""
     at = np.clip(np.arange(len(y)) - sizes[0], 0, len(y) - 1)
     low = np.minimum(at.astype(np.int64), len(y) - 2)

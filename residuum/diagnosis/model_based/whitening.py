@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import toeplitz
 
+from residuum.array_types import FloatArray
 from residuum.identification.unseen_blocks.policy import WHITENING
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 _CORRELATED = 0.05
 """Autocorrelation under which samples count as independent."""
@@ -33,13 +33,13 @@ class Whitening:
         Half the mean square of steps from sample to sample, in sigma²: what is usual of their white part, and the most.
     """
 
-    filters: Array
-    sigma: Array
-    inflation: Array
-    steps: Array
-    most_steps: Array
+    filters: FloatArray
+    sigma: FloatArray
+    inflation: FloatArray
+    steps: FloatArray
+    most_steps: FloatArray
 
-    def white(self, values: Array, known: Flags) -> Array:
+    def white(self, values: FloatArray, known: Flags) -> FloatArray:
         """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was measured."""
         out = np.empty(values.shape)
         for o, a in enumerate(self.filters):
@@ -52,20 +52,20 @@ class Whitening:
         return out
 
     @property
-    def amplified(self) -> Array:
+    def amplified(self) -> FloatArray:
         """By how much whitening multiplies the steps' power of white noise, in sigma², shape (outputs,)."""
         steps = np.diff(self.filters, axis=1, prepend=0.0, append=0.0)
         return np.asarray(0.5 * np.sum(steps**2, axis=1) / self.sigma**2)
 
     @classmethod
-    def plain(cls, sigma: Array) -> Whitening:
+    def plain(cls, sigma: FloatArray) -> Whitening:
         """None but the division by these sizes."""
         filters = np.zeros((len(sigma), WHITENING + 1))
         filters[:, 0] = 1.0
         return cls(filters, sigma, *np.ones((3, len(sigma))))
 
     @classmethod
-    def of(cls, errors: Sequence[Array]) -> Whitening:
+    def of(cls, errors: Sequence[FloatArray]) -> Whitening:
         """Learned from the errors (n, outputs) of healthy windows; Yule-Walker equations."""
         outputs = errors[0].shape[1]
         found = cls.plain(np.ones(outputs))
@@ -83,7 +83,7 @@ class Whitening:
         return found
 
 
-def _autoregression(x: Sequence[Array]) -> Array:
+def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
     rho, n = _autocorrelation(x, WHITENING + 1), sum(map(len, x))
     best, a = np.inf, np.ones(1)
     for p in range(WHITENING + 1):
@@ -94,6 +94,6 @@ def _autoregression(x: Sequence[Array]) -> Array:
     return a
 
 
-def _autocorrelation(x: Sequence[Array], lags: int) -> Array:
+def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
     total = np.sum([np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0)
     return np.asarray(total / max(float(total[0]), 1e-300))

@@ -14,16 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.model_based.policy import FIT_STEPS, LOOK_STEPS, NO_MERIT, SETTLED
 from residuum.diagnosis.model_based.variant import Variant
 from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.unseen_blocks.policy import BLOCKS
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +47,14 @@ class Fit:
     """
 
     variant: Variant
-    others: Array
-    own: Array
-    power: Array
+    others: FloatArray
+    own: FloatArray
+    power: FloatArray
     paid: float
-    white: Array
-    error: Array
-    information: Array
-    initial: Array
+    white: FloatArray
+    error: FloatArray
+    information: FloatArray
+    initial: FloatArray
     substeps: list[int]
     onset: int = 0
 
@@ -65,7 +63,13 @@ class WindowFitter:
     """One window, and what is usual for such a run."""
 
     def __init__(
-        self, model: PhysicalModel, window: Experiment, mean: Array, covariance: Array, whitening: Whitening, freedom: float
+        self,
+        model: PhysicalModel,
+        window: Experiment,
+        mean: FloatArray,
+        covariance: FloatArray,
+        whitening: Whitening,
+        freedom: float,
     ) -> None:
         self.model, self.free, self.window = model, list(model.free), window
         self.mean, self.covariance, self.whitening, self.freedom = mean, covariance, whitening, freedom
@@ -78,23 +82,23 @@ class WindowFitter:
         """The same of another window of such a run."""
         return WindowFitter(self.model, window, self.mean, self.covariance, self.whitening, self.freedom)
 
-    def blocks(self, white: Array) -> Array:
+    def blocks(self, white: FloatArray) -> FloatArray:
         """Mean square in each block, shape (blocks, outputs); healthy (1) where nothing was measured."""
         square = np.where(self.known, white * white, 0.0)
         total = np.array([np.bincount(self.block, v, BLOCKS) for v in square.T]).T
         count = np.array([np.bincount(self.block, v, BLOCKS) for v in self.known.T]).T
         return np.where(count > 0, total / np.maximum(count, 1), 1.0)
 
-    def steps(self, white: Array) -> Array:
+    def steps(self, white: FloatArray) -> FloatArray:
         """Half the mean square of steps from sample to sample in the usual block, shape (outputs,)."""
         steps = np.concatenate([np.zeros((1, white.shape[1])), np.diff(white, axis=0) / np.sqrt(2.0)])
         return np.asarray(np.median(self.blocks(steps), axis=0))
 
-    def louder(self, white: Array) -> Array:
+    def louder(self, white: FloatArray) -> FloatArray:
         """By how much white noise has grown beyond the most that is usual, told by steps, shape (outputs,)."""
         return np.sqrt(np.maximum(self.steps(white) / self.whitening.most_steps, 1.0))
 
-    def logs(self, fit: Fit) -> Array:
+    def logs(self, fit: Fit) -> FloatArray:
         """[nat] What each block costs, shape (blocks,)."""
         return np.asarray(0.5 * np.log(fit.power + NO_MERIT) @ self.samples / BLOCKS)
 
@@ -123,7 +127,7 @@ class WindowFitter:
         except (BadInput, np.linalg.LinAlgError):
             return None
 
-    def states(self, fit: Fit) -> Array:
+    def states(self, fit: Fit) -> FloatArray:
         """States along a fit of the healthy model, shape (n, states)."""
         simulator = Simulator(self.model)
         p = simulator.p(dict(zip(self.free, fit.others.tolist(), strict=True)))
@@ -133,7 +137,7 @@ class WindowFitter:
 class _Problem:
     """Unknowns z: other values, own parameters, first states, sizes of what is done to signals."""
 
-    def __init__(self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: Array | None) -> None:
+    def __init__(self, fitter: WindowFitter, variant: Variant, begin: Fit | None, first: FloatArray | None) -> None:
         self.fitter, self.variant = fitter, variant
         self.simulator, known = Simulator(variant.model), variant.model.all_parameters
         keep = [j for j, name in enumerate(fitter.free) if name not in variant.own]
@@ -168,8 +172,8 @@ class _Problem:
         return self._told(z, here)
 
     def _descended(
-        self, z: Array, here: tuple[Array, Array, Array], weights: Array, steps: int
-    ) -> tuple[Array, tuple[Array, Array, Array]]:
+        self, z: FloatArray, here: tuple[FloatArray, FloatArray, FloatArray], weights: FloatArray, steps: int
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
         damping, now = 1e-3, self._cost(z, here[0], weights)
         for _ in range(steps):
             J = (here[1] * weights[:, None]).reshape(-1, len(z))
@@ -191,7 +195,7 @@ class _Problem:
                 break
         return z, here
 
-    def _told(self, z: Array, here: tuple[Array, Array, Array]) -> Fit | None:
+    def _told(self, z: FloatArray, here: tuple[FloatArray, FloatArray, FloatArray]) -> Fit | None:
         k, q, nx, variant, fitter = self.k, self.q, self.nx, self.variant, self.fitter
         J = (here[1] * self._weights(here[0])[:, None]).reshape(-1, len(z))
         order = [*range(q), *range(q + nx, len(z)), *range(q, q + nx)]
@@ -209,18 +213,18 @@ class _Problem:
         own = np.concatenate([z[k:q], z[q + nx :]])
         return Fit(variant, z[:k], own, power, worth, here[0], error, information, x0, self.substeps, variant.onset)
 
-    def _paid(self, z: Array) -> Array:
+    def _paid(self, z: FloatArray) -> FloatArray:
         return np.asarray(self.prior @ (z[: self.k] - self.mean))
 
-    def _cost(self, z: Array, white: Array, weights: Array) -> float:
+    def _cost(self, z: FloatArray, white: FloatArray, weights: FloatArray) -> float:
         paid = self._paid(z)
         return float(np.sum((white * weights) ** 2) + paid @ paid)
 
-    def _weights(self, white: Array) -> Array:
+    def _weights(self, white: FloatArray) -> FloatArray:
         rms = np.sqrt((white**2).sum(axis=0) / np.maximum(self.fitter.count, 1))
         return np.asarray(1.0 / np.sqrt(self.fitter.whitening.inflation) / np.maximum(rms, 1.0))
 
-    def _simulated(self, z: Array, slopes: Sequence[str]) -> tuple[Array, Array | None] | None:
+    def _simulated(self, z: FloatArray, slopes: Sequence[str]) -> tuple[FloatArray, FloatArray | None] | None:
         q, nx, e = self.q, self.nx, self.fitter.window
         p, x = self.simulator.p(), self.x0.copy()
         p[self.columns], x[self.at] = z[:q], z[q : q + nx]
@@ -232,7 +236,7 @@ class _Problem:
         run = self.simulator.run_each([e], [x], p, slopes=slopes, substeps=self.substeps)
         return (run.Y, run.dY) if run.bounded else None
 
-    def _errors(self, z: Array) -> tuple[Array, Array, Array] | None:
+    def _errors(self, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Whitened errors, their falling slopes (n, outputs, unknowns), and errors as they are; None where it diverges."""
         e, known, white = self.fitter.window, self.fitter.known, self.fitter.whitening.white
         first, variant = self.q + self.nx, self.variant
@@ -253,7 +257,7 @@ class _Problem:
             dY = np.concatenate([dY, ((read - Y) / (moved[j] - z[j]))[:, :, None]], axis=2)
         return white(e.Y - Y, known), white(dY, known), e.Y - Y
 
-    def _first_states(self, first: Array | None) -> Array:
+    def _first_states(self, first: FloatArray | None) -> FloatArray:
         """Those of another fit, else what was measured first."""
         e, simulator = self.fitter.window, self.simulator
         x0 = simulator.x0(e.known)
@@ -267,14 +271,16 @@ class _Problem:
         return x0
 
 
-def _root_of_inverse(covariance: Array) -> Array:
+def _root_of_inverse(covariance: FloatArray) -> FloatArray:
     """R with RᵀR = covariance⁻¹, also where values of very unlike sizes are nearly tied to each other."""
     size = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-9))).T / size)
 
 
-def _bounded_step(H: Array, g: Array, z: Array, lower: Array, upper: Array, damping: float) -> Array:
+def _bounded_step(
+    H: FloatArray, g: FloatArray, z: FloatArray, lower: FloatArray, upper: FloatArray, damping: float
+) -> FloatArray:
     """The damped step, unknowns at a bound that it would leave held."""
     scale, held = np.sqrt(np.maximum(np.diag(H), 1e-300)), np.zeros(len(z), dtype=bool)
     A = H / scale / scale[:, None] + (damping + 1e-10) * np.eye(len(z))
@@ -287,12 +293,12 @@ def _bounded_step(H: Array, g: Array, z: Array, lower: Array, upper: Array, damp
         held |= leaves
 
 
-def information(fit: Fit, keep: int) -> Array:
+def information(fit: Fit, keep: int) -> FloatArray:
     """Of the first `keep` unknowns, all others eliminated."""
     return _beside(fit.information, keep)
 
 
-def information_on_size(fit: Fit, covariance: Array) -> float:
+def information_on_size(fit: Fit, covariance: FloatArray) -> float:
     """Of the only size, beside other values of this prior covariance (others, others); of one that they make up for wholly, 0."""
     k = len(fit.others)
     H = fit.information.copy()
@@ -301,7 +307,7 @@ def information_on_size(fit: Fit, covariance: Array) -> float:
     return max(float(_beside(H[np.ix_(order, order)], 1)[0, 0]), 0.0)
 
 
-def _beside(H: Array, keep: int) -> Array:
+def _beside(H: FloatArray, keep: int) -> FloatArray:
     """Schur's complement of all but the first `keep`."""
     A, B, C = H[:keep, :keep], H[:keep, keep:], H[keep:, keep:]
     if not len(C):
@@ -311,7 +317,7 @@ def _beside(H: Array, keep: int) -> Array:
     return np.asarray(0.5 * (left + left.T))
 
 
-def log_power(fit: Fit) -> Array:
+def log_power(fit: Fit) -> FloatArray:
     """Logarithm of the RMS of errors as they are and whitened, shape (2 · outputs,)."""
     known = np.isfinite(fit.error)
     count = np.maximum(known.sum(axis=0), 1)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS, FaultContext
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator
-from residuum.identification.linear_models.state_space import FloatArray
 
 STUCK, PLANT_CHANGE = "stuck-sensor", "plant-change"
 _INDISTINCT = 3.0  # log likelihood units within which two kinds are not told apart

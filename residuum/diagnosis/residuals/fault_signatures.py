@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator
-from residuum.identification.linear_models.state_space import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

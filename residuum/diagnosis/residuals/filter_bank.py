@@ -13,16 +13,14 @@ Reference: J. Antoni, Fast computation of the kurtogram for the detection of tra
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from scipy.signal import firwin
 
+from residuum.array_types import AnyArray
 from residuum.kept_loops import njit
 
-Array = npt.NDArray[Any]
-Node = tuple[Array, Array]  # real and imaginary part, apart: the inner loops then run over contiguous numbers
+Node = tuple[AnyArray, AnyArray]  # real and imaginary part, apart: the inner loops then run over contiguous numbers
 
 TAPS = 17
 TAPS_OF_THIRDS = 25
@@ -32,17 +30,17 @@ _CUT_OFF = 0.26
 _RELAXED = {"contract", "nsz", "arcp", "reassoc"}
 
 
-def half_band_filter(dtype: npt.DTypeLike = np.float64) -> Array:
+def half_band_filter(dtype: npt.DTypeLike = np.float64) -> AnyArray:
     """p(n), shape (17,): the low-pass that keeps half a node's band."""
     return np.asarray(firwin(TAPS, _CUT_OFF), dtype=dtype)
 
 
-def third_band_filter(dtype: npt.DTypeLike = np.float64) -> Array:
+def third_band_filter(dtype: npt.DTypeLike = np.float64) -> AnyArray:
     """p₃(n), shape (25,): the low-pass that keeps a third of a node's band."""
     return np.asarray(firwin(TAPS_OF_THIRDS, 2 / 3 * _CUT_OFF), dtype=dtype)
 
 
-def to_centre(x: Array) -> Node:
+def to_centre(x: AnyArray) -> Node:
     """A real signal shifted by −¼ of its rate: x(m) (−j)^m, each part of shape (n,)."""
     real, imag = np.zeros_like(x), np.zeros_like(x)
     real[0::4], real[2::4] = x[0::4], -x[2::4]
@@ -50,7 +48,7 @@ def to_centre(x: Array) -> Node:
     return real, imag
 
 
-def halves(node: Node, segments: int = 1) -> tuple[Node, Node, Array]:
+def halves(node: Node, segments: int = 1) -> tuple[Node, Node, AnyArray]:
     """Split a node in two at half its rate.
 
     Parameters
@@ -70,7 +68,7 @@ def halves(node: Node, segments: int = 1) -> tuple[Node, Node, Array]:
     return (lr, li), (hr, hi), moments
 
 
-def moments_of_thirds(node: Node, segments: int = 1) -> Array:
+def moments_of_thirds(node: Node, segments: int = 1) -> AnyArray:
     """Σ|c|² and Σ|c|⁴ of the lower, middle and upper third of a node (n ≥ 25), shape (3, segments, 2)."""
     real, imag = node
     return np.asarray(_moments_of_thirds(real, imag, third_band_filter(real.dtype), segments))
@@ -87,7 +85,7 @@ def length_of_third(n: int) -> int:
 
 
 @njit(fastmath=_RELAXED)
-def _rotated(real: Array, imag: Array, first: int, count: int, out_r: Array, out_i: Array) -> None:
+def _rotated(real: AnyArray, imag: AnyArray, first: int, count: int, out_r: AnyArray, out_i: AnyArray) -> None:
     """y(first + 2q) j^q for q = 0 … count−1."""
     for q in range(0, count, 4):
         out_r[q], out_i[q] = real[first + 2 * q], imag[first + 2 * q]
@@ -100,7 +98,7 @@ def _rotated(real: Array, imag: Array, first: int, count: int, out_r: Array, out
 
 
 @njit(fastmath=_RELAXED)
-def _add_moments(real: Array, imag: Array, start: int, m: int, count: int, out: Array) -> None:
+def _add_moments(real: AnyArray, imag: AnyArray, start: int, m: int, count: int, out: AnyArray) -> None:
     """Add Σ|c|², Σ|c|⁴ of outputs start … start+m−1 (of count) to the segments they fall in."""
     segments = out.shape[0]
     for segment in range(start * segments // count, (start + m - 1) * segments // count + 1):
@@ -116,7 +114,7 @@ def _add_moments(real: Array, imag: Array, start: int, m: int, count: int, out: 
 
 
 @njit(fastmath=_RELAXED)
-def _halves(yr: Array, yi: Array, p: Array, segments: int) -> tuple[Array, Array, Array, Array, Array]:
+def _halves(yr: AnyArray, yi: AnyArray, p: AnyArray, segments: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray, AnyArray]:
     """Even taps act on u(q) = y(2q) j^q, odd ones on w(q) = y(2q+1) j^q e^{jπ/4}; the halves differ in signs only."""
     count = (yr.shape[0] - 17) // 2 + 1
     lr, li, hr, hi = np.empty(count, p.dtype), np.empty(count, p.dtype), np.empty(count, p.dtype), np.empty(count, p.dtype)
@@ -149,7 +147,7 @@ def _halves(yr: Array, yi: Array, p: Array, segments: int) -> tuple[Array, Array
 
 
 @njit(fastmath=_RELAXED)
-def _sums_by_phase(y: Array, first: int, p: Array, m: int, v: Array, even: Array, odd: Array) -> None:
+def _sums_by_phase(y: AnyArray, first: int, p: AnyArray, m: int, v: AnyArray, even: AnyArray, odd: AnyArray) -> None:
     """Σ p₃(n) y(first + 3k + 24 − n) over the taps n ≡ r (mod 6) in even[r] and n ≡ r + 3 in odd[r], r = 0, 1, 2."""
     for r in range(3):
         for k in range(m + 8):
@@ -164,7 +162,7 @@ def _sums_by_phase(y: Array, first: int, p: Array, m: int, v: Array, even: Array
 
 
 @njit(fastmath=_RELAXED)
-def _moments_of_thirds(yr: Array, yi: Array, p: Array, segments: int) -> Array:
+def _moments_of_thirds(yr: AnyArray, yi: AnyArray, p: AnyArray, segments: int) -> AnyArray:
     """Σ_r e^{∓jπr/3} over the sums by phase; taps n and n + 3 meet opposite signs in the outer thirds."""
     count = (yr.shape[0] - 25) // 3 + 1
     moments = np.zeros((3, segments, 2))

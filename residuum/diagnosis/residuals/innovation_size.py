@@ -10,11 +10,11 @@ from operator import add
 import numpy as np
 from scipy import optimize, stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.noise_model import GAUSSIAN_SHAPE, STEEPEST, NoiseModel
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.state_space import FloatArray
 
 _NEGLIGIBLE = 1e-10  # of the largest eigenvalue: directions that the input does not excite
 _BINS, _NODES = 300, 60  # of the residual's histogram, and of the Gauss–Hermite rule

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.residual_analysis.places.locate import Axis
-
-FloatArray = npt.NDArray[np.float64]
 
 STANDSTILL, STEADY, GAINING, LOSING = "standstill", "steady", "speeding up", "slowing down"
 _SLOW = 0.02  # of the largest speed: below it the machine stands, as `direction_of_movement` has it

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, optimize, signal, special, stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.thresholds.hazard_tail import HazardTail
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.state_space import FloatArray
 
 _HIGHEST_ORDER = 20
 _FEWEST = 50

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import signal, stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.residuals.generators.approximate_fault_detection import (
     FaultKind,
@@ -32,7 +33,7 @@ from residuum.diagnosis.thresholds.healthy_tails import single_sample_law, with_
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput, BadRecord, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.state_space import FloatArray, StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 

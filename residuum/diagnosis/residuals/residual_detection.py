@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
 from residuum.diagnosis.residuals.generators.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.residuals.residual_design import ROBUST, ResidualDesign
@@ -24,7 +25,6 @@ from residuum.diagnosis.thresholds.threshold import (
     source_threshold,
 )
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.state_space import FloatArray
 from residuum.identification.record import Record
 
 _AROUND = 4096  # samples before and after the alarm on which the fault is estimated

@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
 from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank
 from residuum.diagnosis.thresholds.cusum import cusum
-from residuum.identification.linear_models.state_space import FloatArray
 
 RMS_WINDOW = 50
 CUSUM_REFERENCE = 0.5

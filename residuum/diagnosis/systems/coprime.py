@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel
-from residuum.identification.linear_models.state_space import FloatArray, StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.linear_models.state_space import FloatArray
+from residuum.array_types import FloatArray
 from residuum.kept_loops import njit
 
 

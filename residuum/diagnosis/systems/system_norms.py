@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel
-from residuum.identification.linear_models.state_space import FloatArray, StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 
 _LONGEST = 1 << 20
 _ROWS = 1024  # samples of an impulse response that are worked out at once

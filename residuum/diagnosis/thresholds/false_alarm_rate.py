@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, special
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 
-FloatArray = npt.NDArray[np.float64]
 SECONDS_A_DAY = 86400.0
 _OVERLAP = 0.6  # crossings by several lengths at once, counted once: measured over 10⁷ samples at 10⁻³ … 10⁻⁵ a sample
 

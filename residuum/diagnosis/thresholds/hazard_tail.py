@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, stats
 
-from residuum.identification.linear_models.state_space import FloatArray
+from residuum.array_types import FloatArray
 
 _SAMPLES = (1000, 500, 250, 100, 50)  # in a tail: fewer scatter, more reach to where the hazard bends
 _LARGEST_SHARE = 0.05

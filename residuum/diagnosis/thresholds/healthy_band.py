@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-Array = npt.NDArray[Any]
+from residuum.array_types import AnyArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +22,8 @@ class HealthyBand:
         Observations behind them.
     """
 
-    mean: Array
-    scatter: Array
+    mean: AnyArray
+    scatter: AnyArray
     n: int
 
     @classmethod
@@ -35,7 +34,7 @@ class HealthyBand:
         by_quantiles = (quantiles[2] - quantiles[0]) / 3.29
         return cls(logs.mean(axis=0), np.maximum(logs.std(axis=0, ddof=1), by_quantiles), logs.shape[0])
 
-    def upper(self, false_alarm: float, least_change: float | Array = 1.0) -> Array:
+    def upper(self, false_alarm: float, least_change: float | AnyArray = 1.0) -> AnyArray:
         """Limit that one further healthy observation passes with probability `false_alarm`.
 
         exp(mean + t_{n−1}(1 − false_alarm) √(1 + 1/n) scatter): Student's prediction limit of a log-normal indicator, exact for
@@ -45,7 +44,7 @@ class HealthyBand:
         reach = student.isf(false_alarm, self.n - 1) * np.sqrt(1 + 1 / self.n) * self.scatter
         return np.asarray(np.exp(self.mean + np.maximum(reach, np.log(least_change))))
 
-    def deviation(self, observation: npt.ArrayLike) -> Array:
+    def deviation(self, observation: npt.ArrayLike) -> AnyArray:
         """Healthy standard deviations above the mean (of the logarithm)."""
         with np.errstate(divide="ignore"):
             logs = np.log(np.asarray(observation, dtype=float))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.state_space import FloatArray
 
 BLOCK = 128  # samples a peak is taken from; far longer than a whitened residual remembers
 FEWEST_BLOCKS = 10

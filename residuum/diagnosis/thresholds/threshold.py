@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
 from residuum.diagnosis.thresholds.false_alarm_rate import cusum_threshold, scan_threshold
 from residuum.diagnosis.thresholds.healthy_reference import calibrated_threshold
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.state_space import FloatArray
 
 ThresholdKind = Literal["posterior", "peak", "source", "calibrated"]
 EvaluationName = Literal["point", "rms", "cusum", "glr"]

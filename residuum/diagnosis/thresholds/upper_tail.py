@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
 
-Array = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class UpperTail:
         Values behind them.
     """
 
-    centre: Array
-    scatter: Array
+    centre: FloatArray
+    scatter: FloatArray
     n: int
 
     @classmethod
@@ -46,7 +46,7 @@ class UpperTail:
         mean_square = np.nansum(above**2, axis=0) / np.maximum(np.count_nonzero(x > centre, axis=0), 1)
         return cls(np.asarray(centre), np.sqrt(mean_square), x.shape[0])
 
-    def limit(self, rate: float) -> Array:
+    def limit(self, rate: float) -> FloatArray:
         """Value that a further healthy one passes with probability `rate` if the upper tail is normal, shape (…).
 
         centre + t(1 − rate) √(1 + 2/n) scatter, t Student's with n − 1 degrees of freedom: high for few values, normal

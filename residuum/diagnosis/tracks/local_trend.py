@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 _OWN_SCATTER = np.geomspace(0.3, 2.2, 9)
 """σ, in units of the scatter between neighbours."""
@@ -60,27 +60,29 @@ class LocalTrend:
     """
 
     log_likelihood: float
-    weight: Array
-    mean: Array
-    covariance: Array
-    level_walk: Array
-    slope_walk: Array
+    weight: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    level_walk: FloatArray
+    slope_walk: FloatArray
 
     @property
-    def state(self) -> tuple[Array, Array]:
+    def state(self) -> tuple[FloatArray, FloatArray]:
         """Mean and covariance of level, slope and β over all filters."""
         mean = self.weight @ self.mean
         away = self.mean - mean
         return mean, np.einsum("f,fij->ij", self.weight, self.covariance + away[:, :, None] * away[:, None, :])
 
 
-def neighbours_scatter(y: Array) -> float:
+def neighbours_scatter(y: FloatArray) -> float:
     """Standard deviation of one value, from differences of neighbours (what moves slowly hardly counts)."""
     step = np.abs(np.diff(y))
     return float(max(np.median(step) / 0.9539, 1e-9 * max(float(np.ptp(y)), 1e-300), 1e-300))
 
 
-def local_trend(t: Array, y: Array, std: Array, x: Array, alternatives: Sequence[Sequence[Change]]) -> LocalTrend:
+def local_trend(
+    t: FloatArray, y: FloatArray, std: FloatArray, x: FloatArray, alternatives: Sequence[Sequence[Change]]
+) -> LocalTrend:
     """Filter a value to its last sample; alternative lists of changes are weighed by their likelihood.
 
     Parameters
@@ -101,7 +103,9 @@ def local_trend(t: Array, y: Array, std: Array, x: Array, alternatives: Sequence
     return LocalTrend(float(likely.max() + np.log(np.mean(np.exp(likely - likely.max())))), weight, **joined)
 
 
-def likelihoods(t: Array, y: Array, std: Array, x: Array, alternatives: Sequence[Sequence[Change]]) -> Array:
+def likelihoods(
+    t: FloatArray, y: FloatArray, std: FloatArray, x: FloatArray, alternatives: Sequence[Sequence[Change]]
+) -> FloatArray:
     """Marginal log-likelihood of several lists of changes at once, by few filters: to compare them with each other only."""
     return np.array([trend.log_likelihood for trend in side_by_side(t, y, std, x, alternatives, _FEW)])
 
@@ -110,10 +114,10 @@ _ALL = (tuple(_OWN_SCATTER.tolist()), _LEVEL_WALK, _SLOPE_WALK)
 
 
 def side_by_side(
-    t: Array,
-    y: Array,
-    std: Array,
-    x: Array,
+    t: FloatArray,
+    y: FloatArray,
+    std: FloatArray,
+    x: FloatArray,
     alternatives: Sequence[Sequence[Change]],
     sizes: tuple[Sequence[float], Sequence[float], Sequence[float]] = _ALL,
 ) -> list[LocalTrend]:
@@ -151,7 +155,7 @@ def _opens(alternatives: Sequence[Sequence[Change]], n: int) -> npt.NDArray[np.b
     return opens
 
 
-def _predict(m: Array, P: Array, h: float, q_level: Array, q_slope: Array) -> None:
+def _predict(m: FloatArray, P: FloatArray, h: float, q_level: FloatArray, q_slope: FloatArray) -> None:
     m[..., 0] += h * m[..., 1]
     P[..., 0, :] += h * P[..., 1, :]
     P[..., :, 0] += h * P[..., :, 1]
@@ -161,7 +165,7 @@ def _predict(m: Array, P: Array, h: float, q_level: Array, q_slope: Array) -> No
     P[..., 1, 1] += q_slope**2 * h
 
 
-def _update(m: Array, P: Array, y: float, variance: Array, x: Array) -> Array:
+def _update(m: FloatArray, P: FloatArray, y: float, variance: FloatArray, x: FloatArray) -> FloatArray:
     """Take one value; its log-likelihood by each filter."""
     row = np.concatenate([[1.0, 0.0], x])
     Pr = P @ row
@@ -173,7 +177,9 @@ def _update(m: Array, P: Array, y: float, variance: Array, x: Array) -> Array:
     return np.asarray(-0.5 * (np.log(2.0 * np.pi * S) + e**2 / S))
 
 
-def _weighed(log_likelihood: Array, prior: Array, m: Array, P: Array, q_level: Array, q_slope: Array) -> LocalTrend:
+def _weighed(
+    log_likelihood: FloatArray, prior: FloatArray, m: FloatArray, P: FloatArray, q_level: FloatArray, q_slope: FloatArray
+) -> LocalTrend:
     raised = log_likelihood + np.log(prior / prior.sum())
     top = float(raised.max())
     weight = np.exp(raised - top)

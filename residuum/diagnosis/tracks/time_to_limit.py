@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.tracks.local_trend import LocalTrend
-
-Array = npt.NDArray[np.float64]
 
 _DRAWS = 3000
 _STEPS = 160
@@ -66,7 +64,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _passages(now: LocalTrend, limit: float, sign: float, horizon: float, rng: np.random.Generator) -> Array:
+def _passages(now: LocalTrend, limit: float, sign: float, horizon: float, rng: np.random.Generator) -> FloatArray:
     """First passage of each drawn future; infinite where there is none."""
     chosen = rng.choice(len(now.weight), _DRAWS, p=now.weight)
     P = now.covariance[chosen][:, :2, :2]
@@ -85,8 +83,14 @@ def _passages(now: LocalTrend, limit: float, sign: float, horizon: float, rng: n
 
 
 def _walked(
-    left: Array, slope: Array, q_level: Array, q_slope: Array, middle: float, horizon: float, rng: np.random.Generator
-) -> Array:
+    left: FloatArray,
+    slope: FloatArray,
+    q_level: FloatArray,
+    q_slope: FloatArray,
+    middle: float,
+    horizon: float,
+    rng: np.random.Generator,
+) -> FloatArray:
     """Passages of futures whose level or slope walks, step by step: fine up to twice the middle, then ever coarser.
 
     A level that walks is given its deviation at each time by one draw: an excursion that comes back is no wear.

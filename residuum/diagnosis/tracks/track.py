@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.tracks.local_trend import Change, likelihoods, local_trend
 from residuum.diagnosis.tracks.time_to_limit import TimeToLimit, time_to_limit
 from residuum.identification.errors import BadInput, NotIdentifiable
-
-Array = npt.NDArray[np.float64]
 
 FEWEST_WINDOWS_OF_A_TRACK = 8
 _MOST = 300
@@ -67,8 +66,8 @@ class Track:
     level_std: float
     slope: float
     slope_std: float
-    time: Array
-    corrected: Array
+    time: FloatArray
+    corrected: FloatArray
     events: Sequence[TrackEvent]
     remaining: TimeToLimit | None
 
@@ -142,7 +141,7 @@ def track(
 
 def _samples(
     time: npt.ArrayLike, value: npt.ArrayLike, std: npt.ArrayLike | None, moves_with: npt.ArrayLike | None
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     t, y = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
     s = np.zeros_like(y) if std is None else np.asarray(std, dtype=float)
     x = np.zeros((len(y), 0)) if moves_with is None else np.asarray(moves_with, dtype=float).reshape(len(y), -1)
@@ -156,7 +155,7 @@ def _samples(
     return t, y, s, x[:, np.ptp(x, axis=0) > 0]
 
 
-def _joined(t: Array, y: Array, s: Array, x: Array) -> tuple[Array, Array, Array, Array]:
+def _joined(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Neighbours joined to at most 300 samples."""
     every = -(-len(t) // _MOST)
     if every == 1:
@@ -167,7 +166,7 @@ def _joined(t: Array, y: Array, s: Array, x: Array) -> tuple[Array, Array, Array
     return np.array(means[0]), np.array(means[1]), np.array(joint), np.array(means[2]).reshape(len(parts), -1)
 
 
-def _changes(t: Array, y: Array, s: Array, x: Array) -> list[Change]:
+def _changes(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray) -> list[Change]:
     """Changes of level, slope or both, the most worthy first, until none is worth it."""
     found: list[Change] = []
     base = float(likelihoods(t, y, s, x, [[]])[0])
@@ -184,7 +183,7 @@ def _changes(t: Array, y: Array, s: Array, x: Array) -> list[Change]:
     return sorted(found, key=lambda change: change.at)
 
 
-def _alike(t: Array, y: Array, s: Array, x: Array, changes: list[Change]) -> list[list[Change]]:
+def _alike(t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, changes: list[Change]) -> list[list[Change]]:
     """The changes with the last one at every place that is nearly as likely: where a drift began is not known for sure."""
     if not changes:
         return [[]]
@@ -197,7 +196,9 @@ def _alike(t: Array, y: Array, s: Array, x: Array, changes: list[Change]) -> lis
     return [alternatives[k] for k in near if likely[k] > likely.max() - _UNLIKELY]
 
 
-def _best(t: Array, y: Array, s: Array, x: Array, found: list[Change], places: range) -> tuple[Change | None, float]:
+def _best(
+    t: FloatArray, y: FloatArray, s: FloatArray, x: FloatArray, found: list[Change], places: range
+) -> tuple[Change | None, float]:
     free = [k for k in places if all(abs(k - change.at) >= _MARGIN for change in found)]
     candidates = [Change(k, kind) for k in free for kind in ("level", "slope", "renewal")]
     if not candidates:
@@ -208,7 +209,7 @@ def _best(t: Array, y: Array, s: Array, x: Array, found: list[Change], places: r
 
 
 def _events(
-    t: Array, y: Array, changes: Sequence[Change], healthy: tuple[float, float] | None, drifting: bool, slope: float
+    t: FloatArray, y: FloatArray, changes: Sequence[Change], healthy: tuple[float, float] | None, drifting: bool, slope: float
 ) -> list[TrackEvent]:
     events = []
     bounds = [0, *(change.at for change in changes), len(t)]
@@ -222,7 +223,7 @@ def _events(
     return events
 
 
-def _edge(t: Array, y: Array, at: float) -> float:
+def _edge(t: FloatArray, y: FloatArray, at: float) -> float:
     """The value that a stretch has at one of its ends, by a line through its nearest samples."""
     near = np.argsort(np.abs(t - at))[:12]
     if len(near) < 4:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.kept_loops import njit
 
-Array = npt.NDArray[Any]
 _LEAST_SPAN = 1e-30  # of values; its square still is a number
 _AT_RAIL = 8  # samples: fewer at the extreme value are no sign of clipping
 _FLAT_SHARE = 0.05  # of the record in one run of equal values
@@ -87,11 +85,11 @@ def suspect(x: npt.ArrayLike, sampling_rate: float, shaft: float | None = None) 
     >>> suspect(np.random.default_rng(0).standard_normal(12000) + 3 * np.cos(2 * np.pi * 50 * t), 12000)
     'mains hum: 82 % of the power lies at 50 Hz and its odd harmonics'
     """
-    signal: Array = np.asarray(x, dtype=float)
+    signal: AnyArray = np.asarray(x, dtype=float)
     return _drift(signal) or _silent(signal, sampling_rate) or _power_elsewhere(signal, sampling_rate, shaft)
 
 
-def _drift(signal: Array) -> str | None:
+def _drift(signal: AnyArray) -> str | None:
     blocks = np.array([block.mean() for block in np.array_split(signal, 16)])
     about = signal - np.repeat(blocks, [block.shape[0] for block in np.array_split(signal, 16)])
     one_way = np.ptp(blocks) > 0 and abs(np.corrcoef(blocks, np.arange(16))[0, 1]) > _ONE_WAY
@@ -102,7 +100,7 @@ def _drift(signal: Array) -> str | None:
     return None
 
 
-def _silent(signal: Array, sampling_rate: float) -> str | None:
+def _silent(signal: AnyArray, sampling_rate: float) -> str | None:
     """Stretches in which next to nothing is heard, beside others that are loud."""
     length = max(_FEWEST_IN_BLOCK, round(_BLOCK * sampling_rate))
     count = signal.shape[0] // length
@@ -117,7 +115,7 @@ def _silent(signal: Array, sampling_rate: float) -> str | None:
     return f"the sensor is silent for {seconds:.3g} s of {whole:.3g} s, {below}"
 
 
-def _power_elsewhere(signal: Array, sampling_rate: float, shaft: float | None) -> str | None:
+def _power_elsewhere(signal: AnyArray, sampling_rate: float, shaft: float | None) -> str | None:
     """Most of the power below 10 Hz, or in the lines of the mains; a record too slow to tell holds no vibration."""
     if sampling_rate * _SKI_SLOPE <= 2 * _SLOW:
         low, above = f"{sampling_rate:.6g} samples a second", f"{sampling_rate / 2:.6g} Hz"
@@ -198,7 +196,7 @@ def not_heard(healthy: npt.ArrayLike, current: npt.ArrayLike, edges: npt.ArrayLi
     )
 
 
-def without_spikes(x: npt.ArrayLike) -> tuple[Array, int]:
+def without_spikes(x: npt.ArrayLike) -> tuple[AnyArray, int]:
     """The signal with each spike of a single sample replaced by the mean of its neighbours, and how many there were.
 
     What strikes a machine rings on for several samples, since a sensor and its filter pass less than half the sampling rate;
@@ -225,7 +223,7 @@ def without_spikes(x: npt.ArrayLike) -> tuple[Array, int]:
     return clean, int(places.size)
 
 
-def spike_places(x: Array) -> npt.NDArray[np.intp]:
+def spike_places(x: AnyArray) -> npt.NDArray[np.intp]:
     """Where single samples leap far from both neighbours, without any ringing beside them; none where they come evenly."""
     if x.shape[0] < _FEWEST_IN_BLOCK:
         return np.empty(0, dtype=np.intp)
@@ -259,7 +257,7 @@ def remarks(x: npt.ArrayLike, sampling_rate: float, unit: str, spikes: int = 0) 
     spikes : int
         How many were left out of it.
     """
-    signal: Array = np.asarray(x, dtype=float)
+    signal: AnyArray = np.asarray(x, dtype=float)
     mean, told = float(signal.mean()), []
     if spikes:
         told.append(f"spikes of single samples were left out, {spikes} of {signal.shape[0]}: a loose contact or interference")
@@ -271,7 +269,7 @@ def remarks(x: npt.ArrayLike, sampling_rate: float, unit: str, spikes: int = 0) 
     return told
 
 
-def strongest_line(x: Array, sampling_rate: float, low: float = 0.0, high: float = np.inf) -> tuple[float, float]:
+def strongest_line(x: AnyArray, sampling_rate: float, low: float = 0.0, high: float = np.inf) -> tuple[float, float]:
     """The strongest line between two frequencies: where it stands [Hz], and its share of the power between them."""
     n = fft.prev_fast_len(x.shape[0], real=True)
     power = np.abs(fft.rfft((x[:n] - x[:n].mean()) * np.hanning(n))) ** 2
@@ -284,7 +282,7 @@ def strongest_line(x: Array, sampling_rate: float, low: float = 0.0, high: float
     return (max(first, 1) + peak) * sampling_rate / n, share
 
 
-def clipped_share(x: Array) -> float:
+def clipped_share(x: AnyArray) -> float:
     """Share of the samples at a rail; 0 unless the extreme value holds more samples than the 5 % of range below it.
 
     The tail of a free signal thins out towards its extreme value; that of a clipped one piles up there.
@@ -292,7 +290,7 @@ def clipped_share(x: Array) -> float:
     return (_piled_up(x) + _piled_up(-x)) / x.shape[0]
 
 
-def _piled_up(x: Array) -> int:
+def _piled_up(x: AnyArray) -> int:
     """Samples at the upper rail, when they outnumber those of the next 5 % of range (or the next step of a coarse converter)."""
     high, span = float(x.max()), float(np.ptp(x))
     near = x[x >= high - 0.25 * span]
@@ -304,7 +302,7 @@ def _piled_up(x: Array) -> int:
     return at_rail if at_rail > int((below >= high - width * (1 + 1e-9)).sum()) else 0
 
 
-def _repeated(x: Array) -> str | None:
+def _repeated(x: AnyArray) -> str | None:
     """A link that drops out, or a sensor that is asked more often than it answers."""
     if np.count_nonzero(x[1:] == x[:-1]) <= (1 - 1 / _DROPPED_RUN) * _DROPPED_SHARE * x.shape[0]:
         return None  # too few for either, as of nearly every signal
@@ -324,7 +322,7 @@ def _repeated(x: Array) -> str | None:
     return None
 
 
-def _stuck_value(x: Array) -> str | None:
+def _stuck_value(x: AnyArray) -> str | None:
     """One value again and again among values that hardly ever repeat: what a bad line hands on in place of a sample."""
     values, counts = np.unique(x[:4096], return_counts=True)
     most = int(counts.argmax())
@@ -335,7 +333,7 @@ def _stuck_value(x: Array) -> str | None:
     return None
 
 
-def _coarse(x: Array) -> str | None:
+def _coarse(x: AnyArray) -> str | None:
     """A converter whose step is larger than the vibration's RMS."""
     values = np.unique(x[:4096])
     if values.size < 2 or values.size > 64:
@@ -347,7 +345,7 @@ def _coarse(x: Array) -> str | None:
 
 
 @njit()
-def _longest_run(x: Array) -> int:
+def _longest_run(x: AnyArray) -> int:
     longest, run = 1, 1
     for k in range(1, x.shape[0]):
         run = run + 1 if x[k] == x[k - 1] else 1

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.kept_loops import njit
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 @njit(fastmath={"reassoc", "contract"})
-def _first_pass(x: Array) -> tuple[float, float, float, float]:
+def _first_pass(x: AnyArray) -> tuple[float, float, float, float]:
     total, square, absolute, peak = 0.0, 0.0, 0.0, 0.0
     for k in range(x.shape[0]):
         value = float(x[k])
@@ -71,7 +69,7 @@ def _first_pass(x: Array) -> tuple[float, float, float, float]:
 
 
 @njit(fastmath={"reassoc", "contract"})
-def _central_moments(x: Array, mean: float) -> tuple[float, float]:
+def _central_moments(x: AnyArray, mean: float) -> tuple[float, float]:
     second, fourth = 0.0, 0.0
     for k in range(x.shape[0]):
         square = (float(x[k]) - mean) ** 2

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 
-Array = npt.NDArray[Any]
 # Upper limits of zones A, B, C [mm/s RMS]. Classes I–IV: small, medium, large on rigid, large on soft foundations;
 # groups 1 and 2: large and medium industrial machines.
 LIMITS = MappingProxyType(
@@ -65,7 +64,7 @@ def velocity_rms(acceleration: npt.ArrayLike, sampling_rate: float, low: float =
 
     The Hann window keeps what lies below `low` from leaking in, where 1/f would magnify it.
     """
-    a: Array = np.asarray(acceleration, dtype=float)
+    a: AnyArray = np.asarray(acceleration, dtype=float)
     if sampling_rate < 2 * high or a.shape[0] < 4 * sampling_rate / low:
         raise BadInput(
             f"severity: {a.shape[0]} samples of {sampling_rate:g} Hz; {low:g} … {high:g} Hz need {2 * high:g} Hz, {4 / low:g} s"

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.policy import STATES_ALONE
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, estimate, match
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.policy.records import STANDS_STILL, TRAINING_SHARE
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.policy import FORMULA_TERMS
-
-FloatArray = npt.NDArray[np.float64]
 
 LIBRARY: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "1": np.ones_like,

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, NotIdentifiable
 
-FloatArray = npt.NDArray[np.float64]
 _BLOCKS_AT_ONCE = 64
 _ROWS_AT_ONCE = 1 << 18
 

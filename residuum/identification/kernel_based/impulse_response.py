@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import optimize
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
@@ -34,7 +34,6 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 
-FloatArray = npt.NDArray[np.float64]
 NoiseVariance = float | str
 NOISE_VARIANCE_METHODS = ("marginal", "least-squares")
 _LONGEST_ORDER = 5000

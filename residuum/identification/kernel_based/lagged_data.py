@@ -11,11 +11,11 @@ from operator import add
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 _APART = 1e-3
 """Part of its size by which an input must differ from what the others add up to."""
 _PART = 0.1

@@ -17,13 +17,12 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.kernel_based.marginal_likelihood import MarginalLikelihood
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 
-FloatArray = npt.NDArray[np.float64]
 COVERAGE = {"tc": "94 to 97", "dc": "94 to 98", "di": "94 to 96", "ss": "81 to 95 (81 where noise is as strong as signal)"}
 """Measured share [%] within 1.96 standard deviations, variance ratios 1, 10, 100 (benchmarks/results/identification.md)."""
 WEAK_SLOW_MODE = {"tc": 67, "dc": 53, "di": 60, "ss": 57}

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, lapack
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
 from residuum.identification.kernel_based.kernels import DiagonalKernel, Kernel
 
-FloatArray = npt.NDArray[np.float64]
 _LOG_2PI = math.log(2 * math.pi)
 # Rounding of yᵀy − zᵀz relative to yᵀy: a smaller residual cannot be told from zero.
 RESOLUTION = 1e-13

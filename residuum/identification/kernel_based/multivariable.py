@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import (
     NoiseVariance,
@@ -22,9 +23,6 @@ from residuum.identification.kernel_based.marginal_bands import PointwiseBands
 from residuum.identification.kernel_based.outlasting import Longer, longer_response
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

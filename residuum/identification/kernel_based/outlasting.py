@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
+
 NEGLIGIBLE = 0.5
 """What the last fifth may add to a frequency response, in standard deviations of that response."""
 _GROWTH = 1.5

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def autocovariance(values: npt.ArrayLike, lags: int) -> FloatArray:

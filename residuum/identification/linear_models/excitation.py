@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
+
 # Below this ratio of eigenvalues a direction of the regressor is rounding, not signal.
 SMALLEST_RATIO = 1e-12
 

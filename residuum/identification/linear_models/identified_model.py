@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal, stats
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _ARRAYS = (
     "impulse_response",
     "covariance",

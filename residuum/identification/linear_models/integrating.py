@@ -14,13 +14,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def summed_input(records: Sequence[Record], input: str, output: str) -> list[Record]:

@@ -7,9 +7,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.kept_loops import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def all_pole(A: npt.ArrayLike, x: npt.ArrayLike) -> FloatArray:

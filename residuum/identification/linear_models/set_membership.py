@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import linprog
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,15 +16,14 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.set_membership import feasible_set
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 LAGS, MOST_LAGS = 20, 60
 """Length of the response that nobody chose, and the longest: each coefficient costs two linear programs."""
 _ROWS = 4000

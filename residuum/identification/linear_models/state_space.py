@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.kept_loops import njit
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _WORTH_MODES = 4  # states from which a recursion by modes is faster
 _PARALLEL_MODES = 1e6  # condition of the modes from which six digits would be lost
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, signal
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums
@@ -20,8 +21,6 @@ from residuum.identification.kernel_based.lagged_data import lagged_data
 from residuum.identification.kernel_based.marginal_likelihood import marginal_likelihood
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.record import Record
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadModel
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

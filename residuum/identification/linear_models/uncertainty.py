@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.error_bounds.drawn_errors import FORMS, DrawnErrors
 from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
@@ -21,7 +22,6 @@ from residuum.identification.linear_models.error_bounds.weight_certificate impor
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
-FloatArray = npt.NDArray[np.float64]
 WEIGHT_ORDER = 2
 """Order of W_T where nothing else is asked for, as in the source."""
 _LAGS_A_POLE = 20

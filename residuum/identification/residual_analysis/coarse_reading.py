@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment
 from residuum.identification.residual_analysis.policy.records import COARSE_EVENNESS, COARSE_REPEATS
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def reading_variances(experiments: Sequence[Experiment]) -> FloatArray:

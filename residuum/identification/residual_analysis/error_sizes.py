@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.files.expression import Name, Node, walk
 from residuum.identification.physics.simulate.kalman import Filter, Smoothed
@@ -15,8 +15,6 @@ from residuum.identification.residual_analysis.noise.noise_floor import Floor, f
 from residuum.identification.residual_analysis.policy.answers import HORIZONS, PREDICTED_SAMPLES
 from residuum.identification.residual_analysis.policy.noise import BEYOND_NOISE, UNDER_STRUCTURE
 from residuum.identification.residual_analysis.structured_error import StructuredError
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

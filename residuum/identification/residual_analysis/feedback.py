@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.noise.innovations import fit_noises
 from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER
@@ -24,8 +25,6 @@ from residuum.identification.residual_analysis.policy.records import (
     NORMAL_MEDIAN,
     OUTLYING_INNOVATION,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def feeds_back(model: PhysicalModel, experiments: Sequence[Experiment], residuals: Sequence[FloatArray]) -> bool:

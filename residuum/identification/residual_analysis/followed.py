@@ -15,14 +15,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, estimate
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.physics.simulate.simulation import Simulator
 
-FloatArray = npt.NDArray[np.float64]
 _MOST_GROWTH = np.log(1e3)
 """Of a difference over half a record: a millionfold over the whole."""
 _LOOKS = 2000

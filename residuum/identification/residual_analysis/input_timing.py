@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment
 from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER
 from residuum.identification.residual_analysis.structured_error import lasting_noise
 from residuum.identification.side_by_side import side_by_side
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def turned_timing(experiments: Sequence[Experiment]) -> list[Experiment]:

@@ -12,17 +12,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.policy.records import ENOUGH_SAMPLES, FEWEST_AT_A_RATE, LOST
 
-Array = npt.NDArray[np.float64]
-
 
 def at_lower_rate(
-    model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[Array] | None = None
+    model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[FloatArray] | None = None
 ) -> tuple[list[Experiment], int]:
     """The experiments at the lowest rate 1/2, 1/4, … of theirs that loses nothing and leaves enough samples; and how many samples
     one of it stands for. The model begins at its own first states, or at those `initial`.
@@ -49,7 +47,7 @@ def _at_every(e: Experiment, k: int) -> Experiment:
     return replace(e, U=U, Y=e.Y[: n * k : k], sample_time=k * e.sample_time, spare=spare)
 
 
-def _means(values: Array, k: int, n: int, *, centred: bool) -> Array:
+def _means(values: FloatArray, k: int, n: int, *, centred: bool) -> FloatArray:
     """Means over k samples from every k-th on, or around it."""
     if centred:
         half = k // 2
@@ -60,7 +58,7 @@ def _means(values: Array, k: int, n: int, *, centred: bool) -> Array:
     return np.asarray(values[: n * k].reshape(n, k).mean(axis=1))
 
 
-def _loses_nothing(fine: Sequence[Array], coarse: Sequence[Experiment], there: Sequence[Array] | None, k: int) -> bool:
+def _loses_nothing(fine: Sequence[FloatArray], coarse: Sequence[Experiment], there: Sequence[FloatArray] | None, k: int) -> bool:
     """Whether the model's outputs at the coarse rate differ by next to nothing of its error from the fine ones."""
     if there is None:
         return False
@@ -71,7 +69,9 @@ def _loses_nothing(fine: Sequence[Array], coarse: Sequence[Experiment], there: S
     return True
 
 
-def _outputs(model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[Array] | None) -> list[Array] | None:
+def _outputs(
+    model: PhysicalModel, experiments: Sequence[Experiment], initial: Sequence[FloatArray] | None
+) -> list[FloatArray] | None:
     """The model's outputs along experiments; None where it diverges."""
     simulator = Simulator(model)
     p, first = simulator.p(), initial if initial is not None else [simulator.x0(e.known) for e in experiments]

@@ -24,12 +24,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.physics import Experiment, PhysicalModel, estimate, match
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert
 
-FloatArray = npt.NDArray[np.float64]
 _ABOUT = 5
 _SPREADS, _OF_RANGE = 10.0, 0.5
 _MOST, _MOST_CODED = 0.05, 0.3

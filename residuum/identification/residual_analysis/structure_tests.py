@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator, block_means, estimate
 from residuum.identification.residual_analysis.coarse_reading import reading_variances
@@ -31,8 +31,6 @@ from residuum.identification.residual_analysis.policy.noise import (
 from residuum.identification.residual_analysis.prediction_windows import in_windows
 from residuum.identification.residual_analysis.structured_error import StructuredError, test_structured_error
 from residuum.identification.residual_analysis.value_doubt import at_likeliest_values
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def refitted_difference(model: PhysicalModel, experiments: list[Experiment], simulation: Estimate) -> list[FloatArray]:

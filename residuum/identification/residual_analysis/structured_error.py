@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincc
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.residual_analysis.noise.coloured_noise import (
     ColouredNoise,
@@ -31,8 +32,6 @@ from residuum.identification.residual_analysis.policy.noise import (
     STRUCTURE_DRAWS,
     STRUCTURE_LEVEL,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,17 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.physics import Estimate, Experiment, PhysicalModel, Simulator
 from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise
 from residuum.identification.residual_analysis.policy.noise import NOISE_ORDER, STRUCTURE_LEVEL
 from residuum.identification.residual_analysis.structured_error import lasting_noise
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def at_likeliest_values(model: PhysicalModel, experiments: Sequence[Experiment], simulation: Estimate) -> list[FloatArray]:

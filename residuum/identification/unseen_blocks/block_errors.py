@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,25 +33,25 @@ class BlockErrors:
     units: tuple[str, ...]
     records: tuple[int, ...]
     times: tuple[tuple[float, float], ...]
-    before: Array
-    after: Array
-    candidates: Mapping[Key, Array]
+    before: FloatArray
+    after: FloatArray
+    candidates: Mapping[Key, FloatArray]
 
 
 def block_errors(
     model: PhysicalModel,
     records: Sequence[int],
     times: Sequence[tuple[float, float]],
-    count: Array,
-    before: Array,
-    after: Array,
-    candidates: Mapping[Key, Array],
+    count: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    candidates: Mapping[Key, FloatArray],
 ) -> BlockErrors:
     """From sums of squares and how many samples they are of, arrays of shape (blocks, outputs); see BlockErrors."""
     seen = count.sum(axis=0) > 0.0
     outputs = [output for output, measured in zip(model.outputs.values(), seen, strict=True) if measured]
 
-    def rms(squares: Array) -> Array:
+    def rms(squares: FloatArray) -> FloatArray:
         n = count[:, seen]
         return np.sqrt(np.divide(squares[:, seen], n, out=np.full(n.shape, np.nan), where=n > 0.0))
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics.model import find_effect
 from residuum.identification.unseen_blocks.held_value import HELD
 from residuum.identification.unseen_blocks.judged import Judged
@@ -25,10 +25,8 @@ from residuum.identification.unseen_blocks.policy import (
 )
 from residuum.identification.unseen_blocks.scale import Scale
 
-Array = npt.NDArray[np.float64]
 
-
-def share(before: Array, after: Array) -> tuple[float, float]:
+def share(before: FloatArray, after: FloatArray) -> tuple[float, float]:
     """Part of the error's power (blocks, outputs) that is taken away, the outputs alike, and its scatter over blocks."""
     total = before.sum(axis=0)
     if not (total > 0.0).any():
@@ -41,7 +39,7 @@ class OnBlocks(Protocol):
     """What has a power on unseen blocks, and a cost."""
 
     @property
-    def power(self) -> Array:
+    def power(self) -> FloatArray:
         """Sums of squares in the scale, shape (blocks, measured outputs)."""
 
     @property

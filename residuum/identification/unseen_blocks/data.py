@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord
 from residuum.identification.physics import Experiment, PhysicalModel, match, windows
 from residuum.identification.physics.estimation.gauss_newton import Cells
@@ -24,7 +25,6 @@ from residuum.identification.unseen_blocks.policy import (
     WINDOW_SAMPLES,
 )
 
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 
@@ -47,7 +47,7 @@ class Rung:
         """The rows of each window in each block."""
         return Cells.of(self.parts, self.block)
 
-    def thinned(self, samples: int, errors: Array | None = None) -> tuple[Rung, list[int]]:
+    def thinned(self, samples: int, errors: FloatArray | None = None) -> tuple[Rung, list[int]]:
         """About so many samples of the parts, and which parts those are: evenly, or, where these hold little of the
         errors (parts,), those that hold most.
         """
@@ -82,7 +82,7 @@ class Data:
     model: PhysicalModel
     experiments: list[Experiment]
     measured: npt.NDArray[np.bool_]
-    spread: Array
+    spread: FloatArray
     rungs: tuple[Rung, ...]
     fold: Integers
     finer: Data | None = None

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Parameter
@@ -21,8 +21,6 @@ from residuum.identification.physics.simulate.experiment import Spare
 from residuum.identification.physics.simulate.kalman import Filter, first_noise
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import ROWS
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +33,9 @@ class Track:
 
     model: PhysicalModel
     experiment: Experiment
-    X: Array
-    missing: Mapping[str, Array]
-    errors: Array
+    X: FloatArray
+    missing: Mapping[str, FloatArray]
+    errors: FloatArray
     longest: slice
 
     @property
@@ -49,7 +47,7 @@ class Track:
         return replace(self, experiment=e, X=self.X[every], missing=missing, errors=self.errors[every])
 
 
-def followed(model: PhysicalModel, data: Data, errors: Array | None = None, rung: Rung | None = None) -> Track | None:
+def followed(model: PhysicalModel, data: Data, errors: FloatArray | None = None, rung: Rung | None = None) -> Track | None:
     """The model's smoothed states in every experiment, and what its balances lacked; None where the filter diverges.
 
     `errors` (rows, outputs) are those of its simulation on a rung, where they are known.
@@ -66,7 +64,10 @@ def followed(model: PhysicalModel, data: Data, errors: Array | None = None, rung
 
 
 def joined(
-    model: PhysicalModel, experiments: Sequence[Experiment], states: Sequence[Array], lacks: Sequence[Mapping[str, Array]]
+    model: PhysicalModel,
+    experiments: Sequence[Experiment],
+    states: Sequence[FloatArray],
+    lacks: Sequence[Mapping[str, FloatArray]],
 ) -> Track:
     """The track of all experiments, from the states in each and what each balance lacked there; no errors are known."""
     lengths = [e.n for e in experiments]
@@ -111,8 +112,8 @@ def regressed(key: Key, start: Mapping[str, float], along: Track) -> tuple[float
 
 
 def _inside_bounds(
-    columns: Mapping[str, Array], rest: Array, sizes: Mapping[str, float], known: Mapping[str, Parameter]
-) -> tuple[dict[str, float], Array] | None:
+    columns: Mapping[str, FloatArray], rest: FloatArray, sizes: Mapping[str, float], known: Mapping[str, Parameter]
+) -> tuple[dict[str, float], FloatArray] | None:
     """Values whose columns come nearest to `rest`, without those that would lie outside their bounds, and what is left of it."""
     while columns:
         C = np.column_stack(list(columns.values()))
@@ -125,7 +126,7 @@ def _inside_bounds(
     return None
 
 
-def own_terms(model: PhysicalModel, balance: str, along: Track) -> Array:
+def own_terms(model: PhysicalModel, balance: str, along: Track) -> FloatArray:
     """Orthonormal basis of the balance's terms along the states."""
     look = Simulator(model).look(along.experiment, along.X)
     terms = [z for name, z in look.items() if name.startswith(f"{balance}.") and name != f"{balance}.missing" and np.any(z)]
@@ -136,12 +137,12 @@ def own_terms(model: PhysicalModel, balance: str, along: Track) -> Array:
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
-def beside(basis: Array, v: Array) -> Array:
+def beside(basis: FloatArray, v: FloatArray) -> FloatArray:
     """What is left of v beside an orthonormal basis."""
     return np.asarray(v - basis @ (basis.T @ v))
 
 
-def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> Array | None:
+def _column(key: Key, start: Mapping[str, float], size: str, along: Track) -> FloatArray | None:
     """The effect's term with one of its sizes alone."""
     alone = {n: 0.0 if n in find_effect(key.effect).sizes and n != size else value for n, value in start.items()}
     try:

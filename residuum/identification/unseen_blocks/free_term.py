@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator, balance_variables
 from residuum.identification.side_by_side import side_by_side
 from residuum.identification.unseen_blocks.comparing import evidence
@@ -22,8 +23,6 @@ from residuum.identification.unseen_blocks.judged import Equations, Judged, equa
 from residuum.identification.unseen_blocks.linear_response import LinearResponse, linear_response
 from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import KNOTS_BY_AXIS
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +36,9 @@ class BlockTerm:
     balance: str
     axis: str
     unit: str
-    at: Array
-    value: Array
-    power: Array
+    at: FloatArray
+    value: FloatArray
+    power: FloatArray
     parameters: float
     cost: float
     evidence: float
@@ -57,7 +56,7 @@ def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
         return []
     kernel = at
 
-    def judged(term: tuple[str, str, Array, list[Array]]) -> BlockTerm:
+    def judged(term: tuple[str, str, FloatArray, list[FloatArray]]) -> BlockTerm:
         return _judged(term, one, court, kernel, responses)
 
     terms = list(_terms(found.model, last.parts, responses))
@@ -65,7 +64,11 @@ def free_terms(one: Judged, court: Court) -> list[BlockTerm]:
 
 
 def _judged(
-    term: tuple[str, str, Array, list[Array]], one: Judged, court: Court, at: Equations, responses: Sequence[LinearResponse]
+    term: tuple[str, str, FloatArray, list[FloatArray]],
+    one: Judged,
+    court: Court,
+    at: Equations,
+    responses: Sequence[LinearResponse],
 ) -> BlockTerm:
     balance, axis, knots, functions = term
     scale, last = court.scale, court.last
@@ -85,7 +88,7 @@ def _judged(
 
 def _terms(
     model: PhysicalModel, parts: Sequence[Experiment], responses: Sequence[LinearResponse]
-) -> Iterator[tuple[str, str, Array, list[Array]]]:
+) -> Iterator[tuple[str, str, FloatArray, list[FloatArray]]]:
     """Balance, axis, knots and hat functions (n, knots) of each part."""
     simulator, begin = Simulator(model), min(part.t0 for part in parts)
     times = [part.t0 - begin + part.sample_time * np.arange(part.n) for part in parts]
@@ -95,10 +98,10 @@ def _terms(
         for axis, values in axes.items():
             joined = np.concatenate(values)
             if np.all(np.isfinite(joined)) and np.ptp(joined) > 0:
-                knots: Array = np.linspace(joined.min(), joined.max(), KNOTS_BY_AXIS[axis])
+                knots: FloatArray = np.linspace(joined.min(), joined.max(), KNOTS_BY_AXIS[axis])
                 yield name, axis, knots, [hats(np.asarray(v), knots) for v in values]
 
 
-def hats(x: Array, knots: npt.NDArray[np.floating[Any]]) -> Array:
+def hats(x: FloatArray, knots: npt.NDArray[np.floating[Any]]) -> FloatArray:
     """Piecewise linear functions, one at each knot, shape (n, knots); they sum to one."""
     return np.maximum(0.0, 1.0 - np.abs(x[:, None] - knots) / (knots[1] - knots[0]))

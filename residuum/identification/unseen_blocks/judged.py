@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
 from residuum.identification.physics.estimation.least_squares import solve_scaled
@@ -32,7 +33,6 @@ from residuum.identification.unseen_blocks.policy import DAMPING
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure
 
-Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 
@@ -59,13 +59,13 @@ class Judged:
 
     structure: Structure
     parameters: float
-    power: Array
-    left: Array
+    power: FloatArray
+    left: FloatArray
     cost: float
     seen: float
-    squares: Array
-    count: Array
-    errors: Array
+    squares: FloatArray
+    count: FloatArray
+    errors: FloatArray
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -83,7 +83,7 @@ class Judged:
         return self.structure.rarity
 
     @property
-    def rms(self) -> Array:
+    def rms(self) -> FloatArray:
         """Error of each output on unseen blocks; NaN where it was not measured, shape (outputs,)."""
         count = self.count.sum(axis=0)
         return np.sqrt(np.divide(self.squares.sum(axis=0), count, out=np.full(len(count), np.nan), where=count > 0))
@@ -95,17 +95,17 @@ class Equations:
     first `states`, and the values with their bounds; `huber` weighs what is clipped, windows begin at `starts`.
     """
 
-    errors: Array
+    errors: FloatArray
     known: npt.NDArray[np.bool_]
-    slopes: Array
-    states: Array
-    huber: Array
-    theta: Array
-    lower: Array
-    upper: Array
+    slopes: FloatArray
+    states: FloatArray
+    huber: FloatArray
+    theta: FloatArray
+    lower: FloatArray
+    upper: FloatArray
     starts: tuple[int, ...]
 
-    def beside_states(self, columns: Array) -> Array:
+    def beside_states(self, columns: FloatArray) -> FloatArray:
         """Columns (rows, outputs, m) of weighted slopes with what first states can do projected out, window by window."""
         out = columns * self.huber[..., None]
         if not (self.states.shape[2] and out.shape[2]):
@@ -115,14 +115,14 @@ class Equations:
             out[a:b] = (t - x @ solve_scaled(x.T @ x, x.T @ t, 1e-12)).reshape(out[a:b].shape)
         return out
 
-    def step(self, extra: Array) -> Array:
+    def step(self, extra: FloatArray) -> FloatArray:
         """The least squares values of further terms, whose slopes beside first states are `extra`, fitted to everything."""
         T = np.concatenate([self.slopes, extra], axis=2)
         H = np.einsum("roi,roj->ij", T, T)
         g = np.einsum("roi,ro->i", T, self.errors * self.huber)
         return np.asarray(solve_scaled(H + DAMPING * np.diag(np.diag(H)), g[:, None], 1e-10)[self.slopes.shape[2] :, 0])
 
-    def unseen(self, block: Integers, fold: Integers, extra: Array | None = None) -> Array:
+    def unseen(self, block: Integers, fold: Integers, extra: FloatArray | None = None) -> FloatArray:
         """The errors of each row, the fold of its block left out of the fit; `extra` are slopes of further terms beside first
         states.
         """
@@ -140,7 +140,7 @@ class Equations:
         return left
 
 
-def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
+def moved(T: FloatArray, e: FloatArray, row_fold: Integers) -> dict[int, FloatArray]:
     """How far the values move where a fold of rows is left out, (q,) a fold. It follows from weighted slopes
     T (rows, outputs, q) and errors e (rows, outputs) of the fit to everything.
     """
@@ -148,14 +148,14 @@ def moved(T: Array, e: Array, row_fold: Integers) -> dict[int, Array]:
     return dict(zip(np.unique(row_fold).tolist(), steps_without(H, g, DAMPING), strict=True))
 
 
-def normal_equations(T: Array, e: Array, row_fold: Integers) -> tuple[Array, Array]:
+def normal_equations(T: FloatArray, e: FloatArray, row_fold: Integers) -> tuple[FloatArray, FloatArray]:
     """TᵀT (folds, q, q) and Tᵀe (folds, q) of slopes T (rows, outputs, q) and errors e (rows, outputs), by fold of rows."""
     each = [(T[at], e[at]) for at in (row_fold == k for k in np.unique(row_fold))]
     H = np.array([np.einsum("roi,roj->ij", t, t) for t, _ in each])
     return H, np.array([np.einsum("roi,ro->i", t, r) for t, r in each])
 
 
-def steps_without(H: Array, g: Array, damping: float) -> list[Array]:
+def steps_without(H: FloatArray, g: FloatArray, damping: float) -> list[FloatArray]:
     """The step to the values that the other folds ask for, of each fold; `damping` of the curvature of all."""
     all_H, all_g = H.sum(axis=0), g.sum(axis=0)
     ridge = damping * np.diag(np.diag(all_H))
@@ -198,7 +198,7 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
     errors = np.concatenate(found.residuals)
     known = np.isfinite(errors)[:, measured]
 
-    def in_scale(rows: Array) -> Array:
+    def in_scale(rows: FloatArray) -> FloatArray:
         white = scale.whitened(np.nan_to_num(rows) * scale.weights, starts)[:, measured]
         return np.where(known, np.clip(white, -scale.clip[measured], scale.clip[measured]), 0.0)
 
@@ -219,6 +219,6 @@ def judged(structure: Structure, found: Fit, rung: Rung, data: Data, scale: Scal
     return Judged(structure, parameters, power, left, cost, seen_cost, squares, count, errors)
 
 
-def summed(values: Array, rung: Rung, blocks: int) -> Array:
+def summed(values: FloatArray, rung: Rung, blocks: int) -> FloatArray:
     """Sums over the rows of each block, shape (blocks, columns)."""
     return np.column_stack([np.bincount(rung.block, weights=column, minlength=blocks) for column in values.T])

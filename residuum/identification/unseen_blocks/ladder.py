@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import MAY_DIVERGE, NotIdentifiable
 from residuum.identification.physics import PhysicalModel
 from residuum.identification.physics.estimation.gauss_newton import Fit
@@ -23,8 +23,6 @@ from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import FORGETS, RUNG_ERROR
 from residuum.identification.unseen_blocks.scale import Scale, clipped, plain
 from residuum.identification.unseen_blocks.structure import States, Structure, at_start, fitted
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class Climbed:
     last: Rung
     middle: Rung
     scale: Scale
-    there: Array
+    there: FloatArray
 
 
 def climb(data: Data) -> Climbed:
@@ -52,7 +50,7 @@ def climb(data: Data) -> Climbed:
     """
     scale = plain(data)
     structure, last, found = Structure((), data.model, {}, {}), None, None
-    each: dict[int, Array] = {}
+    each: dict[int, FloatArray] = {}
     for rung in data.rungs:
         here = _fitted(structure, data.model, rung, last, scale)
         if here is None or (last is not None and here.mean > RUNG_ERROR and not _is_forgotten(here, data.model, rung, scale)):

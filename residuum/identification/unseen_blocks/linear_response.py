@@ -7,14 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.physics.model import missing_name
 from residuum.identification.physics.simulate.integration import integrate, new_memory, observe, observe_slopes
 from residuum.kept_loops import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

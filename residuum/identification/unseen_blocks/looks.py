@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects.base import Effect
 from residuum.identification.physics.estimation.gauss_newton import Fit
@@ -25,7 +25,6 @@ from residuum.identification.unseen_blocks.proposals import beginnings, conditio
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.unseen_blocks.structure import Structure, at_start, descended, fitted
 
-Array = npt.NDArray[np.float64]
 SHORT, LONG = "short", "long"
 
 
@@ -39,7 +38,7 @@ class Court:
     last: Rung
     middle: Rung
     scale: Scale
-    there: Array | None = None
+    there: FloatArray | None = None
 
     @cached_property
     def short(self) -> tuple[Rung, Sequence[int]]:

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.unseen_blocks.policy import DISTINCTION_LEVEL, MOST_PROPOSALS, MOST_TIMES, POWER_WANTED
 
-Array = npt.NDArray[np.float64]
 _BOTH_WAYS = ("N", "N*m", "V", "A")
 """Units of inputs that a machine can usually reverse: a force, a torque, a voltage, a current; no heater and no valve."""
 Power = Callable[[Sequence[Experiment], int | None], float | None]
@@ -48,7 +47,7 @@ def distinguishing(
     return (*best, *more)
 
 
-def power_of_test(r: Array, J: Array) -> float:
+def power_of_test(r: FloatArray, J: FloatArray) -> float:
     """Power of the χ² test, at `DISTINCTION_LEVEL`, on what free parameters with slopes J (n, q) cannot absorb of a whitened
     difference r (n,).
     """

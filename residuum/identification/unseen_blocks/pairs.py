@@ -18,8 +18,8 @@ from functools import partial
 from itertools import combinations, islice
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Key, PhysicalModel
 from residuum.identification.physics.estimation.least_squares import solve_scaled
@@ -33,8 +33,6 @@ from residuum.identification.unseen_blocks.policy import EACH_IN_PAIRS, PAIR_DAM
 from residuum.identification.unseen_blocks.proposals import canonical, starts
 from residuum.identification.unseen_blocks.structure import Structure
 
-Array = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
@@ -43,7 +41,7 @@ class _Slopes:
     key: Key
     values: dict[str, float]
     names: list[str]
-    columns: Array
+    columns: FloatArray
 
 
 def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> list[Judged]:
@@ -59,7 +57,7 @@ def pairs(parent: Judged, keys: Iterable[Key], along: Track, court: Court) -> li
     H, g = normal_equations(T, own.errors * own.huber / np.sqrt(unit), court.data.fold[court.last.block])
     places = np.split(np.arange(T.shape[2]), np.cumsum([own.slopes.shape[2], *(len(one.names) for one in slopes)])[:-1])
 
-    def of_pair(i: int, j: int) -> tuple[Array, Array]:
+    def of_pair(i: int, j: int) -> tuple[FloatArray, FloatArray]:
         at = np.concatenate([places[0], places[i + 1], places[j + 1]])
         return H[:, at][:, :, at], g[:, at]
 
@@ -117,19 +115,19 @@ def _unbounded(model: PhysicalModel, key: Key) -> PhysicalModel:
     return replace(model, effects=tuple(free))
 
 
-def _step(H: Array, g: Array) -> Array:
+def _step(H: FloatArray, g: FloatArray) -> FloatArray:
     """The step that all folds together ask for."""
     all_H = H.sum(axis=0)
     return np.asarray(solve_scaled(all_H + PAIR_DAMPING * np.diag(np.diag(all_H)), g.sum(axis=0)[:, None], 1e-10)[:, 0])
 
 
-def _unseen(H: Array, g: Array) -> float:
+def _unseen(H: FloatArray, g: FloatArray) -> float:
     """What all folds leave, each with the values that the others ask for, above what the structure alone leaves."""
     steps = zip(H, g, steps_without(H, g, PAIR_DAMPING), strict=True)
     return float(sum(step @ h @ step - 2.0 * step @ b for h, b, step in steps))
 
 
-def _fitted(parent: Judged, pair: Sequence[_Slopes], step: Array, court: Court) -> Judged | None:
+def _fitted(parent: Judged, pair: Sequence[_Slopes], step: FloatArray, court: Court) -> Judged | None:
     """The structure with both, begun where the step leads."""
     model: PhysicalModel = parent.model
     for one, more in zip(pair, np.split(step, [len(pair[0].names)]), strict=True):

@@ -14,8 +14,8 @@ from dataclasses import replace
 from itertools import zip_longest
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Key, PhysicalModel, candidates, conditions_at
 from residuum.identification.physics.effects import STRUCTURAL
@@ -33,8 +33,6 @@ from residuum.identification.unseen_blocks.policy import (
     TOLD_BY_OUTPUTS,
 )
 from residuum.identification.unseen_blocks.scale import innovations
-
-Array = npt.NDArray[np.float64]
 
 
 def proposed(model: PhysicalModel, wanted: Iterable[str] | None, along: Track | None, *, learned: bool, held: bool) -> list[Key]:
@@ -128,9 +126,9 @@ def starts(key: Key, along: Track) -> list[Mapping[str, float]]:
     return [start for k, start in enumerate(turns) if start not in turns[:k]][:STARTS_LOOKED_AT]
 
 
-def _lacks(effect: Effect, target: str, along: Track) -> list[Array | None]:
+def _lacks(effect: Effect, target: str, along: Track) -> list[FloatArray | None]:
     """What is missing, along the longest record, in each way in which the effect's first values follow it."""
-    found: list[Array | None] = []
+    found: list[FloatArray | None] = []
     for what in effect.follows:
         if what == "lack":
             found.append(along.missing[place_of(target)][along.longest])
@@ -140,7 +138,7 @@ def _lacks(effect: Effect, target: str, along: Track) -> list[Array | None]:
     return found or [None]
 
 
-def conditions_along(key: Key, along: Track, missing: Array | None = None) -> Conditions:
+def conditions_along(key: Key, along: Track, missing: FloatArray | None = None) -> Conditions:
     """What is known where the effect may act, along the longest record."""
     effect, rows = find_effect(key.effect), along.longest
     e = replace(along.experiment, U=along.experiment.U[rows], Y=along.experiment.Y[rows], spare={})
@@ -177,7 +175,7 @@ def without_idle(model: PhysicalModel, like: PhysicalModel) -> PhysicalModel:
     return model.with_inputs_of(name for name in model.inputs if name in like.inputs or name not in idle)
 
 
-def _told_by_outputs(along: Track) -> Array:
+def _told_by_outputs(along: Track) -> FloatArray:
     """Orthonormal basis of the measured outputs, the states and their slopes."""
     Y = along.experiment.Y[:, along.experiment.measured]
     signals = np.column_stack([np.nan_to_num(Y, nan=0.0), along.X])
@@ -187,12 +185,12 @@ def _told_by_outputs(along: Track) -> Array:
     return np.asarray(u[:, s > 1e-9 * s[0]])
 
 
-def _share_of(basis: Array, v: Array) -> float:
+def _share_of(basis: FloatArray, v: FloatArray) -> float:
     power = float(v @ v)
     return float(np.sum((basis.T @ v) ** 2)) / power if power > 0 else 1.0
 
 
-def _alike(basis: Array, lack: Array, signal: Array) -> float:
+def _alike(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
     """Part of the lack's power beside the balance's own terms that the signal explains there."""
     rest, own = beside(basis, lack), beside(basis, signal)
     power = float(rest @ rest) * float(own @ own)
@@ -215,12 +213,12 @@ def _curves(model: PhysicalModel, along: Track) -> list[Key]:
     return [key for share, key in sorted(found, reverse=True)[:MOST_CURVES] if share > 0.0]
 
 
-def _explained(basis: Array, lack: Array, signal: Array) -> float:
+def _explained(basis: FloatArray, lack: FloatArray, signal: FloatArray) -> float:
     """Part of the lack on every second stretch that a curve over the signal, fitted on the others, takes away."""
     at = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, CURVE_KNOTS)))
     if len(at) < 3:
         return 0.0
-    hats: Sequence[Array] = [np.interp(signal, at, row) for row in np.eye(len(at))]
+    hats: Sequence[FloatArray] = [np.interp(signal, at, row) for row in np.eye(len(at))]
     every = np.column_stack([basis, *hats])
     kept = (np.arange(len(lack)) * 20 // len(lack)) % 2 == 1
     weights = np.linalg.lstsq(every[~kept], lack[~kept], rcond=1e-6)[0]

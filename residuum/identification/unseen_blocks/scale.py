@@ -14,12 +14,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import noise_floor
 from residuum.identification.residual_analysis.policy.records import NORMAL_MEDIAN
 from residuum.identification.unseen_blocks.data import Data, Rung
 from residuum.identification.unseen_blocks.policy import CLIPPED, WEAKEST, WHITENING
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +29,15 @@ class Scale:
     `floor` the part of the cost that is noise; in `nats` a parameter costs `price`.
     """
 
-    weights: Array
-    clip: Array
-    filters: tuple[Array, ...] | None = None
+    weights: FloatArray
+    clip: FloatArray
+    filters: tuple[FloatArray, ...] | None = None
     nats: bool = False
-    unit: Array | None = None
+    unit: FloatArray | None = None
     floor: float = 0.0
     price: float = 0.0
 
-    def whitened(self, values: Array, starts: Sequence[int]) -> Array:
+    def whitened(self, values: FloatArray, starts: Sequence[int]) -> FloatArray:
         """Weighted values (rows, outputs, …) of windows through the outputs' filters."""
         if self.filters is None:
             return values
@@ -50,14 +49,14 @@ class Scale:
                 out[begin:end, o] = lfilter(a, [1.0], values[begin:end, o], axis=0)
         return out
 
-    def cost(self, power: Array, parameters: float) -> float:
+    def cost(self, power: FloatArray, parameters: float) -> float:
         """Of power (blocks, measured outputs): nats with the parameters' price, or power in units of the first model's."""
         if self.nats:
             return float(0.5 * power.sum() + self.price * parameters)
         unit = 1.0 if self.unit is None else self.unit
         return float((power / unit).sum() / power.shape[1])
 
-    def error(self, rms: Array) -> float:
+    def error(self, rms: FloatArray) -> float:
         """Of errors (outputs,) in the outputs' units, NaN where nothing was measured: their root mean square in the weights
         and the unit of the scale; infinite where nothing was.
         """
@@ -65,7 +64,7 @@ class Scale:
         known = power[~np.isnan(power)]
         return float(np.sqrt(known.mean())) if known.size else np.inf
 
-    def by_block(self, power: Array) -> Array:
+    def by_block(self, power: FloatArray) -> FloatArray:
         """Cost of each block without prices, shape (blocks,)."""
         if self.nats:
             return np.asarray(0.5 * power.sum(axis=1))
@@ -78,7 +77,7 @@ def plain(data: Data) -> Scale:
     return Scale(weights, np.full(len(weights), np.inf))
 
 
-def clipped(scale: Scale, residuals: Sequence[Array], rung: Rung) -> Scale:
+def clipped(scale: Scale, residuals: Sequence[FloatArray], rung: Rung) -> Scale:
     """The scale in which errors that stand out of these residuals count as no more than the limit."""
     errors = scale.whitened(np.concatenate(residuals) * scale.weights, rung.starts.tolist())
     measured = scale.weights > 0.0
@@ -88,7 +87,7 @@ def clipped(scale: Scale, residuals: Sequence[Array], rung: Rung) -> Scale:
     return replace(scale, clip=np.where(measured, np.maximum(CLIPPED * spread, 1e-9), np.inf))
 
 
-def of_power(scale: Scale, data: Data, power: Array) -> Scale:
+def of_power(scale: Scale, data: Data, power: FloatArray) -> Scale:
     """Power in units of the first model's, which is `power` (blocks, measured outputs)."""
     total = power.sum(axis=0)
     unit = np.maximum(np.maximum(total, WEAKEST * total.max()), 1e-300)
@@ -97,7 +96,7 @@ def of_power(scale: Scale, data: Data, power: Array) -> Scale:
     return replace(scale, unit=unit, floor=float(np.minimum(noise / unit, 0.98).mean()))
 
 
-def of_noise(residuals: Sequence[Array], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
+def of_noise(residuals: Sequence[FloatArray], rung: Rung, measured: npt.NDArray[np.bool_]) -> Scale:
     """Nats of noise that looks like the quieter half of these residuals' blocks: an effect may show in the others alone."""
     from scipy.signal import lfilter  # noqa: PLC0415
 
@@ -114,7 +113,7 @@ def of_noise(residuals: Sequence[Array], rung: Rung, measured: npt.NDArray[np.bo
     return Scale(weights, np.full(len(measured), np.inf), tuple(filters), nats=True, price=0.5 * float(np.log(samples)))
 
 
-def _whitening(pieces: Sequence[Array]) -> Array:
+def _whitening(pieces: Sequence[FloatArray]) -> FloatArray:
     """Autoregression (1, a₁, …) of the quieter half of the pieces (Yule and Walker), its order by Akaike's criterion."""
     from scipy.linalg import solve_toeplitz  # noqa: PLC0415
 
@@ -138,7 +137,7 @@ def _whitening(pieces: Sequence[Array]) -> Array:
     return found
 
 
-def innovations(signal: Array) -> Array:
+def innovations(signal: FloatArray) -> FloatArray:
     """What its own past does not predict of a signal."""
     from scipy.signal import lfilter  # noqa: PLC0415
 

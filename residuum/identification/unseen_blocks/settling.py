@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Simulator
 from residuum.identification.residual_analysis.noise.noise_floor import times_the_noise
 from residuum.identification.unseen_blocks.judged import Judged, judged
@@ -15,8 +15,6 @@ from residuum.identification.unseen_blocks.looks import Court
 from residuum.identification.unseen_blocks.policy import NOISY, UNEVEN
 from residuum.identification.unseen_blocks.scale import Scale, clipped, of_noise
 from residuum.identification.unseen_blocks.structure import descended
-
-Array = npt.NDArray[np.float64]
 
 
 def settle(best: Judged, court: Court) -> tuple[Court, Judged] | None:
@@ -60,7 +58,7 @@ def accurate(best: Judged, court: Court) -> Judged:
     return best if found is None or found.cost > best.cost else found
 
 
-def _unevenness(residuals: Sequence[Array], scale: Scale, court: Court) -> float:
+def _unevenness(residuals: Sequence[FloatArray], scale: Scale, court: Court) -> float:
     """Times the scatter of white noise that the powers of the blocks have, at the output where it is most."""
     starts, measured = court.last.starts.tolist(), court.data.measured
     white = scale.whitened(np.nan_to_num(np.concatenate(residuals)) * scale.weights, starts)[:, measured]

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Key, PhysicalModel, Simulator
 from residuum.identification.physics.effects import EFFECTS, STRUCTURAL
@@ -19,7 +19,6 @@ from residuum.identification.unseen_blocks.policy import COARSE, OCCASIONAL, RAR
 from residuum.identification.unseen_blocks.scale import Scale
 from residuum.identification.work import count_fit, go_on
 
-Array = npt.NDArray[np.float64]
 States = Sequence[Mapping[str, float]]
 """First values of the states of each window, by name."""
 
@@ -73,7 +72,7 @@ def at_start(
     return replace(replace(here, problem=held).descended(2, 1e-2), problem=here.problem)
 
 
-def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[Array]:
+def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[FloatArray]:
     """The states in the order of a model that may have others, which begin where its kernel sets them."""
     found = []
     for part, known in zip(rung.parts, states, strict=True):
@@ -82,7 +81,7 @@ def _vectors(simulator: Simulator, rung: Rung, states: States) -> list[Array]:
     return found
 
 
-def _steps_needed(simulator: Simulator, rung: Rung, X0: Array) -> list[int]:
+def _steps_needed(simulator: Simulator, rung: Rung, X0: FloatArray) -> list[int]:
     """Integration steps a sample that the fastest mode of each window asks for."""
     return np.minimum(simulator.modal_substeps(rung.parts, list(X0), simulator.p()), STIFFEST).tolist()
 

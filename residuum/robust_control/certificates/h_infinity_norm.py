@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import eigvals
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import StateSpace
 
-FloatArray = npt.NDArray[np.float64]
 _ITERATIONS = 60
 _NEAR_CIRCLE = 1e-4
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.robust_control.loop import Loop, Weights
@@ -15,9 +15,6 @@ from residuum.robust_control.synthesis.pareto import Point, bisected_front, pref
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
 from residuum.robust_control.weights.nominal_performance import Infeasible, refined
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
-
-FloatArray = npt.NDArray[np.float64]
-
 
 _WISHES = ("high-gain", "critical-frequency")
 

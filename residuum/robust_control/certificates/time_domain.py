@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 from scipy.signal import lfilter
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import characteristic
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 from residuum.nearest_names import known_names
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 class Constrained(ControllerStructure):

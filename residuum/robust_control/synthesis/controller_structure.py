@@ -6,13 +6,10 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 class ControllerStructure(ABC):

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.minimax_step import minimax_step
-
-FloatArray = npt.NDArray[np.float64]
 
 _SAME, _SMALLEST, _IDLE = 1e-6, 1e-4, 0.7
 

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 
+from residuum.array_types import FloatArray
 from residuum.kept_loops import njit
 
-FloatArray = npt.NDArray[np.float64]
 _SMALLEST_PIVOT = 1e-12
 
 

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.robust_control.loop import Loop, characteristic
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-
-FloatArray = npt.NDArray[np.float64]
 
 _CROSSINGS, _DESCENTS, _EVALUATIONS = 12, 6, 300
 _INSIDE = 1.0 - 1e-9

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -16,8 +16,6 @@ from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.minimax_descent import Descent
 from residuum.robust_control.synthesis.stabilising_start import stabilising_starts
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
 _LEFT_BEHIND = 0.05

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.nelder_mead import nelder_mead
 from residuum.robust_control.certificates.time_domain import Measured, StepResponse, measured
@@ -27,7 +27,6 @@ from residuum.robust_control.synthesis.structured_synthesis import NoStabilising
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.robust_control.weights.reference_model import ReferenceModel, shortest_settling_time
 
-FloatArray = npt.NDArray[np.float64]
 _SHARE_IN_DESIGN = 0.98
 """Share of the plants in the search that must keep the limits, so that `TimeAim.share` of others do."""
 _DAMPINGS, _BANDWIDTHS = (1.0, 1e-2, 1e-4), 6

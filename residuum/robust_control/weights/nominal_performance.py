@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.error_bounds.magnitude_fit import fit_magnitude
 from residuum.identification.linear_models.transfer_function import TransferFunction
@@ -17,9 +17,6 @@ from residuum.robust_control.synthesis.controller_structure import ControllerStr
 from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
 from residuum.robust_control.weights.reference_model import ReferenceModel, shortest_settling_time
-
-FloatArray = npt.NDArray[np.float64]
-
 
 _Meets = Callable[[float, float, Synthesis | None], Synthesis | None]
 _WISHES = ("overshoot", "settling-time")

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute
@@ -19,7 +19,6 @@ from residuum.service.views.residual_view import read_identified
 
 router = APIRouter(prefix="/models", tags=["models"], route_class=StrictRoute, responses=PROBLEMS)
 
-FloatArray = npt.NDArray[np.float64]
 _LOWEST = 1e-3  # of the Nyquist frequency
 
 

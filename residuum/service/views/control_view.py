@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.answers.plain import finite
@@ -29,7 +30,6 @@ from residuum.robust_control.weights.nominal_performance import Infeasible, refi
 from residuum.service.views.residual_view import read_identified
 from residuum.service.work.jobs import Progress
 
-FloatArray = npt.NDArray[np.float64]
 _FREQUENCIES, _TIMES, _SHOWN_PLANTS = 200, 200, 40
 _SHOWN_SETTLING_TIMES, _FEWEST_SAMPLES = 3.0, 40
 _DIGITS = 6

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.movement_phases import phase_cells
 from residuum.identification.physics import Experiment, Key, PhysicalModel, load_model, match, read_model
 from residuum.identification.record import Record
@@ -21,8 +21,6 @@ from residuum.library.answers.comparison import comparison_json
 from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress
 from residuum.service.work.record_parts import RecordParts
-
-FloatArray = npt.NDArray[np.float64]
 
 SHOWN_POINTS = 2500
 """Points of a cloud in all."""

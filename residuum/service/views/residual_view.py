@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
 from residuum.identification.linear_models.identified_model import IdentifiedModel
@@ -24,7 +24,6 @@ from residuum.service.views.signal_view import extremes
 from residuum.service.work.jobs import Progress
 from residuum.service.work.record_parts import RecordParts
 
-FloatArray = npt.NDArray[np.float64]
 _POINTS, _LEVELS = 1500, 200
 
 

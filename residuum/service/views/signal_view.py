@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

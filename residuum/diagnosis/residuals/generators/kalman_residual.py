@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel
-from residuum.identification.linear_models.state_space import FloatArray, StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.noise_model import NoiseModel
 from residuum.diagnosis.systems.coprime import left_coprime
 from residuum.diagnosis.systems.fir_filter import FirFilter
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
-from residuum.identification.linear_models.state_space import FloatArray, StateSpace
+from residuum.identification.linear_models.state_space import StateSpace
 
 BoolArray = npt.NDArray[np.bool_]
 _SETTLED = 1e-3  # of the observer's start, after which its error is called gone

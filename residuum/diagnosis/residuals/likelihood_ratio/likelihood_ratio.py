@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.generators.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.residuals.likelihood_ratio.window_scan import (
     HEAD_START,
@@ -25,7 +26,6 @@ from residuum.diagnosis.residuals.likelihood_ratio.window_scan import (
 from residuum.diagnosis.thresholds.false_alarm_rate import scan_rate, shiryaev_roberts_rate
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
-from residuum.identification.linear_models.state_space import FloatArray
 
 LONGEST_WINDOW = 1024
 _SHARE = 0.83  # of the sum of their own rates, what windows, templates and Shiryaev–Roberts alarm together

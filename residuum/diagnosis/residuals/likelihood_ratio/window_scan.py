@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.likelihood_ratio.window_model_error import RAMP, STEP, TEMPLATE, mean_square, model_error
 from residuum.kept_loops import njit
-
-FloatArray = npt.NDArray[np.float64]
 
 OFFSET, GAIN, POWER, RAMPED = 1, 2, 3, 4
 """What alarmed; 0 is nothing."""

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, signal
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import covariance_root, window_lengths
 from residuum.diagnosis.residuals.multivariable.multivariable_residual import (
     MultivariableResidual,
@@ -21,7 +22,6 @@ from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample, sc
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 LONGEST_SCAN = 1024

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, signal
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.residuals.generators.unknown_input_observer import unknown_input_observer
 from residuum.diagnosis.residuals.multivariable.vector_whitener import VectorWhitener, fit_whitener
@@ -27,7 +28,6 @@ from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 
-FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 KIND, VERSION = "multivariable-residual-design", 1
 UNKNOWN_INPUT = "unknown-input-observer"

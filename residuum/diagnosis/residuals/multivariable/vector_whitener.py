@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord
 
-FloatArray = npt.NDArray[np.float64]
 _HIGHEST = 10
 _ROWS_A_VALUE = 5
 """Rows of the regression that each of its unknowns needs."""

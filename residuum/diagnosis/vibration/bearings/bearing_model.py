@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from residuum.array_types import AnyArray
 
 
 def impact_train(
@@ -21,7 +20,7 @@ def impact_train(
     modulation: float = 0.0,
     modulated_at: float = 0.0,
     seed: int = 0,
-) -> Array:
+) -> AnyArray:
     r"""Impacts of a passing fault that ring a resonance, unit RMS.
 
     .. math::
@@ -64,7 +63,7 @@ def faulty_bearing(
     snr_db: float = 0.0,
     resonance: float = 3200.0,
     seed: int = 0,
-) -> Array:
+) -> AnyArray:
     """White noise of unit RMS, shaft harmonics, and (unless `fault` is None) the fault's impacts `snr_db` above the noise."""
     rng = np.random.default_rng([seed, 1])
     t = np.arange(n) / sampling_rate

@@ -12,19 +12,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 from scipy.ndimage import maximum_filter1d, median_filter
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.bearings.bearing_frequencies import BearingFrequencies
 from residuum.diagnosis.vibration.sensor_health import strongest_line
 from residuum.diagnosis.vibration.spectra.envelope import envelope_of_spectrum, padded_spectrum
 from residuum.identification.errors import BadInput
 
-Array = npt.NDArray[Any]
 LINES_OF_A_FAMILY = 4
 SLIP = 0.02  # of the fault frequency: slip of the balls and error of the stated speed
 _PERIODS = 140  # of the slowest line a segment: over longer ones slip smears lines faster than the spectrum sharpens
@@ -103,7 +102,7 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     BadInput
         The envelope cannot reach the lines at this sampling rate.
     """
-    signal: Array = np.asarray(x)
+    signal: AnyArray = np.asarray(x)
     signal = signal - signal.mean()
     cage = {name: f for name, f in frequencies.lines.items() if name == "ftf"}
     others = {name: f for name, f in frequencies.lines.items() if name != "ftf"}
@@ -119,13 +118,13 @@ def line_evidence(x: npt.ArrayLike, sampling_rate: float, frequencies: BearingFr
     return found
 
 
-def _beats(x: Array, rate: float, line: LineEvidence) -> bool:
+def _beats(x: AnyArray, rate: float, line: LineEvidence) -> bool:
     """Whether a family that stands out does so in a band that one line fills."""
     return line.prominence > _WORTH_CLEANING and strongest_line(x, rate, line.low, line.high)[1] > _TONAL
 
 
 def _evidence(
-    x: Array, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int, tonal: bool = False
+    x: AnyArray, rate: float, lines: Mapping[str, float], frequencies: BearingFrequencies, periods: int, tonal: bool = False
 ) -> dict[str, LineEvidence]:
     centres = {name: [variant * f for variant in _VARIANTS[name]] for name, f in lines.items()}
     all_centres = [f for variants in centres.values() for f in variants]
@@ -166,7 +165,7 @@ def _bands(rate: float, fastest: float) -> tuple[list[tuple[float, float]], list
     return bands, [band for band in bands if band[1] - band[0] >= rate / 2 / _FEWEST_FLATTENED * (1 - 1e-9)]
 
 
-def _prominence(scores: Array, of_controls: Array, control: Array) -> Array:
+def _prominence(scores: AnyArray, of_controls: AnyArray, control: AnyArray) -> AnyArray:
     """Scores maximised over the tolerance, in deciles above the median of the control frequencies, a band a row."""
     window = 2 * round(SLIP / _GRID) + 1
     T = maximum_filter1d(scores, window, axis=1)
@@ -176,11 +175,11 @@ def _prominence(scores: Array, of_controls: Array, control: Array) -> Array:
 
 
 def _clean(
-    prominence: Array,
+    prominence: AnyArray,
     floored: list[_Floored],
-    scores: Array,
-    grid: Array,
-    control: Array,
+    scores: AnyArray,
+    grid: AnyArray,
+    control: AnyArray,
     f: float,
     frequencies: BearingFrequencies,
 ) -> None:
@@ -200,7 +199,12 @@ def _clean(
 
 
 def _best(
-    centres: list[float], grid: Array, bands: list[tuple[float, float]], prominence: Array, scores: Array, depths: Array
+    centres: list[float],
+    grid: AnyArray,
+    bands: list[tuple[float, float]],
+    prominence: AnyArray,
+    scores: AnyArray,
+    depths: AnyArray,
 ) -> LineEvidence:
     """The best band, and the best variant of the fundamental.
 
@@ -226,13 +230,13 @@ def division(rate: float) -> list[tuple[float, float]]:
 
 
 def averaged_spectra(
-    x: Array,
+    x: AnyArray,
     rate: float,
     bands: list[tuple[float, float]],
     length: int,
     reach: float,
     flattened: Sequence[tuple[float, float]] = (),
-) -> list[tuple[float, Array]]:
+) -> list[tuple[float, AnyArray]]:
     """Squared-envelope power spectra, normalised by the squared mean: (line spacing [Hz], powers from 0 to `reach`) a band.
 
     Hann window, half overlap (of longer records 128 segments evenly spread), twice the lines that the segment resolves; a
@@ -241,7 +245,7 @@ def averaged_spectra(
     """
     step = max(1, length // 2, (x.shape[0] - length) // _MOST_SEGMENTS)
     starts = range(0, x.shape[0] - length + 1, step)
-    sums: list[Array] = []
+    sums: list[AnyArray] = []
     for start in starts:
         spectrum, padded = padded_spectrum(x[start : start + length])
         powers = []
@@ -254,7 +258,7 @@ def averaged_spectra(
     return [(rate / (2 * length), total / len(starts)) for total in sums]
 
 
-def _flat(spectrum: Array) -> Array:
+def _flat(spectrum: AnyArray) -> AnyArray:
     """A spectrum over its local median amplitude, with what stands more than three times above it cut down to that."""
     amplitude = np.abs(spectrum)
     blocks = amplitude.shape[0] // _FLAT_LINES
@@ -266,7 +270,7 @@ def _flat(spectrum: Array) -> Array:
     return np.asarray(spectrum / usual.astype(amplitude.dtype))
 
 
-def _normalised_power(envelope: Array, lines: int) -> Array:
+def _normalised_power(envelope: AnyArray, lines: int) -> AnyArray:
     """|DFT of Hann-windowed (|c|² / mean − 1)|², two lines a resolution cell, the first `lines` of them."""
     square = envelope * envelope
     mean = square.mean()
@@ -278,7 +282,7 @@ def _normalised_power(envelope: Array, lines: int) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _hann(n: int) -> Array:
+def _hann(n: int) -> AnyArray:
     window = np.hanning(n)
     window.flags.writeable = False
     return window
@@ -291,11 +295,11 @@ class _Floored:
     df: float
     cell: float
     width: float
-    above: Array
-    ratio: Array
+    above: AnyArray
+    ratio: AnyArray
 
     @classmethod
-    def of(cls, spectrum: tuple[float, Array], cell: float, width: float, shaft: float | None) -> _Floored:
+    def of(cls, spectrum: tuple[float, AnyArray], cell: float, width: float, shaft: float | None) -> _Floored:
         df, P = spectrum
         half = max(1, int(_FLOOR_CELLS * cell / df))
         floor = np.maximum(median_filter(P, 2 * half + 1, mode="nearest") / np.log(2), 1e-12)
@@ -317,7 +321,7 @@ class _Floored:
             _cut(ratio, self.df, self.cell, lines[lines > 0], _STRONG)
         return replace(self, ratio=ratio)
 
-    def families(self, grid: Array) -> tuple[Array, Array]:
+    def families(self, grid: AnyArray) -> tuple[AnyArray, AnyArray]:
         """T(f) and the modulation depth at every frequency of the grid.
 
         A squared envelope holds nothing beyond the width of its band, where a line and its floor are both rounding: harmonics
@@ -333,7 +337,7 @@ class _Floored:
         return T, np.sqrt(depth)
 
 
-def _cut(ratio: Array, df: float, cell: float, lines: Array, above: float) -> None:
+def _cut(ratio: AnyArray, df: float, cell: float, lines: AnyArray, above: float) -> None:
     """No line at these frequencies that stood `above` times the floor, or more, stands out any more."""
     for line in lines:
         around = _around(line, df, cell)
@@ -347,7 +351,7 @@ def _around(line: float, df: float, cell: float) -> slice:
 
 
 @lru_cache(maxsize=16)
-def _near_shaft(lines: int, df: float, cell: float, shaft: float) -> Array:
+def _near_shaft(lines: int, df: float, cell: float, shaft: float) -> AnyArray:
     """Which lines of a spectrum stand at harmonics of the shaft, shape (lines,)."""
     near = np.zeros(lines, dtype=bool)
     for harmonic in np.arange(shaft, lines * df, shaft):
@@ -356,7 +360,7 @@ def _near_shaft(lines: int, df: float, cell: float, shaft: float) -> Array:
     return near
 
 
-def _is_control(grid: Array, frequencies: BearingFrequencies) -> Array:
+def _is_control(grid: AnyArray, frequencies: BearingFrequencies) -> AnyArray:
     """Frequencies of the grid that neither a fault, its sidebands, nor the shaft explains."""
     control = np.ones(grid.shape, dtype=bool)
     explained = [

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from residuum.array_types import AnyArray
+
 _FRAME = 0.005  # s
 _OFTEN = 4.0  # a second: more is the machine's own doing
 _OUTSTANDING = 6.0  # times the energy of the strongest event that is not a knock
@@ -16,7 +15,7 @@ _LONGEST = 0.1  # s each side
 _USUAL_CREST = 3.0  # of a frame
 
 
-def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None = None) -> tuple[Array, list[float]]:
+def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None = None) -> tuple[AnyArray, list[float]]:
     r"""The signal with isolated knocks scaled down to the median level of its frames, and their times [s].
 
     The energy of 5-ms frames, of the signal and of its first difference (so that a rumble hides no click), is divided by
@@ -68,7 +67,7 @@ def without_knocks(x: npt.ArrayLike, sampling_rate: float, slowest: float | None
     return mean + (x - mean) * np.interp(np.arange(x.shape[0]), centres, gain).astype(x.dtype), [round(float(t), 3) for t in at]
 
 
-def _energy(x: Array, length: int, frames: int) -> Array:
+def _energy(x: AnyArray, length: int, frames: int) -> AnyArray:
     """The larger of the energies of x and of its first difference a frame, each in its median, shape (frames,)."""
     found = np.zeros(frames)
     for signal in (x - x.mean(dtype=np.float64).astype(x.dtype), np.diff(x, prepend=x[:1])):
@@ -81,7 +80,7 @@ def _energy(x: Array, length: int, frames: int) -> Array:
     return found
 
 
-def _events(energy: Array, most: int, reach: int) -> list[slice]:
+def _events(energy: AnyArray, most: int, reach: int) -> list[slice]:
     """The strongest events, strongest first: frames from a peak outwards until it has rung down."""
     left = energy.copy()
     found: list[slice] = []

@@ -11,16 +11,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 from scipy.ndimage import maximum_filter1d
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.spectra.envelope import Envelope, envelope_of_spectrum, padded_spectrum
 
-Array = npt.NDArray[Any]
 _PERIODS = (8, 16, 32, 64, 128)  # of the slowest line a stretch
 _FEWEST_STRETCHES = 4
 _AROUND = 1.35
@@ -56,7 +55,7 @@ class _Followed:
 
     followed: float
     steady: float
-    f: Array
+    f: AnyArray
     hop: float
     moved: int
 
@@ -84,7 +83,7 @@ def moving_line(x: npt.ArrayLike, sampling_rate: float, lines: Mapping[str, floa
     sampling_rate : float [Hz]
     lines : mapping of name to expected frequency [Hz]; those around are searched
     """
-    signal: Array = np.asarray(x, dtype=np.float32)
+    signal: AnyArray = np.asarray(x, dtype=np.float32)
     signal = signal - signal.mean()
     slowest, fastest = min(lines.values()) / _AROUND, _AROUND * max(lines.values())
     spectrum, padded = padded_spectrum(signal)
@@ -103,7 +102,7 @@ def _bands(rate: float, fastest: float) -> list[tuple[float, float]]:
     return [(k * width, (k + 1) * width) for parts, width in widths for k in range(parts)]
 
 
-def _slow(envelope: Envelope, fastest: float) -> tuple[Array, float]:
+def _slow(envelope: Envelope, fastest: float) -> tuple[AnyArray, float]:
     """The squared envelope of a band over its mean, less one, at a rate that its lines need, and that rate."""
     square, rate = envelope.values**2, envelope.sampling_rate
     n = fft.next_fast_len(max(64, int(square.shape[0] * 2.5 * _HARMONICS * fastest / rate)), real=True)
@@ -112,7 +111,7 @@ def _slow(envelope: Envelope, fastest: float) -> tuple[Array, float]:
     return fft.irfft(transformed[: n // 2 + 1], n) * (n / square.shape[0]), rate * n / square.shape[0]
 
 
-def _look(envelopes: list[tuple[Array, float]], length: float, slowest: float, fastest: float) -> _Followed | None:
+def _look(envelopes: list[tuple[AnyArray, float]], length: float, slowest: float, fastest: float) -> _Followed | None:
     """The best lines over all bands in stretches of `length` [s]; None where they are too few, or too short for a floor."""
     found = []
     for values, rate in envelopes:
@@ -132,7 +131,7 @@ def _look(envelopes: list[tuple[Array, float]], length: float, slowest: float, f
     return replace(best, steady=max(look.steady for look in found))
 
 
-def _scores(values: Array, m: int) -> Array:
+def _scores(values: AnyArray, m: int) -> AnyArray:
     """Score of every stretch of m samples and frequency, shape (stretches, lines of the spectrum up to a third of its end)."""
     starts = np.arange(0, values.shape[0] - m + 1, m // 2)
     stretches = values[starts[:, None] + np.arange(m)] * np.hanning(m).astype(values.dtype)
@@ -147,7 +146,7 @@ def _scores(values: Array, m: int) -> Array:
     return np.asarray(sum(ratio[:, : k * reach : k] for k in range(1, _HARMONICS + 1)))
 
 
-def _follow(scores: Array) -> tuple[float, Array]:
+def _follow(scores: AnyArray) -> tuple[float, AnyArray]:
     """The largest mean score of a way through the stretches, and that way, shape (stretches,)."""
     count, width = scores.shape
     steps = np.arange(-_FASTEST, _FASTEST + 1)

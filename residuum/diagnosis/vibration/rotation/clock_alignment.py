@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.identification.errors import BadRecord
 from residuum.identification.record import Record
 
-Array = npt.NDArray[Any]
 LARGEST_DRIFT = 1e-3  # crystal clocks differ by 1e-4 at most; more means that the pulses were paired wrongly
 _SHORTEST_BASE = 20.0  # spacings: over fewer the reading error of one edge would pass for drift
 
@@ -41,12 +40,12 @@ class ClockAlignment:
     std: float
     pulses: int
 
-    def to_reference(self, time: npt.ArrayLike) -> Array:
+    def to_reference(self, time: npt.ArrayLike) -> AnyArray:
         """Readings of the other clock [s] as readings of the reference clock [s]."""
         t = np.asarray(time, dtype=float)
         return self.middle + self.offset + (1 + self.drift) * (t - self.middle)
 
-    def to_other(self, time: npt.ArrayLike) -> Array:
+    def to_other(self, time: npt.ArrayLike) -> AnyArray:
         """Readings of the reference clock [s] as readings of the other clock [s]."""
         return self.middle + (np.asarray(time, dtype=float) - self.middle - self.offset) / (1 + self.drift)
 

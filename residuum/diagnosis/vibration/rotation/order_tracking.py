@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
+from residuum.array_types import AnyArray
 from residuum.identification.errors import BadInput
 
-Array = npt.NDArray[Any]
 
-
-def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> Array:
+def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> AnyArray:
     """Turned revolutions ψ(t)/2π at every sample, shape (n,): the trapezoidal integral of a speed signal [rpm].
 
     Raises BadInput when the speed has gaps or is not positive throughout (the angle would not be a time axis).
@@ -25,7 +22,7 @@ def angle_from_speed(speed_rpm: npt.ArrayLike, sampling_rate: float) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def at_even_angle(x: npt.ArrayLike, angle: Array, samples_per_revolution: float) -> Array:
+def at_even_angle(x: npt.ArrayLike, angle: AnyArray, samples_per_revolution: float) -> AnyArray:
     """The signal resampled at even steps of angle by cubic splines.
 
     With `samples_per_revolution` the mean number that the record has, a line at k times shaft speed, whatever the speed does,

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.thresholds.healthy_band import HealthyBand
 
-Array = npt.NDArray[Any]
 PLACES_OF_A_ROUND = 200  # along a round: 10 ms of a round of 2 s, long against a ring, short against a quadrant
 
 
@@ -30,25 +28,25 @@ class RoundComparison:
     quadrant_rms : array, shape (rounds, quadrants)
     """
 
-    place: Array
-    middle: Array
-    upper: Array
-    rounds: Array
-    quadrant_rms: Array
+    place: AnyArray
+    middle: AnyArray
+    upper: AnyArray
+    rounds: AnyArray
+    quadrant_rms: AnyArray
 
     @property
-    def exceeding(self) -> Array:
+    def exceeding(self) -> AnyArray:
         """Share of the rounds that pass the limit at each place, shape (places,)."""
         return np.asarray((self.rounds > self.upper).mean(axis=0))
 
 
-def round_profile(segments: Sequence[Array]) -> Array:
+def round_profile(segments: Sequence[AnyArray]) -> AnyArray:
     """RMS in equal places of a round, from its segments in quadrant order, shape (PLACES_OF_A_ROUND,)."""
     each = PLACES_OF_A_ROUND // len(segments)
     return np.array([np.sqrt(np.mean(part * part)) for segment in segments for part in np.array_split(segment, each)])
 
 
-def compare_rounds(healthy: HealthyBand, profiles: Array, false_alarm: float, quadrants: int) -> RoundComparison:
+def compare_rounds(healthy: HealthyBand, profiles: AnyArray, false_alarm: float, quadrants: int) -> RoundComparison:
     """Profiles of a record's rounds, shape (rounds, PLACES_OF_A_ROUND), beside the healthy ones."""
     place = (np.arange(PLACES_OF_A_ROUND) + 0.5) * quadrants / PLACES_OF_A_ROUND
     square = profiles.reshape(profiles.shape[0], quadrants, -1) ** 2

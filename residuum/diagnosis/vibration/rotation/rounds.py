@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.identification.errors import BadInput
 
-Array = npt.NDArray[Any]
 _END_TOLERANCE = 0.1  # of a quadrant: a window cut at pulses ends where the next one would stand
 _LONGER = 1.4  # times the median width: the pulse that marks the first plier
 
@@ -27,7 +26,7 @@ class Rounds:
         Quadrant (0 …) that the first segment is, counted from the longer pulse; None when no pulse is longer.
     """
 
-    edges: Array
+    edges: AnyArray
     phase: int | None
 
     def quadrant(self, segment: int) -> int:
@@ -86,7 +85,7 @@ def cut_rounds(indicator: npt.ArrayLike, quadrants: int = 4) -> Rounds:
     return Rounds(rising[starts[:, None] + np.arange(quadrants + 1)], _phase(width, quadrants))
 
 
-def pulses(indicator: Array) -> tuple[Array, Array]:
+def pulses(indicator: AnyArray) -> tuple[AnyArray, AnyArray]:
     """First sample and width [samples] of each pulse; a pulse that the record's end cuts has width −1.
 
     Raises BadInput when samples are missing or the signal never changes.
@@ -104,7 +103,7 @@ def pulses(indicator: Array) -> tuple[Array, Array]:
     return rising, falling - rising
 
 
-def _phase(width: Array, quadrants: int) -> int | None:
+def _phase(width: AnyArray, quadrants: int) -> int | None:
     whole = width[width > 0]
     if whole.shape[0] < quadrants:
         return None

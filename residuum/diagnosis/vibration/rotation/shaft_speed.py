@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import convert, parse_unit, say_unit
 
-FloatArray = npt.NDArray[np.float64]
 _WORDS = ("speed", "rpm", "drehzahl")
 _SAME = 0.005  # of the speed: two channels that differ by less tell of one shaft
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.bearings.fault_lines import SLIP
 from residuum.diagnosis.vibration.rotation.order_tracking import angle_from_speed, at_even_angle
 from residuum.diagnosis.vibration.rotation.shaft_speed import speed_in_rpm
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 
-Array = npt.NDArray[Any]
 _STEADY = 0.005  # speed range [-] below which lines are looked for in time, above in angle
 _LONGEST_GAP = 1.0  # s without a reading: the speed of a shaft does little in between that its two neighbours do not tell
 
 
 def at_steady_speed(
-    x: Array, record: Record, name: str | None, said_rpm: float | None = None, *, in_hertz: bool = False
-) -> Array:
+    x: AnyArray, record: Record, name: str | None, said_rpm: float | None = None, *, in_hertz: bool = False
+) -> AnyArray:
     """The signal at even steps of shaft angle, as many a turn as it has on average; as it is when the speed is steady.
 
     Parameters
@@ -58,7 +55,7 @@ def at_steady_speed(
     return at_even_angle(x, turned, 60 * record.sampling_rate / middle)
 
 
-def _bridged(speed: Array, rate: float) -> Array:
+def _bridged(speed: AnyArray, rate: float) -> AnyArray:
     """Missing readings on the straight line between their neighbours; those of longer gaps stay missing."""
     known = np.flatnonzero(np.isfinite(speed))
     lengths = np.diff(np.concatenate([[-1], known, [speed.shape[0]]]))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

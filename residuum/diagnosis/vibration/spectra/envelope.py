@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.spectra.long_transform import LONG, length_for_long, long_rfft
 from residuum.identification.errors import BadInput
 
-Array = npt.NDArray[Any]
 _OVERSAMPLING = 2  # a squared envelope reaches to ±b for a band of width b
 
 
@@ -30,12 +30,12 @@ class Envelope:
         Edges of the band [Hz].
     """
 
-    values: Array
+    values: AnyArray
     sampling_rate: float
     low: float
     high: float
 
-    def spectrum(self, kind: Literal["squared", "amplitude"] = "squared") -> tuple[Array, Array]:
+    def spectrum(self, kind: Literal["squared", "amplitude"] = "squared") -> tuple[AnyArray, AnyArray]:
         """Frequencies [Hz] and one-sided amplitudes of the (squared) envelope, its mean included at 0 Hz.
 
         The amplitude of the squared envelope at α, divided by that at 0, is the modulation at α: 1 for full modulation.
@@ -82,7 +82,7 @@ def band_envelope(x: npt.ArrayLike, sampling_rate: float, low: float, high: floa
     return envelope_of_spectrum(spectrum, padded, x.shape[0], sampling_rate, low, high, decimate=decimate)
 
 
-def padded_spectrum(x: Array) -> tuple[Array, int]:
+def padded_spectrum(x: AnyArray) -> tuple[AnyArray, int]:
     """rfft of a signal at a length without large prime factors (of a long one all but the last line), and that length."""
     if x.shape[0] >= LONG:
         padded = length_for_long(x.shape[0])
@@ -92,7 +92,7 @@ def padded_spectrum(x: Array) -> tuple[Array, int]:
 
 
 def envelope_of_spectrum(
-    spectrum: Array, padded: int, n: int, sampling_rate: float, low: float, high: float, *, decimate: bool = True
+    spectrum: AnyArray, padded: int, n: int, sampling_rate: float, low: float, high: float, *, decimate: bool = True
 ) -> Envelope:
     """`band_envelope` of a signal of n samples from its `padded_spectrum` (for many bands of one signal)."""
     if not 0 <= low < high <= sampling_rate / 2 * (1 + 1e-9):

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.diagnosis.residuals.filter_bank import (
     TAPS_OF_THIRDS,
     halves,
@@ -25,7 +26,6 @@ from residuum.diagnosis.vibration.spectra.long_transform import LONG, length_for
 from residuum.identification.errors import BadInput
 from residuum.kept_loops import njit
 
-Array = npt.NDArray[Any]
 FEWEST_OF_A_BAND = 32  # samples of a band's envelope: its kurtosis then scatters by 2/√32 = 0.35
 DEEPEST_LEVEL = 12
 
@@ -66,31 +66,31 @@ class Kurtogram:
         Of the signal [Hz].
     """
 
-    level: Array
-    centre: Array
-    width: Array
-    count: Array
-    moments: Array
+    level: AnyArray
+    centre: AnyArray
+    width: AnyArray
+    count: AnyArray
+    moments: AnyArray
     sampling_rate: float
 
     @cached_property
-    def kurtosis(self) -> Array:
+    def kurtosis(self) -> AnyArray:
         """K = E|c|⁴ / (E|c|²)² − 2 a band (−3 instead of −2 for the real signal, level 0), shape (bands,); 0 = Gaussian."""
         return self._kurtosis(self.moments.sum(axis=1), self.count)
 
     @cached_property
-    def kurtosis_of_segments(self) -> Array:
+    def kurtosis_of_segments(self) -> AnyArray:
         """The same a band and time segment, shape (bands, segments)."""
         return np.stack(
             [self._kurtosis(part, self.count / self.moments.shape[1]) for part in np.moveaxis(self.moments, 1, 0)], axis=1
         )
 
     @cached_property
-    def power(self) -> Array:
+    def power(self) -> AnyArray:
         """Mean square of the envelope a band and time segment, shape (bands, segments) [unit²]."""
         return self.moments[:, :, 0] / (self.count / self.moments.shape[1])[:, None]
 
-    def _kurtosis(self, moments: Array, count: Array) -> Array:
+    def _kurtosis(self, moments: AnyArray, count: AnyArray) -> AnyArray:
         second, fourth = moments[:, 0] / count, moments[:, 1] / count
         ratio = np.divide(fourth, second**2, out=np.zeros_like(second), where=second > np.finfo(float).tiny ** 0.5)
         gaussian = np.where(self.level == 0, 3.0, 2.0)
@@ -105,7 +105,7 @@ class Kurtogram:
         """The band of the largest kurtosis."""
         return self.band(int(np.argmax(self.kurtosis)))
 
-    def in_order(self, merit: Array | None = None) -> Iterator[Band]:
+    def in_order(self, merit: AnyArray | None = None) -> Iterator[Band]:
         """Bands from the best down by `merit` (default: kurtosis), leaving out those whose centre a better one covers."""
         taken: list[Band] = []
         for index in np.argsort(-(self.kurtosis if merit is None else merit), kind="stable"):
@@ -114,7 +114,7 @@ class Kurtogram:
                 taken.append(band)
                 yield band
 
-    def as_map(self, merit: Array | None = None) -> tuple[Array, Array, Array]:
+    def as_map(self, merit: AnyArray | None = None) -> tuple[AnyArray, AnyArray, AnyArray]:
         """Levels, frequencies [Hz] and the picture of the kurtogram, shape (levels, 3 · 2^deepest); a cell a band repeated."""
         values = self.kurtosis if merit is None else merit
         levels = np.unique(self.level)
@@ -186,10 +186,10 @@ def kurtogram(
     return Kurtogram(level, (index + 0.5) * width, width, count.astype(float), moments, float(sampling_rate))
 
 
-Row = tuple[float, int, int, Array]  # level, index of the band in it, samples, moments
+Row = tuple[float, int, int, AnyArray]  # level, index of the band in it, samples, moments
 
 
-def _checked(x: npt.ArrayLike) -> Array:
+def _checked(x: npt.ArrayLike) -> AnyArray:
     x = np.asarray(x)
     if x.ndim != 1 or x.shape[0] < 128:
         raise BadInput(f"kurtogram: signal has shape {x.shape}; must be a vector of at least 128 samples")
@@ -218,7 +218,7 @@ def _deepest(n: int, levels: int | None) -> int:
     return levels
 
 
-def _by_filter_bank(x: Array, deepest: int, segments: int) -> list[Row]:
+def _by_filter_bank(x: AnyArray, deepest: int, segments: int) -> list[Row]:
     rows: list[Row] = [(0.0, 0, x.shape[0], _moments_of_signal(x, segments))]
     waiting = [(0, 0, to_centre(x))]
     while waiting:  # depth first, so that one node a level is in memory
@@ -236,7 +236,7 @@ def _by_filter_bank(x: Array, deepest: int, segments: int) -> list[Row]:
     return rows
 
 
-def _by_fft(x: Array, deepest: int, segments: int) -> list[Row]:
+def _by_fft(x: AnyArray, deepest: int, segments: int) -> list[Row]:
     """Bands cut out of one spectrum in the signal's precision; each is transformed back in single, so none drowns in another."""
     n = x.shape[0]
     scale = float(np.abs(x).max()) or 1.0
@@ -264,7 +264,7 @@ def _by_fft(x: Array, deepest: int, segments: int) -> list[Row]:
 
 
 @njit(fastmath={"contract", "nsz", "reassoc"})
-def _moments_of_rows(c: Array, count: int, segments: int) -> Array:
+def _moments_of_rows(c: AnyArray, count: int, segments: int) -> AnyArray:
     """Σ|c|² and Σ|c|⁴ of the first `count` samples of each row, by time segment, shape (rows, segments, 2)."""
     moments = np.zeros((c.shape[0], segments, 2))
     for row in range(c.shape[0]):
@@ -285,7 +285,7 @@ def _divisions(deepest: int) -> Iterator[tuple[float, int]]:
 
 
 @njit(fastmath={"contract", "nsz", "reassoc"})
-def _moments_of_signal(x: Array, segments: int) -> Array:
+def _moments_of_signal(x: AnyArray, segments: int) -> AnyArray:
     """Σ x² and Σ x⁴ in each equal time segment, shape (segments, 2)."""
     n, moments = x.shape[0], np.zeros((segments, 2))
     for segment in range(segments):

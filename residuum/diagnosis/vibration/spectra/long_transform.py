@@ -9,15 +9,13 @@ and profit"; Bailey 1990). Half of the rows suffice, because the signal is real.
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.kept_loops import njit
 
-Array = npt.NDArray[Any]
 LONG = 1 << 18  # samples: below, one transform fits the cache
 _ROWS = 32
 _SPAN = 64  # columns between two exact turns
@@ -29,7 +27,7 @@ def length_for_long(n: int, multiple: int = 2 * _ROWS) -> int:
     return multiple * int(fft.next_fast_len(-(-n // multiple)))
 
 
-def long_rfft(x: Array, padded: int, *, gain: float = 1.0, single: bool = False) -> Array:
+def long_rfft(x: AnyArray, padded: int, *, gain: float = 1.0, single: bool = False) -> AnyArray:
     """Lines 0 … padded/2 − 1 of the spectrum of `gain` · x, shape (padded / 2,).
 
     Parameters
@@ -60,7 +58,7 @@ def long_rfft(x: Array, padded: int, *, gain: float = 1.0, single: bool = False)
 
 
 @njit(fastmath={"contract", "nsz"})
-def _turn(parts: Array, n: int) -> None:
+def _turn(parts: AnyArray, n: int) -> None:
     """Multiply element (k₁, n₂) by e^{−2πi k₁ n₂/n}."""
     real, imag = np.empty(_SPAN), np.empty(_SPAN)
     for row in range(1, parts.shape[0]):
@@ -76,7 +74,7 @@ def _turn(parts: Array, n: int) -> None:
 
 
 @njit()
-def _in_order(parts: Array, gain: float, lines: Array) -> None:
+def _in_order(parts: AnyArray, gain: float, lines: AnyArray) -> None:
     """Line k₁ + 32 k₂ from element (k₁, k₂), where k₁ > 16 from its mirror; columns in blocks, for the cache."""
     columns = parts.shape[1]
     for start in range(0, columns // 2, _BLOCK):

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
+from residuum.array_types import AnyArray
 from residuum.identification.errors import BadInput
 
-Array = npt.NDArray[Any]
 _ANCHOR = 62.5  # Hz; edges are this times powers of two
 _FEWEST_LINES = 8
 
 
-def octave_edges(sampling_rate: float, duration: float) -> Array:
+def octave_edges(sampling_rate: float, duration: float) -> AnyArray:
     """Edges [Hz] of the bands that a record of this rate and duration [s] can resolve, the last one fs/2.
 
     The topmost band is cut at fs/2; when less than a quarter octave of it is left it joins the one below.
@@ -32,7 +31,7 @@ def octave_edges(sampling_rate: float, duration: float) -> Array:
     return np.append(_ANCHOR * 2.0 ** np.arange(lowest, highest + 1), top)
 
 
-def octave_rms(x: npt.ArrayLike, sampling_rate: float, edges: Array) -> Array:
+def octave_rms(x: npt.ArrayLike, sampling_rate: float, edges: AnyArray) -> AnyArray:
     """RMS of a signal in the bands between the edges, shape (bands,), by Parseval's sum over a Hann-windowed spectrum."""
     x = np.asarray(x)
     window = np.hanning(x.shape[0]).astype(x.dtype)

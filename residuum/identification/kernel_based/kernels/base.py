@@ -10,9 +10,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

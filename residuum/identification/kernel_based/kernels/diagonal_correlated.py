@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from residuum.identification.kernel_based.kernels.base import Correlation, Decay, FloatArray, HyperParameter, Kernel
+from residuum.array_types import FloatArray
+from residuum.identification.kernel_based.kernels.base import Correlation, Decay, HyperParameter, Kernel
 
 
 class DiagonalCorrelated(Kernel):

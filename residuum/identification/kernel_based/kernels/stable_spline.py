@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-from residuum.identification.kernel_based.kernels.base import Decay, FloatArray, HyperParameter, Kernel
+from residuum.array_types import FloatArray
+from residuum.identification.kernel_based.kernels.base import Decay, HyperParameter, Kernel
 
 # The correlation of a twice smooth process is singular to rounding for slow decays; this much white
 # prior, relative to each variance, keeps its Cholesky factor.

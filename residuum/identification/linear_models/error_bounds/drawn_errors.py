@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadModel
 
-FloatArray = npt.NDArray[np.float64]
 Polynomials = tuple[FloatArray, FloatArray]
 FORMS = ("multiplicative", "additive", "inverse-multiplicative")
 _VALUES_AT_ONCE = 2_000_000

@@ -13,12 +13,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 Envelope = Callable[[FloatArray], FloatArray]
 
 _DECADES, _LOGARITHMIC = 5.5, 600

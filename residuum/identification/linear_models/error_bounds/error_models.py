@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.set_membership import feasible_set
@@ -21,7 +21,6 @@ from residuum.identification.linear_models.stochastic_embedding import laguerre_
 from residuum.identification.linear_models.validation.model_error import model_error_model, residual_record
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 _LAGS, _LEAST_LAGS = 100, 20
 _SET_LAGS, _SET_ROWS = 20, 4000
 _ROOM = 1.1

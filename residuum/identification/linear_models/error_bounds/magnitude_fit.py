@@ -26,11 +26,10 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 from scipy import optimize
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _Ratio = tuple[FloatArray, FloatArray]
 Bound = Literal["above", "at", "below"]
 _HIGHEST_ORDER = 20

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.linear_models.error_bounds.drawn_errors import DrawnErrors
 from residuum.identification.linear_models.transfer_function import TransferFunction
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 ABOVE_THE_SEEN = 0.005
 """By how much the bound may lie above the largest value that was seen, in parts."""
 _MOST_ROUNDS, _MOST_INTERVALS = 40, 200_000

@@ -16,14 +16,13 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.linear_models.plant_tests.long_autoregression import LongAutoregression, factored
 
-FloatArray = npt.NDArray[np.float64]
 _INPUT_PAST, _NOISE_PAST = 30, 10
 _LEVEL, _LEAST_SHARE = 1e-4, 0.003
 _FEWEST_A_COLUMN = 3

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadRecord, NotIdentifiable
 from residuum.identification.kernel_based.gram import regression_sums
@@ -24,7 +24,6 @@ from residuum.identification.linear_models.validation.fit import simulated_besid
 from residuum.identification.linear_models.validation.residual_tests import input_correlation_test
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 KEPT_ASIDE = 0.3
 """The last part of a record that no split note divides."""
 _MOST_LAGS, _SAMPLES_A_LAG = 80, 12

@@ -17,15 +17,14 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.kernel_based.gram import RegressionSums, regression_sums
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 OUTPUT_LAGS = (2, 4, 8, 16, 30)
 """Candidates for P."""
 SHORT_REACH, LONG_REACH = 120, 600

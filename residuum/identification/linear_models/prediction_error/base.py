@@ -6,14 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar
 
-import numpy as np
-import numpy.typing as npt
-
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.linear_models.prediction_error.polynomials import Orders
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Structure(ABC):

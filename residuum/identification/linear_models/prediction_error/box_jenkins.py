@@ -3,14 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.filtering import filtered
 from residuum.identification.linear_models.prediction_error.polynomials import Orders
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class BoxJenkins(Structure):

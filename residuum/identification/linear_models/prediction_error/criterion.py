@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.linear_models.prediction_error.filtering import filtered
 from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

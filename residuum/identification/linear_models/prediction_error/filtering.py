@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-FloatArray = npt.NDArray[np.float64]
+from residuum.array_types import FloatArray
 
 
 def filtered(b: npt.ArrayLike, a: npt.ArrayLike, x: FloatArray) -> FloatArray:

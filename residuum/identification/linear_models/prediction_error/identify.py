@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
@@ -32,8 +32,6 @@ from residuum.identification.linear_models.prediction_error.starts import FirstV
 from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def identify(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Criterion
@@ -13,8 +13,6 @@ from residuum.identification.linear_models.prediction_error.polynomials import O
 from residuum.identification.linear_models.prediction_error.result import orders_text
 from residuum.identification.linear_models.prediction_error.search import Minimum, minimise
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def best_fit(structure: Structure, data: Signals, orders: Orders, first: FirstValues, *, offset: bool) -> Minimum:

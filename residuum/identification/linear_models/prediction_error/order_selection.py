@@ -22,8 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import NotIdentifiable
 from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.criterion import Criterion
@@ -33,7 +33,6 @@ from residuum.identification.linear_models.prediction_error.polynomials import O
 from residuum.identification.linear_models.prediction_error.search import Minimum
 from residuum.identification.linear_models.prediction_error.starts import FirstValues
 
-FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 
 CRITERIA = ("bic", "aic", "k-fold", "record-wise")

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.schur import is_schur
-
-FloatArray = npt.NDArray[np.float64]
 
 LONGEST_POLYNOMIAL = 200
 _INSIDE = 0.9999

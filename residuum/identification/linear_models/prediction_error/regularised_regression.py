@@ -24,6 +24,7 @@ import numpy.typing as npt
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import ElasticNet, ElasticNetCV, Lasso, LassoCV, Ridge, RidgeCV
 
+from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import one_thread_if_small
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
@@ -36,7 +37,6 @@ from residuum.identification.linear_models.prediction_error.starts import regres
 from residuum.identification.record import Record
 from residuum.nearest_names import known_names
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 PENALTIES = ("ridge", "lasso", "elastic-net")

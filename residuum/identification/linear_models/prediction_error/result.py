@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.prediction_error.base import Structure
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.linear_models.prediction_error.filtering import filtered
 from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials
 from residuum.identification.record import Record
-
-FloatArray = npt.NDArray[np.float64]
 
 _LONGEST_RESPONSE = 400
 _NEGLIGIBLE = 1e-4

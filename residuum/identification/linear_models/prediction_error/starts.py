@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import hankel
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.prediction_error.data import Signals
 from residuum.identification.linear_models.prediction_error.filtering import filtered
 from residuum.identification.linear_models.prediction_error.polynomials import Orders, Polynomials, reflected
-
-FloatArray = npt.NDArray[np.float64]
 
 _HIGHEST_ARX = 40
 _REFINEMENTS = 6

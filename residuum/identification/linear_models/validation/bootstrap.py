@@ -18,14 +18,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.validation.residual_check import prediction_errors
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 Fit = Callable[[Sequence[Record]], IdentifiedModel]
 _REACH = 0.632
 """1 − 1/e: the share of the data that a bootstrap sample holds."""

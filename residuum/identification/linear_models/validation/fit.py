@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadRecord
 from residuum.identification.kernel_based.lagged_data import past_at_rest
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.integrating import from_straight_line
 from residuum.identification.record import Record
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def simulation_fit(model: IdentifiedModel, record: Record) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.autoregression import fit_autoregression, whitened
@@ -21,8 +22,6 @@ from residuum.identification.linear_models.identified_model import IdentifiedMod
 from residuum.identification.linear_models.validation.residual_tests import ResidualTest, input_correlation_test
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _DRAWS = 4000
 _PASSES = 2
 

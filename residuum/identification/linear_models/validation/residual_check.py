@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy import signal
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.validation.fit import simulated_beside
@@ -23,7 +23,6 @@ from residuum.identification.linear_models.validation.model_error import ModelEr
 from residuum.identification.linear_models.validation.residual_tests import ResidualTest, input_correlation_test, whiteness_test
 from residuum.identification.record import Record
 
-FloatArray = npt.NDArray[np.float64]
 LEVEL = 0.01
 """Share of right models that one of the tests speaks against."""
 _LAGS, _SAMPLES_A_LAG = 25, 10

@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, stats
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.kernel_based.gram import regression_sums
 from residuum.identification.linear_models.autoregression import autocovariance, fit_autoregression, whitened
 from residuum.identification.linear_models.excitation import excitation_order
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.residual_analysis.noise.innovation_sums import whitened
@@ -19,8 +20,6 @@ from residuum.identification.residual_analysis.policy.noise import (
     MEMORY_OF_THE_LONGEST,
     SHORTEST_MEMORY,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

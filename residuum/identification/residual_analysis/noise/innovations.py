@@ -11,12 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.residual_analysis.noise.coloured_noise import ColouredNoise, longest_memory, pole_radius
 from residuum.identification.residual_analysis.noise.innovation_sums import autoregression
 from residuum.identification.residual_analysis.policy.noise import DRIFT_MEMORY, NOISE_ORDER, NOISE_REWEIGHTINGS
-
-FloatArray = npt.NDArray[np.float64]
-
 
 Noises = tuple[ColouredNoise | None, ...]
 """The noise of each output (`innovation_variance` is the squared scale); None for an output that was not measured."""

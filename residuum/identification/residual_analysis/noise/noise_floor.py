@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.residual_analysis.noise.coloured_noise import longest_memory, pole_radius, stretches
 from residuum.identification.residual_analysis.policy.noise import (
     ABOVE_A_DRIFT,
@@ -19,8 +20,6 @@ from residuum.identification.residual_analysis.policy.noise import (
     SPECTRUM_SAMPLES,
     STILL_LIKELY,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def noise_floor(residuals: Sequence[FloatArray], slowest: float = 1.0, lowest: Sequence[float] = (LOWEST_FREQUENCY,)) -> float:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.policy.answers import STANDSTILL_SPEED
 from residuum.identification.units import compatible
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def signal_axes(model: PhysicalModel, experiment: Experiment, X: FloatArray, record: Record | None = None) -> list[Axis]:

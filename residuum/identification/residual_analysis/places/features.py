@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.linear_models.recursive_filter import all_pole
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.policy.noise import SIGNAL_MEMORIES
 
-FloatArray = npt.NDArray[np.float64]
 Shape = Callable[[FloatArray], FloatArray]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
 
+from residuum.array_types import FloatArray
 from residuum.identification.residual_analysis.noise.coloured_noise import fit_coloured_noise, stretches
 from residuum.identification.residual_analysis.places.locate import Axis
 from residuum.identification.residual_analysis.policy.noise import (
@@ -25,8 +26,6 @@ from residuum.identification.residual_analysis.policy.noise import (
     LOCAL_TIMES_NOISE,
     NOISE_ORDER,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.residual_analysis.policy.answers import (
     FEWEST_IN_A_BIN,
     LOCATION_BINS,
@@ -17,8 +18,6 @@ from residuum.identification.residual_analysis.policy.answers import (
     STANDSTILL_REGION,
     WIDEST_REGION,
 )
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

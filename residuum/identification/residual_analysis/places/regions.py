@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.physics import Experiment, PhysicalModel
 from residuum.identification.physics.simulate.kalman import Smoothed
 from residuum.identification.residual_analysis.noise.coloured_noise import stretches
@@ -15,8 +15,6 @@ from residuum.identification.residual_analysis.places.axes import direction_of_m
 from residuum.identification.residual_analysis.places.locate import Axis, Region, locate
 from residuum.identification.residual_analysis.policy.answers import MOST_REGIONS
 from residuum.identification.residual_analysis.structured_error import StructuredError
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def regions(

@@ -6,15 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, Key, PhysicalModel, Simulator, estimate
 from residuum.identification.record import Record
 from residuum.identification.residual_analysis.places.axes import signal_axes
 from residuum.identification.residual_analysis.places.locate import Axis
-
-FloatArray = npt.NDArray[np.float64]
 
 _FEWEST = 5
 _EFFECT_BINS = 80
