@@ -7,11 +7,12 @@ from dataclasses import asdict
 from math import isfinite
 from typing import Any
 
+from residuum.array_types import FloatArray
 from residuum.identification.discrepancy.estimated_values import EstimatedValue
 from residuum.identification.discrepancy.explanation import Explanation
 from residuum.identification.discrepancy.suggestion import nearest_formula
 from residuum.identification.residual_analysis.policy.noise import SLOW
-from residuum.identification.unseen_blocks.block_errors import Array, BlockErrors
+from residuum.identification.unseen_blocks.block_errors import BlockErrors
 from residuum.identification.unseen_blocks.candidate import Candidate
 from residuum.identification.unseen_blocks.free_term import BlockTerm
 from residuum.identification.unseen_blocks.held_value import HeldValue
@@ -70,7 +71,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
 def _blocks_json(blocks: BlockErrors) -> dict[str, Any]:
     """RMS errors of each output on unseen blocks: before, after, and with each candidate alone; null where unmeasured."""
 
-    def listed(errors: Array) -> list[float | None]:
+    def listed(errors: FloatArray) -> list[float | None]:
         return [float(e) if isfinite(e) else None for e in errors]
 
     return {
