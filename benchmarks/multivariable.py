@@ -15,14 +15,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from benchmarks.identification import random_system
-from residuum.diagnosis.residuals.multivariable.multivariable_detection import MultivariableDetection, detect_multivariable
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import design_multivariable_residual
+from residuum.diagnosis.residuals.multivariable import MultivariableDetection, design_multivariable_residual, detect_multivariable
 from residuum.identification.errors import BadInput
 from residuum.identification.kernel_based.multivariable import MultivariableModel, identify_multivariable
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import Wishes
-from residuum.robust_control.multivariable_control import MultivariableProblem
-from residuum.robust_control.multivariable_loop import closed_loop_steps
+from residuum.robust_control.multivariable_control import MultivariableProblem, closed_loop_steps
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.weights.nominal_performance import Infeasible
 

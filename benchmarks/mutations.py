@@ -137,7 +137,7 @@ MUTATIONS = (
     ),
     Mutation(
         "the healthy limit is at another quantile",
-        "residuum/diagnosis/thresholds/healthy_band.py",
+        "residuum/diagnosis/thresholds/tails.py",
         "student.isf(false_alarm, self.n - 1)",
         "student.isf(2 * false_alarm, self.n - 1)",
         "tests/diagnosis/vibration/test_sensor_and_severity.py",

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import stats
 
-from residuum.diagnosis.thresholds.hazard_tail import differing_tail
+from residuum.diagnosis.thresholds.tails import differing_tail
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 ERROR = 0.09  # model error beside the noise, in its standard deviations: what 4000 samples of (4.10) leave

@@ -15,17 +15,13 @@ from scipy import signal, stats
 
 from benchmarks.peers.adaptive_threshold import adaptive_threshold
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
-from residuum.diagnosis.residuals.generators.kalman_residual import kalman_residual
-from residuum.diagnosis.residuals.generators.parity_space import parity_space
+from residuum.diagnosis.residuals.fault_isolation import FaultEstimator
+from residuum.diagnosis.residuals.generators.classical_filters import kalman_residual, parity_space, unknown_input_observer
 from residuum.diagnosis.residuals.generators.physical_prediction import with_prediction
-from residuum.diagnosis.residuals.generators.unknown_input_observer import unknown_input_observer
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
-from residuum.diagnosis.thresholds.cusum import cusum
-from residuum.diagnosis.thresholds.healthy_reference import BLOCK, block_peaks
+from residuum.diagnosis.systems import balanced_truncation, h_infinity_norm
+from residuum.diagnosis.thresholds.false_alarm_rate import BLOCK, block_peaks, cusum
 from residuum.diagnosis.thresholds.threshold import peak_threshold
 from residuum.identification.discrepancy.improve import improve
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response

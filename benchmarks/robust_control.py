@@ -24,12 +24,10 @@ from residuum.identification.linear_models.transfer_function import TransferFunc
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
 from residuum.library.questions.control_design import DesignController
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
-from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
+from residuum.robust_control.certificates import RobustAim, design_for_robust_performance, h_infinity_norm
+from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid, weighted_loop
 from residuum.robust_control.synthesis.controller_structure import PI, PIDN, Rational
 from residuum.robust_control.synthesis.structured_synthesis import default_starts, synthesise
-from residuum.robust_control.weighted_loop import weighted_loop
 from residuum.robust_control.weights.nominal_performance import NominalAim, design_for_nominal_performance
 from residuum.robust_control.weights.reference_model import ReferenceModel
 from residuum.service.views.control_view import view_control_design

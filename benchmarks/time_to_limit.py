@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residuum.diagnosis.tracks.track import Track, track
+from residuum.diagnosis.tracks import Track, track
 
 LIMIT = 2.0
 """The limit, where the value of the last window is 1 and that before the wear 0."""

@@ -17,8 +17,7 @@ from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.diagnosers.gripping_pliers import GrippingPliers
 from residuum.diagnosis.vibration.bearings.bearing_frequencies import orders_from_geometry
 from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing, impact_train
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
+from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record
 from residuum.simulation.gripping_pliers import GrippingPliers as Machine

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.watched_machines import TRAINED_ON, WATCHED, Watched, constant_of, machine_window, windows
 from residuum.diagnosis.diagnosers.model_based import ModelBased
-from residuum.diagnosis.tracks.track import Track, track
+from residuum.diagnosis.tracks import Track, track
 
 _WINDOWS = 30
 _WEAR = {"fan": ("tau_c", "tau_c", 0.6), "two-tanks": ("a_1", "a_1", -0.3), "oven": ("G_ambient", "h", 0.4)}

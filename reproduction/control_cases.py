@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from reproduction.benchmark import FULL, KERNEL, LOW, OMEGA, SEED, TS, identified, weights
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.robust_performance import RobustAim, RobustDesign, design_for_robust_performance
+from residuum.robust_control.certificates import RobustAim, RobustDesign, design_for_robust_performance
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise

@@ -7,7 +7,7 @@ from reproduction.check import at_most
 from reproduction.item import Item
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.weighted_loop import weighted_loop
+from residuum.robust_control.loop import weighted_loop
 
 _SHOWN_IN = {
     "Fig. 38": ("Identification for robust control, and the source's way", "a flow of steps; each is measured in its own figure"),

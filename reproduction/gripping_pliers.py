@@ -15,11 +15,9 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 from reproduction.check import at_least, at_most, near, same, within
 from reproduction.item import Item
 from reproduction.real_bearings import real_bearings
-from residuum.diagnosis.thresholds.healthy_band import HealthyBand
-from residuum.diagnosis.vibration.rotation.round_comparison import RoundComparison, compare_rounds, round_profile
-from residuum.diagnosis.vibration.rotation.rounds import cut_rounds
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
+from residuum.diagnosis.thresholds.tails import HealthyBand
+from residuum.diagnosis.vibration.rotation import RoundComparison, compare_rounds, cut_rounds, round_profile
+from residuum.diagnosis.vibration.spectra import Band, Kurtogram, band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.record import Record
 from residuum.simulation import MACHINES

@@ -14,7 +14,7 @@ from reproduction.item import Item
 from residuum.identification.linear_models.prediction_error import STRUCTURES, identify
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
-from residuum.robust_control.certificates.time_domain import StepResponse, assess, over_plants, step_response
+from residuum.robust_control.certificates import StepResponse, assess, over_plants, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise

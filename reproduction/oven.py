@@ -9,8 +9,8 @@ from reproduction.check import at_least, at_most, near, same, within
 from reproduction.item import Item
 from reproduction.oven_case import AIM, DROPPED, DURATION, PLANTS, SEED, TS, N, Oven, algorithm_4, synthesised
 from reproduction.oven_grid import PAIRS, grid_items
-from residuum.robust_control.certificates.time_domain import StepResponse, assess, over_plants, step_response
-from residuum.robust_control.multi_model import average_plant
+from residuum.robust_control.certificates import StepResponse, assess, over_plants, step_response
+from residuum.robust_control.control_problem import average_plant
 from residuum.simulation.oven import OvenMachine
 
 _LOG = {"xaxis_title": "ω [rad/s]", "yaxis_title": "magnitude", "xaxis_type": "log", "yaxis_type": "log"}

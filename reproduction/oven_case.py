@@ -9,8 +9,8 @@ from residuum.identification.kernel_based.impulse_response import identify_impul
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
+from residuum.robust_control.control_problem import average_plant, overall_uncertainty
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.multi_model import average_plant, overall_uncertainty
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis, synthesise
 from residuum.robust_control.weights.nominal_performance import NominalAim, NominalDesign, design_for_nominal_performance

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from reproduction.check import Check, at_least, at_most, within
 from reproduction.item import Item
 from reproduction.oven_case import AIM, DURATION, FloatArray, Oven, synthesised
-from residuum.robust_control.certificates.time_domain import over_plants
+from residuum.robust_control.certificates import over_plants
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
 from residuum.robust_control.weights.performance_weight import MonotoneWeight
 

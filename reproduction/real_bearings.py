@@ -8,8 +8,7 @@ from scipy.io import loadmat
 
 from reproduction.check import at_least, near
 from reproduction.item import Item
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
+from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 
 RIG = Path(__file__).resolve().parents[2] / "shared" / "data" / "cwru"

@@ -10,8 +10,7 @@ from reproduction.check import Check, at_least, at_most, same, within
 from reproduction.control_cases import DURATION, LOG, NAMES, PLANTS, Case, case, robust, sensitivities
 from reproduction.item import Item
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.robust_performance import RobustAim
-from residuum.robust_control.certificates.time_domain import StepResponse, assess, over_plants, step_response
+from residuum.robust_control.certificates import RobustAim, StepResponse, assess, over_plants, step_response
 from residuum.robust_control.loop import Weights
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise

@@ -12,8 +12,7 @@ from reproduction.item import Item
 from residuum.diagnosis.residuals.generators.approximate_fault_detection import noise_path
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import Detection, detect
-from residuum.diagnosis.systems.coprime import left_coprime
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.systems import h_infinity_norm, left_coprime
 from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKind
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.state_space import StateSpace

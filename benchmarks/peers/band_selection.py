@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from residuum.diagnosis.vibration.spectra.envelope import envelope_of_spectrum, padded_spectrum
-from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
+from residuum.diagnosis.vibration.spectra import Band, Kurtogram, envelope_of_spectrum, kurtogram, padded_spectrum
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput
 

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from residuum.diagnosis.gate.actuator_model import AdaptedModel
 from residuum.diagnosis.gate.movements import Movement, flat_part
-from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener
+from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener
 from residuum.identification.errors import NotIdentifiable
 
 Signal = npt.NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.weighted_loop import interconnect
+from residuum.robust_control.certificates import h_infinity_norm
+from residuum.robust_control.loop import interconnect
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,9 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
-from residuum.diagnosis.systems.spectral_factor import co_outer_factor
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.systems import balanced_truncation, co_outer_factor, h_infinity_norm
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.state_space import FloatArray, StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction

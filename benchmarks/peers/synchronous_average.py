@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from residuum.diagnosis.vibration.rotation.order_tracking import at_even_angle
+from residuum.diagnosis.vibration.rotation import at_even_angle
 from residuum.identification.errors import BadInput
 
 Array = npt.NDArray[Any]

@@ -22,7 +22,7 @@ from residuum.library.questions import asks
 from residuum.library.questions.control_design import DesignController
 from residuum.library.result import Result, Row
 from residuum.library.whole_file import write_whole
-from residuum.robust_control.certificates.time_domain import Measured, StepResponse, step_response
+from residuum.robust_control.certificates import Measured, StepResponse, step_response
 from residuum.robust_control.control_problem import STRUCTURES, ControlProblem, Solution, WeightChoice, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
 from residuum.robust_control.synthesis.constrained_structure import Constrained

@@ -8,14 +8,171 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from residuum.array_types import ComplexArray, FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.schur import is_schur
+from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
 from residuum.robust_control.weights.weighted_cost import rational_response, weighted_cost, weighted_slopes
+
+# A plant that is known only by its measured frequency response, and the stability of its loop by
+# Nyquist's criterion.
+
+_LONGEST_TURN = 0.5 * np.pi
+_FURTHEST_FROM_AXIS = np.pi / 4
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPlant:
+    """G(e^{jωTs}) at measured frequencies, taken as it is.
+
+    Parameters
+    ----------
+    omega : array, shape (k,)
+        [rad/s], increasing, within (0, π/Ts].
+    response : array, shape (k,)
+    sample_time : float
+        [s]
+    unstable_poles, integrators : int
+        Poles of the plant outside the unit circle, and at z = 1; data alone do not tell them.
+
+    Raises
+    ------
+    BadInput
+        Shapes differ, values are not finite, frequencies do not increase within (0, π/Ts], counts are negative.
+    """
+
+    omega: FloatArray
+    response: ComplexArray
+    sample_time: float
+    unstable_poles: int = 0
+    integrators: int = 0
+
+    def __post_init__(self) -> None:
+        omega, response = np.asarray(self.omega, dtype=float), np.asarray(self.response, dtype=complex)
+        if omega.ndim != 1 or len(omega) < 2 or response.shape != omega.shape:
+            raise BadInput(f"MeasuredPlant: {omega.shape} frequencies and {response.shape} values; needs two or more of each")
+        if not (np.isfinite(omega).all() and np.isfinite(response).all()):
+            raise BadInput("MeasuredPlant: a frequency or a value is not finite")
+        if not self.sample_time > 0:
+            raise BadInput(f"MeasuredPlant, sample_time: is {self.sample_time!r}; must be positive")
+        if omega[0] <= 0 or np.any(np.diff(omega) <= 0) or omega[-1] > np.pi / self.sample_time * (1 + 1e-9):
+            raise BadInput(f"MeasuredPlant, omega: must increase within 0 … π/Ts = {np.pi / self.sample_time:.6g} rad/s")
+        if min(self.unstable_poles, self.integrators) < 0:
+            raise BadInput("MeasuredPlant: numbers of poles must not be negative")
+        object.__setattr__(self, "omega", omega)
+        object.__setattr__(self, "response", response)
+
+    def frequency_response(self, omega: npt.ArrayLike) -> ComplexArray:
+        """Values between the measured ones, linear in ln ω; none outside them (BadInput)."""
+        omega = np.asarray(omega, dtype=float)
+        if np.any(omega < self.omega[0] * (1 - 1e-9)) or np.any(omega > self.omega[-1] * (1 + 1e-9)):
+            raise BadInput(f"MeasuredPlant: measured from {self.omega[0]:.6g} to {self.omega[-1]:.6g} rad/s only")
+        at, known = np.log(omega), np.log(self.omega)
+        return np.interp(at, known, self.response.real) + 1j * np.interp(at, known, self.response.imag)
+
+
+def closed_loop_unstable_poles(L: ComplexArray, unstable_poles: int, integrators: int) -> int | None:
+    """Poles of the closed loop outside the unit circle, from the turns of 1 + L about zero; None when the data do not tell.
+
+    With the path past z = 1 on its outside, 1 + L turns P − Z times about zero as z goes once round the unit circle: Z and
+    P are the poles of the closed and of the open loop outside. Half the path is measured; each integrator adds −½ turn at z = 1.
+
+    Parameters
+    ----------
+    L : array, shape (k,)
+        Open loop on increasing frequencies from well below the loop's bandwidth to (near) the Nyquist frequency.
+    unstable_poles, integrators : int
+        Of the open loop: outside the circle, and at z = 1.
+
+    Notes
+    -----
+    None when 1 + L turns by more than 90° from one frequency to the next (the grid is too coarse to count), or is more than 45°
+    from its asymptote at the ends (the grid ends too early). A resonance that stands between two frequencies cannot be seen.
+
+    Examples
+    --------
+    >>> z = np.exp(1j * np.geomspace(1e-3, np.pi, 400))
+    >>> [closed_loop_unstable_poles(gain / (z - 1.0), 0, 1) for gain in (0.5, 3.0)]
+    [0, 1]
+    """
+    distance = 1.0 + L
+    if not np.all(np.abs(distance) > 0):
+        return None
+    turns = np.angle(distance[1:] / distance[:-1])
+    if np.abs(turns).max() > _LONGEST_TURN:
+        return None
+    # to the axis of the integrators' asymptote below the first frequency, to the real axis above the last one
+    before = _from_axis(np.angle(distance[0]) + 0.5 * np.pi * integrators)
+    after = _from_axis(np.angle(distance[-1]))
+    if max(abs(before), abs(after)) > _FURTHEST_FROM_AXIS:
+        return None
+    winding = (turns.sum() + before - after) / np.pi - 0.5 * integrators
+    outside = int(np.round(unstable_poles - winding))
+    return outside if outside >= 0 else None
+
+
+def _from_axis(angle: float) -> float:
+    """The angle from the nearest multiple of 180°."""
+    return float(angle - np.pi * np.round(angle / np.pi))
+
+
+# A weighted loop in state space, kept as a chain of small blocks so that long impulse responses
+# stay well conditioned.
+
+
+def interconnect(blocks: Sequence[StateSpace], between: FloatArray, external: FloatArray, outputs: FloatArray) -> StateSpace:
+    """Blocks side by side with inputs v and outputs w, joined by v = `between` w + `external` r, z = `outputs` w.
+
+    The states stay those of the blocks, so no polynomials are multiplied out.
+
+    Raises
+    ------
+    BadInput
+        The loop without delay has gain 1 (I − F D is singular): it has no solution.
+    """
+    A, B, C, D = (block_diag(*[getattr(block, name) for block in blocks]) for name in "ABCD")
+    direct = np.eye(len(between)) - between @ D
+    if abs(np.linalg.det(direct)) < 1e-12:
+        raise BadInput("state space: the loop is not well posed; its direct feedthrough equals −1")
+    from_states, from_input = np.linalg.solve(direct, between @ C), np.linalg.solve(direct, external)
+    C, D = outputs @ (C + D @ from_states), outputs @ D @ from_input
+    return StateSpace(A + B @ from_states, B @ from_input, C, D, blocks[0].sample_time)
+
+
+def weighted_loop(
+    plant: TransferFunction,
+    controller: TransferFunction,
+    W_S: TransferFunction | None = None,
+    W_T: TransferFunction | None = None,
+    W_K: TransferFunction | None = None,
+) -> StateSpace:
+    """From the reference to [W_S S; W_T T; W_K K S], the rows whose weight is given.
+
+    Raises BadInput when no weight is given, or for unequal sample times.
+    """
+    weights = [weight for weight in (W_S, W_T, W_K) if weight is not None]
+    if not weights or len({system.sample_time for system in (plant, controller, *weights)}) != 1:
+        raise BadInput("weighted loop: needs a weight, and one sample time for plant, controller and weights")
+    blocks = [StateSpace.from_transfer_function(system) for system in (controller, plant, *weights)]
+    n = len(blocks)
+    between, external = np.zeros((n, n)), np.zeros((n, 1))
+    between[0, 1], external[0] = -1.0, 1.0  # K is driven by e = r − y
+    between[1, 0] = 1.0
+    row = 2
+    if W_S is not None:
+        between[row, 1], external[row] = -1.0, 1.0
+        row += 1
+    if W_T is not None:
+        between[row, 1] = 1.0
+        row += 1
+    if W_K is not None:
+        between[row, 0] = 1.0
+    return interconnect(blocks, between, external, np.eye(n)[2:])
+
 
 Plant = TransferFunction | MeasuredPlant
 

@@ -1,13 +1,13 @@
-r"""Control of a plant with as many outputs as inputs: static decoupling, a loop an output, and one certificate for the whole.
+"""Control of a plant with as many outputs as inputs: static decoupling, a loop an output, and one certificate for the whole.
 
 With D = G(1)⁻¹ the plant G_k D of every drawn model is close to the diagonal Λ = diag (G D)_ii of the nominal one,
 
-.. math:: G_k D = \Lambda (I + E_k), \qquad \det(I + G_k D C) = \det(I + \Lambda C)\,\det(I + T E_k),
+.. math:: G_k D = \\Lambda (I + E_k), \\qquad \\det(I + G_k D C) = \\det(I + \\Lambda C)\\,\\det(I + T E_k),
 
 C = diag C_i the controllers and T = diag T_i their loops. So all loops together are stable for every drawn model if each T_i is
 and
 
-.. math:: |T_i(\omega)| \sum_j |W_{ij}(\omega)| < 1, \qquad |W_{ij}| \ge \max_k |(E_k)_{ij}| \text{ at every frequency.}
+.. math:: |T_i(\\omega)| \\sum_j |W_{ij}(\\omega)| < 1, \\qquad |W_{ij}| \\ge \\max_k |(E_k)_{ij}| \text{ at every frequency.}
 
 Interactions count as uncertainty of the loop they enter, and each loop is then one of one input and one output (Algorithm 2).
 """
@@ -29,14 +29,62 @@ from residuum.identification.linear_models.error_bounds.drawn_errors import Draw
 from residuum.identification.linear_models.error_bounds.error_grid import refined_grid
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import weight_above
-from residuum.robust_control.certificates.time_domain import Measured, assess
+from residuum.robust_control.certificates import Measured, assess
 from residuum.robust_control.control_problem import WeightChoice, Wishes, critical_frequency
 from residuum.robust_control.loop import Loop, frequency_grid
-from residuum.robust_control.multivariable_loop import closed_loop_steps
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
 from residuum.robust_control.weights.nominal_performance import Infeasible, NominalAim, design_for_nominal_performance
+
+# Step responses of a decoupled multivariable loop, of the nominal plant and of drawn ones, by
+# difference equations.
+
+
+def closed_loop_steps(
+    taps: FloatArray, decoupler: FloatArray, controllers: Sequence[TransferFunction], reference: int, n: int
+) -> FloatArray:
+    """Outputs of u = D diag(C_i) (r − y) when one reference steps from 0 to 1, shape (plants, n, p).
+
+    Parameters
+    ----------
+    taps : array, shape (plants, p, q, length)
+        Impulse responses from lag 0 on; those of lag 0 are zero.
+    decoupler : array, shape (q, p)
+    controllers : sequence of TransferFunction
+        C_i, one an output.
+    reference : int
+        Index of the output whose reference steps.
+    """
+    count, p, q, length = taps.shape
+    rows = taps[..., ::-1].reshape(count, p, q * length)  # oldest input first
+    y, e, v = (np.zeros((count, p, n)) for _ in range(3))
+    u = np.zeros((count, q, n + length - 1))
+    laws = [_coefficients(controller) for controller in controllers]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(n):
+            past = u[:, :, k : k + length].reshape(count, q * length)
+            y[:, :, k] = np.einsum("npm,nm->np", rows, past)
+            e[:, :, k] = -y[:, :, k]
+            e[:, reference, k] += 1.0
+            for i, (b, a) in enumerate(laws):
+                v[:, i, k] = _recent(e[:, i], b, k, 0) - _recent(v[:, i], a, k, 1)
+            u[:, :, k + length - 1] = v[:, :, k] @ decoupler.T
+    return np.moveaxis(y, 1, 2)
+
+
+def _coefficients(controller: TransferFunction) -> tuple[FloatArray, FloatArray]:
+    """b from lag 0 on, a from lag 1 on."""
+    lag = len(controller.den) - len(controller.num)
+    return np.r_[np.zeros(lag), controller.num] / controller.den[0], controller.den[1:] / controller.den[0]
+
+
+def _recent(values: FloatArray, weights: FloatArray, k: int, first: int) -> FloatArray:
+    """Σ_l w_l x(k − first − l), shape (plants,), of signals from rest."""
+    stop = k + 1 - first
+    used = min(len(weights), max(stop, 0))
+    return np.asarray(values[:, stop - used : stop][:, ::-1] @ weights[:used])
+
 
 _FOLLOWED = 3.0
 """Steps are followed for so many of the longest promised settling times."""

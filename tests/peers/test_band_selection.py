@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.peers.band_selection import MERITS, choose_band, separation
 from residuum.diagnosis.vibration.bearings.bearing_model import impact_train
-from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
+from residuum.diagnosis.vibration.spectra import kurtogram
 from residuum.identification.errors import BadInput
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.synchronous_average import synchronous_average
-from residuum.diagnosis.vibration.rotation.order_tracking import angle_from_speed
+from residuum.diagnosis.vibration.rotation import angle_from_speed
 from residuum.identification.errors import BadInput
 
 

@@ -9,11 +9,10 @@ from residuum.identification.linear_models.schur import is_schur
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight
 from residuum.identification.record import Record
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid
+from residuum.robust_control.certificates import h_infinity_norm
+from residuum.robust_control.loop import Loop, Weights, characteristic, frequency_grid, weighted_loop
 from residuum.robust_control.synthesis.controller_structure import PI
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
-from residuum.robust_control.weighted_loop import weighted_loop
 from residuum.robust_control.weights.reference_model import ReferenceModel
 
 SYSTEMS = {

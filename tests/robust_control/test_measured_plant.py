@@ -5,8 +5,7 @@ import pytest
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.loop import Loop, Weights, frequency_grid
-from residuum.robust_control.measured_plant import MeasuredPlant, closed_loop_unstable_poles
+from residuum.robust_control.loop import Loop, MeasuredPlant, Weights, closed_loop_unstable_poles, frequency_grid
 from residuum.robust_control.synthesis.controller_structure import PIDN
 from residuum.robust_control.synthesis.structured_synthesis import synthesise
 from residuum.robust_control.weights.reference_model import ReferenceModel

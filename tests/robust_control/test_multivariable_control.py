@@ -12,8 +12,7 @@ from residuum.identification.kernel_based.multivariable_file import multivariabl
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.record import Record
 from residuum.robust_control.control_problem import WeightChoice, Wishes
-from residuum.robust_control.multivariable_control import MultivariableProblem
-from residuum.robust_control.multivariable_loop import closed_loop_steps
+from residuum.robust_control.multivariable_control import MultivariableProblem, closed_loop_steps
 from residuum.robust_control.synthesis.controller_structure import PI
 from residuum.robust_control.weights.nominal_performance import Infeasible
 from residuum.service.cli import run

@@ -14,19 +14,16 @@ from residuum.array_types import AnyArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
-from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.thresholds.tails import HealthyBand
 from residuum.diagnosis.vibration.bearings.bearing_frequencies import CLASS_OF, BearingFrequencies
 from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
 from residuum.diagnosis.vibration.bearings.fault_lines import LineEvidence, line_evidence
 from residuum.diagnosis.vibration.bearings.knocks import without_knocks
 from residuum.diagnosis.vibration.bearings.moving_lines import moving_line
-from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
-from residuum.diagnosis.vibration.rotation.shaft_speed import only_speed_channel, speed_channel, unusable_speeds, usual_speed
-from residuum.diagnosis.vibration.rotation.steady_speed import at_steady_speed
+from residuum.diagnosis.vibration.rotation import at_steady_speed, only_speed_channel, speed_channel, unusable_speeds, usual_speed
 from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
-from residuum.diagnosis.vibration.spectra.octave_bands import octave_edges, octave_rms
-from residuum.diagnosis.vibration.vibration_indicators import indicators
-from residuum.diagnosis.vibration.vibration_severity import LIMITS, severity
+from residuum.diagnosis.vibration.spectra import octave_edges, octave_rms
+from residuum.diagnosis.vibration.vibration_indicators import LIMITS, LONGEST, blocks_of, indicators, score_in_blocks, severity
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 from residuum.identification.units import compatible, convert, say_unit

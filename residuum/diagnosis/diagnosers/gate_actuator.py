@@ -12,12 +12,19 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.gate.actuator_model import ActuatorConstants
 from residuum.diagnosis.gate.gate_baseline import GateBaseline, TrainingMovement
-from residuum.diagnosis.gate.gate_examples import example_records
-from residuum.diagnosis.gate.movement_assessability import unusable_movement, unusable_record
 from residuum.diagnosis.gate.movement_features import movement_features
 from residuum.diagnosis.gate.movements import Movement, cut_movements
 from residuum.diagnosis.gate.operating_events import event_of_profile
-from residuum.diagnosis.gate.scored_movement import ScoredMovement, evidence_of, not_assessed, sentence, source_sentence
+from residuum.diagnosis.gate.scored_movement import (
+    ScoredMovement,
+    evidence_of,
+    example_records,
+    not_assessed,
+    sentence,
+    source_sentence,
+    unusable_movement,
+    unusable_record,
+)
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record

@@ -13,12 +13,10 @@ from residuum.array_types import AnyArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
 from residuum.diagnosis.learning.stored import load_stored, save_stored
-from residuum.diagnosis.thresholds.healthy_band import HealthyBand
-from residuum.diagnosis.vibration.rotation.round_comparison import RoundComparison, compare_rounds, round_profile
-from residuum.diagnosis.vibration.rotation.rounds import Rounds, cut_rounds
+from residuum.diagnosis.thresholds.tails import HealthyBand
+from residuum.diagnosis.vibration.rotation import RoundComparison, Rounds, compare_rounds, cut_rounds, round_profile
 from residuum.diagnosis.vibration.sensor_health import hears_otherwise, remarks, suspect, unusable, without_spikes
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import Band, Kurtogram, kurtogram
+from residuum.diagnosis.vibration.spectra import Band, Kurtogram, band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record

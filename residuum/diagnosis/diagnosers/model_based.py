@@ -13,8 +13,7 @@ from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotT
 from residuum.diagnosis.finding import Finding
 from residuum.diagnosis.model_based.assessment import CLASSES, assess, missing_physics, rate_alone
 from residuum.diagnosis.model_based.baseline import Baseline
-from residuum.diagnosis.model_based.recalibration import refuse_recalibration
-from residuum.diagnosis.model_based.training import train
+from residuum.diagnosis.model_based.training import refuse_recalibration, train
 from residuum.diagnosis.thresholds.false_alarm_rate import SECONDS_A_DAY
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import BUILT_IN, PhysicalModel, load_model

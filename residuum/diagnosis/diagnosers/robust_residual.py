@@ -12,15 +12,12 @@ from scipy import signal
 from residuum.array_types import FloatArray
 from residuum.diagnosis.diagnosers.base import Channel, Diagnoser, Example, NotTrained
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
-from residuum.diagnosis.residuals.fault_signatures import FAULT_KINDS
+from residuum.diagnosis.residuals.fault_isolation import FAULT_KINDS, FaultEstimate, FaultEstimator
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualGenerator, ResidualSignals
-from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import BankOutput
+from residuum.diagnosis.residuals.likelihood_ratio import BankOutput
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
-from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
-from residuum.diagnosis.thresholds.healthy_reference import FEWEST_BLOCKS, calibrated_threshold
-from residuum.diagnosis.thresholds.threshold import bounds, source_threshold
-from residuum.diagnosis.thresholds.threshold_test import ThresholdTest
+from residuum.diagnosis.thresholds.false_alarm_rate import FEWEST_BLOCKS, alarms_per_sample, calibrated_threshold
+from residuum.diagnosis.thresholds.threshold import ThresholdTest, bounds, source_threshold
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.kernel_based.delay import estimate_delay
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response

@@ -13,8 +13,8 @@ from residuum.diagnosis.gate.actuator_model import ActuatorConstants, AdaptedMod
 from residuum.diagnosis.gate.movements import Direction, Movement, flat_part
 from residuum.diagnosis.gate.operating_events import slow_residual
 from residuum.diagnosis.gate.position_domain import PositionProfile, position_profile
-from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.vibration.rotation.shaft_pattern import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
+from residuum.diagnosis.vibration.rotation import POINTS_OF_A_TURN, ShaftPattern, shaft_pattern
+from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener, matched_filter, pulse_templates
 
 # Residual evaluation of the gate actuator: band-pass, envelope, spectrum modulus, F₁ and F₂ (Valceschini, section 7.5.2).
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from residuum.array_types import ComplexArray
-from residuum.diagnosis.vibration.rotation.shaft_pattern import POINTS_OF_A_TURN
+from residuum.diagnosis.vibration.rotation import POINTS_OF_A_TURN
 from residuum.identification.errors import NotIdentifiable
 
 Signal = npt.NDArray[np.float64]

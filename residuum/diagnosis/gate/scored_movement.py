@@ -7,14 +7,111 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
 
 from residuum.diagnosis.finding import Finding
+from residuum.diagnosis.gate.actuator_model import ActuatorConstants
 from residuum.diagnosis.gate.gate_baseline import GateBaseline, Judgement, SourceJudgement
-from residuum.diagnosis.gate.movement_features import MovementFeatures
-from residuum.diagnosis.gate.movements import Movement
+from residuum.diagnosis.gate.movement_features import FEWEST_TURNS, MovementFeatures, whole_turns
+from residuum.diagnosis.gate.movements import Movement, flat_part
 from residuum.diagnosis.gate.operating_events import Happened
 from residuum.diagnosis.gate.position_domain import average_profile
 from residuum.diagnosis.residuals.fault_isolation import HEALTHY, PINION_OR_GEAR, RACK, UNKNOWN
+from residuum.identification.record import Record
+
+# Can a record of the gate be judged at all? Rate, gaps, dead and clipped sensors, too few turns.
+
+_RATE_TOLERANCE = 0.01
+_CLIPPED = 0.1  # of the samples at full voltage stand at the largest value
+_SHORTEST = 1.0  # s
+
+
+def unusable_record(record: Record, rate: float) -> str | None:
+    """Why no movement of the record can be judged, in one sentence; None when they can be looked at. `rate` in Hz."""
+    if abs(record.sampling_rate / rate - 1.0) > _RATE_TOLERANCE:
+        return f"sampled at {record.sampling_rate:.6g} Hz; trained at {rate:.6g} Hz"
+    for name in ("speed", "voltage", "current", "phase"):
+        if name not in record.names:
+            continue
+        if missing := int(np.count_nonzero(record.missing(name))):
+            first = int(np.argmax(record.missing(name)))
+            return f"gap: {missing} of {record.n} samples of {name} are missing, the first at {first * record.sample_time:.4g} s"
+        if name != "phase" and record.n > 1 and float(np.ptp(record[name])) == 0.0:
+            return f"flat: {name} stands at {float(record[name][0]):.4g} {record.units[name]} throughout"
+    return None
+
+
+def unusable_movement(movement: Movement, constants: ActuatorConstants) -> str | None:
+    """Why one movement cannot be judged, in one sentence; None when it can."""
+    if movement.duration < _SHORTEST:
+        return f"too short: the movement lasts {movement.duration:.3g} s; at least {_SHORTEST:g} s are needed"
+    if np.max(movement.voltage) <= 0 or np.max(movement.speed) <= 0:
+        return "the motor is not driven during the movement"
+    flat, level = flat_part(movement)
+    if np.ptp(movement.speed[flat]) == 0.0:
+        return f"flat: speed stands at {movement.speed[flat][0]:.4g} rad/s at full voltage"
+    for name, signal in (("speed", movement.speed), ("current", movement.current)):
+        if signal is not None and (share := _share_at_rail(signal[flat])) > _CLIPPED:
+            top = float(np.max(signal[flat]))
+            return f"clipped: {100 * share:.0f} % of the samples of {name} at full voltage stand at its largest value {top:.4g}"
+    turns = whole_turns(movement, constants)
+    if turns < FEWEST_TURNS:
+        return (
+            f"too short: {max(turns, 0.0):.1f} turns of the shaft at the full {level:.1f} V; at least {FEWEST_TURNS} are needed"
+        )
+    return None
+
+
+def _share_at_rail(x: npt.NDArray[np.float64]) -> float:
+    return float(np.mean(x >= np.max(x) - 1e-9 * np.ptp(x)))
+
+
+# Made-up movements of a gate by formula, for the conformance test to train on. Not a machine: no
+# friction, no teeth.
+
+_RATE = 2000.0  # Hz
+_LEVEL, _GAIN, _T = 30.0, 14.37, 0.0434  # V, rad/(V·s), s
+_GEAR_TEETH = 44
+_OPENING, _CLOSING = 1, 2
+
+
+def example_record(fault: str, seed: int, duration: float = 7.0) -> Record:
+    """One movement of `duration` seconds with ramps of 1 s.
+
+    Speed is the first-order response to the voltage less a load; `gear` adds a load pulse once a shaft turn, `rack` one in the
+    middle of the way. Tooth errors are a fixed random pattern once a turn; noise is white.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(duration * _RATE)) / _RATE
+    voltage = _LEVEL * np.clip(np.minimum(t, duration - t), 0.0, 1.0) + 0.03 * rng.standard_normal(t.shape[0])
+    flat = _GAIN * _LEVEL / (2 * np.pi * _GEAR_TEETH)
+    turns = flat * (t - 0.5) + rng.uniform()
+    load = 20.0 + sum(rng.normal(0.0, 0.4) * np.cos(2 * np.pi * (k * turns + rng.uniform())) for k in range(1, 15))
+    if fault == "gear":
+        load = load + 60.0 * np.exp(-0.5 * ((turns % 1.0 - 0.5) / 0.015) ** 2)
+    if fault == "rack":
+        load = load + 150.0 * np.exp(-0.5 * ((t - 0.5 * duration) / 0.01) ** 2)
+    speed = _low_pass(np.maximum(_GAIN * voltage - load, 0.0)) + rng.normal(0.0, 1.0, t.shape[0])
+    closing = seed % 2 == 1
+    sign = -1.0 if closing else 1.0
+    channels = {
+        "speed": sign * speed,
+        "voltage": sign * voltage,
+        "phase": np.full(t.shape[0], _CLOSING if closing else _OPENING, float),
+    }
+    return Record(channels, {"speed": "rad/s", "voltage": "V", "phase": ""}, 1.0 / _RATE, source=f"example {fault} {seed}")
+
+
+def example_records(fault: str, count: int, first_seed: int) -> list[Record]:
+    """`count` movements with consecutive seeds."""
+    return [example_record(fault, first_seed + k) for k in range(count)]
+
+
+def _low_pass(u: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    a = float(np.exp(-1.0 / (_RATE * _T)))
+    return np.asarray(lfilter([1.0 - a], [1.0, -a], u))
+
 
 _SHOWN_SPECTRUM = 10.0  # Hz
 _SHOWN_ORDERS = 50

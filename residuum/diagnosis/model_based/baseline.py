@@ -18,10 +18,8 @@ from residuum.diagnosis.learning.stored import load_stored, save_stored
 from residuum.diagnosis.model_based.hypotheses import Hypothesis, hypotheses
 from residuum.diagnosis.model_based.kind_of_run import KindOfRun
 from residuum.diagnosis.model_based.policy import FIT_STEPS, VISIBLE_POWER, WIDE
-from residuum.diagnosis.model_based.scatter import Scatter
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
-from residuum.diagnosis.model_based.whitening import Whitening
-from residuum.diagnosis.model_based.window_fit import Fit, WindowFitter, information_on_size, log_power
+from residuum.diagnosis.model_based.window_fit import Fit, Scatter, Whitening, WindowFitter, information_on_size, log_power
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import EffectUse, Experiment, PhysicalModel, read_model, write_model
 

@@ -1,4 +1,4 @@
-r"""A window fitted with one thing more free than the healthy model has.
+"""A window fitted with one thing more free than the healthy model has.
 
 Least squares of whitened simulation errors by Gauss-Newton steps; values that the hypothesis does not name keep their healthy
 scatter as a prior, so that a change smaller than that is none. What a fit costs, in nats:
@@ -14,14 +14,194 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
+from scipy.linalg import toeplitz
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.model_based.policy import FIT_STEPS, LOOK_STEPS, NO_MERIT, SETTLED
+from residuum.diagnosis.model_based.policy import EM_STEPS, EVIDENT, FIT_STEPS, LOOK_STEPS, NO_MERIT, RIDGES, SETTLED
 from residuum.diagnosis.model_based.variant import Variant
-from residuum.diagnosis.model_based.whitening import Whitening
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import Experiment, PhysicalModel, Simulator
-from residuum.identification.unseen_blocks.policy import BLOCKS
+from residuum.identification.unseen_blocks.policy import BLOCKS, WHITENING
+
+# What healthy simulation errors look like: one autoregression an output whitens them, so that
+# errors can be weighed in nats.
+
+Flags = npt.NDArray[np.bool_]
+_CORRELATED = 0.05
+"""Autocorrelation under which samples count as independent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Of each output.
+
+    Attributes
+    ----------
+    filters : array, shape (outputs, order + 1)
+        1 − φ₁ z⁻¹ − …, order by Akaike's criterion, zero beyond it.
+    sigma : array, shape (outputs,)
+        RMS of whitened healthy errors.
+    inflation : array, shape (outputs,)
+        By which correlation that is left divides the number of samples.
+    steps, most_steps : array, shape (outputs,)
+        Half the mean square of steps from sample to sample, in sigma²: what is usual of their white part, and the most.
+    """
+
+    filters: FloatArray
+    sigma: FloatArray
+    inflation: FloatArray
+    steps: FloatArray
+    most_steps: FloatArray
+
+    def white(self, values: FloatArray, known: Flags) -> FloatArray:
+        """Values (n, outputs, …) whitened, over their healthy size; zero where nothing was measured."""
+        out = np.empty(values.shape)
+        for o, a in enumerate(self.filters):
+            there = known[:, o].reshape((-1,) + (1,) * (values.ndim - 2))
+            x = np.where(there, values[:, o], 0.0)
+            y = x.copy()
+            for lag in np.flatnonzero(a[1:]) + 1:
+                y[lag:] += a[lag] * x[:-lag]
+            out[:, o] = np.where(there, y, 0.0) / self.sigma[o]
+        return out
+
+    @property
+    def amplified(self) -> FloatArray:
+        """By how much whitening multiplies the steps' power of white noise, in sigma², shape (outputs,)."""
+        steps = np.diff(self.filters, axis=1, prepend=0.0, append=0.0)
+        return np.asarray(0.5 * np.sum(steps**2, axis=1) / self.sigma**2)
+
+    @classmethod
+    def plain(cls, sigma: FloatArray) -> Whitening:
+        """None but the division by these sizes."""
+        filters = np.zeros((len(sigma), WHITENING + 1))
+        filters[:, 0] = 1.0
+        return cls(filters, sigma, *np.ones((3, len(sigma))))
+
+    @classmethod
+    def of(cls, errors: Sequence[FloatArray]) -> Whitening:
+        """Learned from the errors (n, outputs) of healthy windows; Yule-Walker equations."""
+        outputs = errors[0].shape[1]
+        found = cls.plain(np.ones(outputs))
+        for o in range(outputs):
+            x = [np.nan_to_num(r[:, o]) for r in errors]
+            a = _autoregression(x)
+            white = [np.convolve(y, a)[: len(y)] for y in x]
+            rho = _autocorrelation(white, min(map(len, white)))
+            end = int(np.argmax(rho < _CORRELATED)) or len(rho)
+            sigma = max(float(np.sqrt(np.mean(np.concatenate(white) ** 2))), 1e-300)
+            steps = [float(np.mean(np.diff(y) ** 2)) / 2.0 / sigma**2 for y in white]
+            found.filters[o, : len(a)], found.sigma[o] = a, sigma
+            found.inflation[o] = 1.0 + 2.0 * float(rho[1:end].sum())
+            found.steps[o], found.most_steps[o] = np.mean(steps), np.mean(steps) + 2.0 * np.std(steps)
+        return found
+
+
+def _autoregression(x: Sequence[FloatArray]) -> FloatArray:
+    rho, n = _autocorrelation(x, WHITENING + 1), sum(map(len, x))
+    best, a = np.inf, np.ones(1)
+    for p in range(WHITENING + 1):
+        phi = np.linalg.solve(toeplitz(rho[:p]) + 1e-9 * np.eye(p), rho[1 : p + 1]) if p else np.zeros(0)
+        aic = n * np.log(max(1.0 - float(phi @ rho[1 : p + 1]), 1e-12)) + 2.0 * p
+        if aic < best:
+            best, a = aic, np.concatenate([[1.0], -phi])
+    return a
+
+
+def _autocorrelation(x: Sequence[FloatArray], lags: int) -> FloatArray:
+    total = np.sum([np.fft.irfft(np.abs(np.fft.rfft(y, 2 * len(y))) ** 2)[:lags] for y in x], axis=0)
+    return np.asarray(total / max(float(total[0]), 1e-300))
+
+
+# How values scatter from one healthy window to the next, and move with the kind of run.
+# x_w = Bᵀφ_w + δ_w, δ_w ~ N(0, S), x̂_w ~ N(x_w, H_w⁻¹),
+# a hierarchical normal model: φ are the features of the run, H_w is what the window by itself
+# says. B (ridge) and S by expectation and maximisation; how far each value may depend on φ by the
+# evidence of its ridge. Far from the runs seen the scatter widens.
+# References ---------- A. Gelman et al., *Bayesian Data Analysis*, 3rd ed. 2013, ch. 5 and 15; D.
+# MacKay, Neural Computation 4 (1992) 415 (evidence).
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Mean and scatter of values.
+
+    Attributes
+    ----------
+    B : array, shape (features, values)
+    S : array, shape (values, values)
+    M : array, shape (values, features, features)
+        (FᵀF + ridge)⁻¹ of each value.
+    freedom : float
+        Windows that S is worth.
+    """
+
+    B: FloatArray
+    S: FloatArray
+    M: FloatArray
+    freedom: float
+
+    @classmethod
+    def of(cls, F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray) -> Scatter:
+        """Learned from windows.
+
+        Parameters
+        ----------
+        F : array, shape (windows, features)
+        x : array, shape (windows, values)
+        information : sequence of array, shape (values, values), or None
+            Of each window on its values; None: they are known exactly.
+        floor : array, shape (values,)
+            Least standard deviation of each.
+        """
+        ridges = np.full(x.shape[1], RIDGES[0])
+        found, post = _fitted(F, x, information, floor, ridges)
+        for _ in range(2):
+            ridges = np.array([_evident_ridge(F, y, least) for y, least in zip(post.T, floor, strict=True)])
+            found, post = _fitted(F, x, information, floor, ridges)
+        return found
+
+    def at(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean (values,) and covariance (values, values) of a further window."""
+        widened = np.sqrt(1.0 + np.einsum("i,pij,j->p", features, self.M, features))
+        return features @ self.B, self.S * np.outer(widened, widened)
+
+
+def _fitted(
+    F: FloatArray, x: FloatArray, information: Sequence[FloatArray] | None, floor: FloatArray, ridges: FloatArray
+) -> tuple[Scatter, FloatArray]:
+    """The scatter with these ridges, and each window's values as it and the others tell them."""
+    n, p = x.shape
+    M = np.array([np.linalg.inv(F.T @ F + np.diag([1e-6] + [ridge] * (F.shape[1] - 1))) for ridge in ridges])
+    M = M.reshape(p, F.shape[1], F.shape[1])
+    freedom = np.array([max(n - float(np.trace(F @ m @ F.T)), 2.0) for m in M])
+    post, V = x, np.zeros((n, p, p))
+    B, S = np.zeros((F.shape[1], p)), np.zeros((p, p))
+    for _ in range(1 if information is None else EM_STEPS):
+        B = np.einsum("pij,wj,wp->ip", M, F, post)
+        d = post - F @ B
+        S = d.T @ d / np.sqrt(np.outer(freedom, freedom)) + V.mean(axis=0) + np.diag(floor**2)
+        if information is not None:
+            P = np.linalg.inv(S)
+            V = np.array([np.linalg.inv(P + h) for h in information])
+            told = zip(V, F @ B, information, x, strict=True)
+            post = np.array([v @ (P @ mean + h @ y) for v, mean, h, y in told]).reshape(n, p)
+    B, S, M = (np.ascontiguousarray(x) for x in (B, S, M))  # as they are loaded: the order decides the last digit
+    return Scatter(B, S, M, float(freedom.min(initial=float(n)))), post
+
+
+def _evident_ridge(F: FloatArray, y: FloatArray, floor: float) -> float:
+    """The ridge under which the values of the windows are likeliest; less of it only where that is evident."""
+    best, chosen = -np.inf, RIDGES[0]
+    r = (y - y.mean()) / max(float(y.std()), float(floor), 1e-300)
+    for ridge in RIDGES:
+        K = np.eye(len(y)) + F[:, 1:] @ F[:, 1:].T / ridge
+        square = max(float(r @ np.linalg.solve(K, r)), 1e-12)
+        evidence = -0.5 * float(np.linalg.slogdet(K)[1]) - 0.5 * len(y) * np.log(square)
+        if evidence > best + EVIDENT:
+            best, chosen = evidence, ridge
+    return chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy import linalg, optimize, signal, special, stats
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.thresholds.hazard_tail import HazardTail
+from residuum.diagnosis.thresholds.tails import HazardTail
 from residuum.identification.errors import BadInput
 
 _HIGHEST_ORDER = 20

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.residuals.fault_estimation import FaultEstimate, FaultEstimator
+from residuum.diagnosis.residuals.fault_isolation import FaultEstimate, FaultEstimator
 from residuum.diagnosis.residuals.generators.residual_generator import BoolArray, ResidualSignals
 from residuum.diagnosis.residuals.residual_design import ROBUST, ResidualDesign
 from residuum.diagnosis.residuals.residual_evaluation import CUSUM_REFERENCE, evaluate
-from residuum.diagnosis.thresholds.cusum import cusum
-from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample
+from residuum.diagnosis.thresholds.false_alarm_rate import alarms_per_sample, cusum
 from residuum.diagnosis.thresholds.threshold import (
     DEFAULT_EVALUATION,
     EvaluationName,

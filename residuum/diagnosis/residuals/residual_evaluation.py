@@ -9,8 +9,8 @@ import numpy as np
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
-from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank
-from residuum.diagnosis.thresholds.cusum import cusum
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank
+from residuum.diagnosis.thresholds.false_alarm_rate import cusum
 
 RMS_WINDOW = 50
 CUSUM_REFERENCE = 0.5

@@ -3,13 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, special
+from scipy import optimize, special, stats
 
 from residuum.array_types import FloatArray
 from residuum.identification.errors import BadInput
+from residuum.kept_loops import njit
+
+# Two-sided cumulative sum (CUSUM) of a standardised signal.
+
+
+class CusumOutput(NamedTuple):
+    """Per sample: the larger of the two sums, the alarms (+1 up, −1 down, 0 none) and the samples since that sum was zero."""
+
+    statistic: FloatArray
+    alarm: npt.NDArray[np.int64]
+    since: npt.NDArray[np.int64]
+
+
+def cusum(x: npt.ArrayLike, valid: npt.ArrayLike, reference: float, threshold: float) -> CusumOutput:
+    """g⁺ = max(0, g⁺ + x − k), g⁻ = max(0, g⁻ − x − k); alarm when one exceeds h, after which both start at zero.
+
+    Page (1954); optimal for a step of 2 k. Its false-alarm rate for independent standard normals is that of
+    `cusum_threshold`; correlated x raise it, and a lasting model error larger than k makes it alarm for certain.
+
+    Parameters
+    ----------
+    x, valid : arrays, shape (n,)
+        Standardised signal; where `valid` is False both sums are zero.
+    reference, threshold : float
+        k and h [standard deviations].
+
+    Examples
+    --------
+    >>> output = cusum([0.0] * 5 + [2.0] * 5, [True] * 10, 0.5, 4.0)
+    >>> int(np.argmax(output.alarm)), int(output.since[np.argmax(output.alarm)])
+    (7, 3)
+    """
+    x = np.ascontiguousarray(x, dtype=float)
+    n = len(x)
+    output = CusumOutput(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64))
+    _cusum(x, np.ascontiguousarray(valid, dtype=bool), float(reference), float(threshold), *output)
+    return output
+
+
+@njit()
+def _cusum(x, valid, reference, threshold, statistic, alarm, since):  # type: ignore[no-untyped-def]
+    up = down = 0.0
+    risen = fallen = 0
+    for t in range(len(x)):
+        if not valid[t]:
+            up = down = 0.0
+            risen = fallen = 0
+            continue
+        up, down = max(0.0, up + x[t] - reference), max(0.0, down - x[t] - reference)
+        risen = risen + 1 if up > 0.0 else 0
+        fallen = fallen + 1 if down > 0.0 else 0
+        statistic[t] = max(up, down)
+        since[t] = risen if up >= down else fallen
+        if statistic[t] > threshold:
+            alarm[t] = 1 if up >= down else -1
+            up = down = 0.0
+            risen = fallen = 0
+
 
 SECONDS_A_DAY = 86400.0
 _OVERLAP = 0.6  # crossings by several lengths at once, counted once: measured over 10⁷ samples at 10⁻³ … 10⁻⁵ a sample
@@ -101,3 +161,97 @@ def cusum_threshold(rate: float, reference: float) -> float:
 def _log_cusum_rate(h: float, reference: float) -> float:
     exponent = 2.0 * reference * (h + 1.166)
     return float(np.log(4.0 * reference**2) - exponent - np.log1p(-(1.0 + exponent) * np.exp(-exponent)))
+
+
+# What healthy records teach beyond the model: bounds, peaks of each statistic, and whether the
+# model itself falls short.
+
+BLOCK = 128  # samples a peak is taken from; far longer than a whitened residual remembers
+FEWEST_BLOCKS = 10
+_CONFIDENCE = 0.95
+_UPPER = 0.9  # quantile above which peaks are asked how often they come alone
+
+
+@dataclass(frozen=True)
+class CalibratedThreshold:
+    """A threshold learnt from healthy peaks, and what it promises.
+
+    `guaranteed` is True when, with 95 % confidence over healthy records of this length, the true rate is at most twice the
+    chosen one, whatever the distribution; otherwise the tail was extrapolated. `days_needed` is the healthy data that a
+    guarantee at this rate takes.
+    """
+
+    value: float
+    guaranteed: bool
+    days: float
+    days_needed: float
+
+
+def block_peaks(statistic: Sequence[FloatArray], valid: Sequence[np.ndarray]) -> FloatArray:
+    """Largest value of a healthy statistic in each block of 128 valid samples, shape (blocks,)."""
+    peaks = [
+        np.abs(series[mask][: len(series[mask]) // BLOCK * BLOCK]).reshape(-1, BLOCK).max(axis=1)
+        for series, mask in zip(statistic, valid, strict=True)
+    ]
+    return np.concatenate(peaks) if peaks else np.zeros(0)
+
+
+def calibrated_threshold(peaks: FloatArray, rate: float, sample_time: float) -> CalibratedThreshold:
+    """Threshold that healthy blocks exceed at `rate` per sample.
+
+    With p = 128 · rate the chance a block may exceed it, the k-th largest of J healthy peaks exceeds its own quantile
+    with the binomial law of order statistics, so it is a guarantee (≤ 2p with 95 % confidence) as soon as
+    P(Binomial(J, 2p) ≤ k − 1) ≤ 5 %: 3/(2p) blocks are needed at least. Neighbouring blocks may depend on each other;
+    one block is the span that is assumed to forget. With less data the squared peaks, which have an exponential tail for
+    Gaussian scores of any evaluation, are extrapolated by a generalised Pareto law of non-negative shape (a bounded tail
+    is never assumed), and nothing is promised.
+
+    Of neighbouring peaks only the largest counts: a statistic that stands out for longer than a block, or at the seam of
+    two, is one alarm.
+
+    Raises
+    ------
+    BadInput
+        Fewer than 10 blocks of healthy samples.
+    """
+    if len(peaks) < FEWEST_BLOCKS:
+        raise BadInput(
+            f"calibrated threshold: {len(peaks)} blocks of {BLOCK} healthy samples; at least {FEWEST_BLOCKS} are needed"
+        )
+    p, n = min(BLOCK * rate, 0.5), len(peaks)
+    days = n * BLOCK * sample_time / SECONDS_A_DAY
+    needed = float(np.log(1 - _CONFIDENCE) / np.log1p(-min(2 * p, 0.99))) * BLOCK * sample_time / SECONDS_A_DAY
+    alone = _largest_of_neighbours(peaks)
+    descending = np.sort(alone)[::-1]
+    ranks = np.arange(1, n + 1)
+    allowed = np.flatnonzero(stats.binom.cdf(ranks - 1, n, min(2 * p, 0.99)) <= 1 - _CONFIDENCE)
+    if len(allowed):
+        # The rank that is right on average, unless it would not keep the promise.
+        k = min(int(allowed[-1]) + 1, max(1, int(np.floor(p * (n + 1)))))
+        return CalibratedThreshold(float(descending[k - 1]), True, days, needed)
+    upper = peaks >= np.quantile(peaks, _UPPER)
+    share = float(np.mean(alone[upper] > 0.0))
+    return CalibratedThreshold(float(np.sqrt(_extrapolated(np.sort(peaks**2)[::-1], p / share))), False, days, needed)
+
+
+def _largest_of_neighbours(peaks: FloatArray) -> FloatArray:
+    """The peaks, those smaller than one beside them set to zero."""
+    beside = np.concatenate([[-np.inf], peaks, [-np.inf]])
+    return np.where((peaks >= beside[:-2]) & (peaks > beside[2:]), peaks, 0.0)
+
+
+def _extrapolated(squares: FloatArray, p: float) -> float:
+    """Quantile of exceedance probability p of a generalised Pareto tail over the upper third of the peaks."""
+    n = len(squares)
+    k = max(FEWEST_BLOCKS // 2, n // 3)
+    base, excess = squares[k], squares[:k] - squares[k]
+    mean = float(np.mean(excess))
+    if mean == 0.0:
+        return float(base)
+    # Hosking and Wallis' (1987) moment estimate of the shape, kept between an exponential and a heavy tail.
+    shape = float(np.clip(0.5 * (1.0 - mean**2 / np.var(excess)), 0.0, 0.5)) if n >= 100 else 0.0
+    ratio = k / (n * p)
+    if shape < 1e-6:
+        return float(base + mean * np.log(ratio))
+    scale = mean * (1.0 - shape)
+    return float(base + scale / shape * (ratio**shape - 1.0))

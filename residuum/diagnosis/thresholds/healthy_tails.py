@@ -10,7 +10,7 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.innovation_size import shape_without
 from residuum.diagnosis.residuals.noise_model import GAUSSIAN_SHAPE, NoiseModel, fit_noise_model
-from residuum.diagnosis.thresholds.hazard_tail import differing_tail
+from residuum.diagnosis.thresholds.tails import differing_tail
 
 
 def with_healthy_tail(noise: NoiseModel, residuals: Sequence[FloatArray]) -> NoiseModel:

@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 from scipy import stats
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_evaluation import CUSUM_REFERENCE, RMS_WINDOW
-from residuum.diagnosis.thresholds.false_alarm_rate import cusum_threshold, scan_threshold
-from residuum.diagnosis.thresholds.healthy_reference import calibrated_threshold
+from residuum.diagnosis.thresholds.false_alarm_rate import calibrated_threshold, cusum_threshold, scan_threshold
 from residuum.identification.errors import BadInput
+
+# A statistic held against a threshold over one window, as a finding shows it.
+
+
+@dataclass(frozen=True)
+class ThresholdTest:
+    """Name and unit of the indicator, its largest value, the threshold, and the sample of the first alarm (None: none)."""
+
+    indicator: str
+    unit: str
+    largest: float
+    threshold: float
+    alarm: int | None
+
+    @classmethod
+    def of(
+        cls, indicator: str, unit: str, statistic: FloatArray, alarm: npt.NDArray[np.bool_], threshold: float
+    ) -> ThresholdTest:
+        """Of a statistic sample by sample, shape (n,)."""
+        first = int(np.argmax(alarm)) if alarm.any() else None
+        return cls(indicator, unit, float(statistic.max()), threshold, first)
+
+    def to_json(self, time: FloatArray) -> Mapping[str, Any]:
+        """What the test alone says: verdict, numbers, time of the first alarm [s]."""
+        return {
+            "verdict": "healthy" if self.alarm is None else "faulty",
+            "indicator": self.indicator,
+            "value": self.largest,
+            "threshold": self.threshold,
+            "unit": self.unit,
+            "first_alarm_time": None if self.alarm is None else float(time[self.alarm]),
+        }
+
 
 ThresholdKind = Literal["posterior", "peak", "source", "calibrated"]
 EvaluationName = Literal["point", "rms", "cusum", "glr"]

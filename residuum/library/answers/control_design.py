@@ -10,11 +10,9 @@ import numpy as np
 
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.library.answers.control_promise import says
-from residuum.robust_control.certificates.disk_margin import disk_margin
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.certificates.time_domain import StepResponse
+from residuum.robust_control.certificates import StepResponse, disk_margin, h_infinity_norm
 from residuum.robust_control.control_problem import ControlProblem, Solution
-from residuum.robust_control.weighted_loop import weighted_loop
+from residuum.robust_control.loop import weighted_loop
 
 
 def design_json(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from residuum.library.answers.plain import finite
-from residuum.robust_control.certificates.time_domain import Measured, StepResponse
+from residuum.robust_control.certificates import Measured, StepResponse
 from residuum.robust_control.control_problem import Solution, Wishes
 
 _SHARE = 0.95

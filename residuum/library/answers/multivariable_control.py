@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from residuum.library.answers.plain import finite
-from residuum.robust_control.certificates.time_domain import StepResponse
+from residuum.robust_control.certificates import StepResponse
 from residuum.robust_control.multivariable_control import (
     SHARE,
     MeasuredLoop,

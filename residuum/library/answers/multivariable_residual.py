@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from residuum.diagnosis.residuals.multivariable.multivariable_detection import Hypothesis, IsolatedFault, MultivariableDetection
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import MultivariableResidual
+from residuum.diagnosis.residuals.multivariable import Hypothesis, IsolatedFault, MultivariableDetection, MultivariableResidual
 from residuum.identification.record import Record
 
 

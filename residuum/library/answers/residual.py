@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.diagnosis.residuals.fault_estimation import PLANT_CHANGE, STUCK, FaultEstimate
+from residuum.diagnosis.residuals.fault_isolation import PLANT_CHANGE, STUCK, FaultEstimate
 from residuum.diagnosis.residuals.noise_model import NoiseModel
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import Detection

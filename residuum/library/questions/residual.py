@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import get_args
 
 from residuum.diagnosis.residuals.generators.classical_filters import CLASSICAL_METHODS
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import UNKNOWN_INPUT
+from residuum.diagnosis.residuals.multivariable import UNKNOWN_INPUT
 from residuum.diagnosis.residuals.residual_design import ROBUST, ResidualDesign, design_residual
 from residuum.diagnosis.thresholds.threshold import EvaluationName, ThresholdKind
 from residuum.identification.errors import BadInput

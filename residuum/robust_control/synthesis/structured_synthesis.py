@@ -2,20 +2,321 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize, nnls
 
 from residuum.array_types import FloatArray
 from residuum.identification.blas_threads import LARGEST_FOR_ONE_THREAD, one_thread_if_small
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.loop import Loop, Weights
+from residuum.kept_loops import njit
+from residuum.robust_control.loop import Loop, Weights, characteristic
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
-from residuum.robust_control.synthesis.minimax_descent import Descent
-from residuum.robust_control.synthesis.stabilising_start import stabilising_starts
+
+# One step of a minimax problem: the quadratic programme in its epigraph form.
+
+_SMALLEST_PIVOT = 1e-12
+
+
+def minimax_step(
+    c: FloatArray, A: FloatArray, H: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    r"""(d, λ, t): :math:`\min_{d,t} t + \tfrac12 t^2 + \tfrac12 d^T H d` with :math:`c_i + a_i^T d \le t`, low ≤ d ≤ high.
+
+    The problem is one of least distance from (0, −1) in the coordinates (Lᵀd, t), H = L Lᵀ, which non-negative least squares
+    solves exactly in as many steps as constraints become active. The term ½t² makes it one; near the solution, where
+    t → 0, it has no weight.
+
+    Parameters
+    ----------
+    c, A : array, shapes (m,), (m, n)
+        Values of the functions less their maximum, and their slopes.
+    H : array, shape (n, n)
+        Curvature, positive definite.
+    low, high : array, shape (n,)
+        Bounds, low ≤ 0 ≤ high.
+
+    Returns
+    -------
+    d, λ, t : array (n,), array (m,), float
+        The step, the multipliers of the functions (their sum is 1 + t), and the largest linear model at the step.
+
+    References
+    ----------
+    C. L. Lawson, R. J. Hanson, *Solving Least Squares Problems*, chapter 23 (least distance programming).
+
+    Examples
+    --------
+    >>> d, multipliers, t = minimax_step(
+    ...     np.array([0.0, -1.0]), np.array([[-1.0], [1.0]]), 1e-6 * np.eye(1), -np.ones(1), np.ones(1)
+    ... )
+    >>> d.round(5).tolist(), multipliers.round(3).tolist(), round(t, 5)
+    ([0.5], [0.25, 0.25], -0.5)
+    """
+    m, n = A.shape
+    inverse = _inverse_of_lower(_lower_factor(H))
+    E = np.zeros((n + 2, m + 2 * n))
+    E[:n] = np.hstack([-inverse @ A.T, inverse, -inverse])
+    E[n, :m] = 1.0
+    E[n + 1] = np.concatenate([c + 1.0, low, -high])
+    target = np.zeros(n + 2)
+    target[n + 1] = 1.0
+    try:
+        u, _ = nnls(E, target)
+    except RuntimeError:  # went round in circles between all but equal sets: no step, and the descent ends here
+        u = np.zeros(m + 2 * n)
+    residual = E @ u - target
+    d = np.clip(-inverse.T @ residual[:n] / residual[n + 1], low, high)
+    return d, u[:m] / -residual[n + 1], float((c + A @ d).max())
+
+
+@njit(error_model="numpy")
+def _lower_factor(H):  # type: ignore[no-untyped-def]  compiled
+    """Cholesky's L; a pivot that rounding made vanish is held at 10⁻¹² of its diagonal, so that H may be all but singular."""
+    n = len(H)
+    L = np.zeros((n, n))
+    for j in range(n):
+        pivot = H[j, j]
+        for k in range(j):
+            pivot -= L[j, k] ** 2
+        L[j, j] = np.sqrt(max(pivot, _SMALLEST_PIVOT * H[j, j]))
+        for i in range(j + 1, n):
+            total = H[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total / L[j, j]
+    return L
+
+
+@njit(error_model="numpy")
+def _inverse_of_lower(L):  # type: ignore[no-untyped-def]  compiled
+    n = len(L)
+    inverse = np.zeros((n, n))
+    for j in range(n):
+        inverse[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for k in range(j, i):
+                total += L[i, k] * inverse[k, j]
+            inverse[i, j] = -total / L[i, i]
+    return inverse
+
+
+# Descent of the largest weighted cost over plants and frequencies, by the parameters of a
+# controller.
+
+_SAME, _SMALLEST, _IDLE = 1e-6, 1e-4, 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Logarithms of the cost at one ρ, and the largest of them."""
+
+    rho: FloatArray
+    log_cost: FloatArray
+    peak: float
+
+
+class Descent:
+    r"""Sequential quadratic programming on :math:`\min_\rho \max_k \ln c_k(\rho)` in a box that grows and shrinks.
+
+    Only peaks of the cost along frequency are looked at (the working set); peaks that appear join it. The curvature of the
+    Lagrangian is learnt (damped BFGS). A step that gains less than half of what the linear models promised is computed again
+    from models bent to the values found at its end (second-order correction), and a step to a controller that does not
+    stabilise every plant is not taken.
+
+    Attributes
+    ----------
+    here : _Trial
+        Parameters reached, with their costs; `here.peak` is ln of the largest.
+    finished : bool
+        No step within the smallest box, or a promised gain below 1e-6.
+
+    References
+    ----------
+    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed., chapter 18 (SQP, second-order correction, damped BFGS).
+    """
+
+    def __init__(self, loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray, sizes: FloatArray) -> None:
+        self.loop, self.weights, self.structure = loop, weights, structure
+        self.sizes = sizes
+        self.scale = np.maximum(np.abs(rho), 0.3 * sizes)
+        self.bounds = structure.bounds()
+        self.here = _trial(loop, weights, structure, rho)
+        self.working = _peaks(self.here.log_cost, self.here.peak)
+        self.multipliers = np.zeros(loop.G.shape)
+        self.curvature = 0.01 * np.eye(len(rho))
+        self.last: tuple[FloatArray, FloatArray] | None = None  # step, slope of the Lagrangian before it
+        self.radius = 1.0
+        self.finished = False
+
+    def advance(self, steps: int, goal: float) -> None:
+        """At most so many steps, until ln cost ≤ goal."""
+        for _ in range(steps):
+            self.finished = self.finished or self.here.peak <= goal
+            if self.finished:
+                return
+            self._step()
+
+    def _step(self) -> None:
+        here, at = self.here, np.nonzero(self.working)
+        values, slopes = self._slopes(at)
+        if self.last is not None:
+            step, before = self.last
+            self.curvature = _updated(self.curvature, step, self.multipliers[at] @ slopes - before)
+            self.last = None
+        reach = self.radius * np.maximum(1.0, np.abs(here.rho) / self.scale)
+        low, high = self._box(reach)
+        d, multipliers, predicted = minimax_step(values - here.peak, slopes, self.curvature, low, high)
+        if predicted > -_SAME:
+            self.finished = True
+            return
+        there, gained = self._try(d, predicted)
+        if gained < 0.5:  # bend the models to what was found at the end of the step, and solve again
+            bent = there.log_cost[at] - slopes @ d - here.peak
+            again, weights, _ = minimax_step(bent - bent.max(), slopes, self.curvature, low, high)
+            second, improved = self._try(again, predicted)
+            if improved > gained:
+                d, multipliers, there, gained = again, weights, second, improved
+        if gained > 0.01:
+            self.multipliers[at] = multipliers
+            self.last = (d, multipliers @ slopes)
+            self.here = there
+            self.working &= (there.log_cost > there.peak - _IDLE) | (self.multipliers > 0.0)
+            self.radius = min(1.0, 2.5 * self.radius) if gained > 0.6 else self.radius * (0.5 if gained < 0.2 else 1.0)
+            return
+        self.radius = 0.5 * min(self.radius, float(np.abs(d / reach).max()))
+        self.finished = self.radius < _SMALLEST
+
+    def _try(self, d: FloatArray, predicted: float) -> tuple[_Trial, float]:
+        """(what stands at the end of a step, gain relative to the predicted one); minus infinity where a loop is unstable."""
+        there = _trial(self.loop, self.weights, self.structure, self.here.rho + self.scale * d)
+        self.working |= _peaks(there.log_cost, there.peak)
+        gained = (self.here.peak - there.peak) / -predicted
+        if gained > 0.0 and not self.loop.stabilised_by(*self.structure.polynomials(there.rho)):
+            return there, -np.inf
+        return there, gained
+
+    def _slopes(self, at: tuple[npt.NDArray[np.intp], ...]) -> tuple[FloatArray, FloatArray]:
+        """(ln cost, its slopes by the scaled parameters) at chosen (plant, frequency) pairs."""
+        pairs = (at[0], at[1])
+        K, dK = self.structure.response(self.here.rho, self.loop.z[pairs[1]])
+        value, slope = self.loop.slopes(K, dK, self.weights, pairs)
+        return np.log(value), slope * (self.scale / value[:, None])
+
+    def _box(self, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The steps within the radius and the structure's bounds, in units of the scale."""
+        low, high = -reach, reach.copy()
+        for j, (lower, upper) in enumerate(self.bounds):
+            if lower is not None:
+                low[j] = max(low[j], min(0.0, (lower - self.here.rho[j]) / self.scale[j]))
+            if upper is not None:
+                high[j] = min(high[j], max(0.0, (upper - self.here.rho[j]) / self.scale[j]))
+        return low, high
+
+
+def _trial(loop: Loop, weights: Weights, structure: ControllerStructure, rho: FloatArray) -> _Trial:
+    cost = loop.cost(loop.controller_response(*structure.polynomials(rho)), weights)
+    log_cost = np.log(np.maximum(cost, 1e-300))
+    return _Trial(rho, log_cost, float(log_cost.max()))
+
+
+def _updated(curvature: FloatArray, step: FloatArray, change: FloatArray) -> FloatArray:
+    """Powell's damped BFGS update, which stays positive definite."""
+    bent = curvature @ step
+    along, seen = float(step @ bent), float(step @ change)
+    share = 1.0 if seen >= 0.2 * along else 0.8 * along / (along - seen)
+    change = share * change + (1.0 - share) * bent
+    updated = curvature - np.outer(bent, bent) / along + np.outer(change, change) / float(step @ change)
+    return np.asarray(updated + 1e-6 * np.eye(len(step)))
+
+
+def _peaks(log_cost: FloatArray, highest: float) -> npt.NDArray[np.bool_]:
+    """Local maxima along frequency within 20 % of the highest, with their neighbours, and the ends."""
+    local = log_cost > highest - 0.22
+    local[:, 1:] &= log_cost[:, 1:] >= log_cost[:, :-1]
+    local[:, :-1] &= log_cost[:, :-1] >= log_cost[:, 1:]
+    wide = local.copy()
+    wide[:, 1:] |= local[:, :-1]
+    wide[:, :-1] |= local[:, 1:]
+    return wide
+
+
+# First values of a controller for plants that the structure's usual ones do not stabilise:
+# unstable and integrating plants.
+
+_CROSSINGS, _DESCENTS, _EVALUATIONS = 12, 6, 300
+_INSIDE = 1.0 - 1e-9
+
+
+def stabilising_starts(loop: Loop, structure: ControllerStructure) -> list[tuple[FloatArray, FloatArray]]:
+    """Values that stabilise every plant, each with the typical sizes of the parameters; empty when none is found.
+
+    The structure's starts are scaled to cross over at frequencies spread over the grid, with both signs of the gain, and the
+    largest modulus of the closed-loop poles is lowered from the best of them by simplex search, a bounded number of times.
+    Plants that are measured only have no poles to move: for them the list is empty.
+
+    Notes
+    -----
+    The spectral radius is neither convex nor smooth: an empty list does not prove that no controller of the structure stabilises.
+    """
+    plants = [plant for plant in loop.plants if isinstance(plant, TransferFunction)]
+    if len(plants) < len(loop.plants):
+        return []
+
+    def radius(rho: FloatArray) -> float:
+        controller = structure.transfer_function(rho)
+        return float(max(np.abs(np.roots(characteristic(plant, controller))).max(initial=0.0) for plant in plants))
+
+    low, high = _box(structure)
+    scaled = [(np.clip(rho, low, high), sizes) for k in _crossings(loop) for rho, sizes in _scaled(loop, structure, k)]
+    ranked = sorted((radius(rho), n) for n, (rho, _) in enumerate(scaled))
+    if found := [scaled[n] for modulus, n in ranked if modulus < _INSIDE]:
+        return found
+    lowered = [_lowered(radius, *scaled[n], low, high) for _, n in ranked[:_DESCENTS]]
+    return [start for start in lowered if start is not None]
+
+
+def _box(structure: ControllerStructure) -> tuple[FloatArray, FloatArray]:
+    low = [-np.inf if least is None else least for least, _ in structure.bounds()]
+    return np.array(low), np.array([np.inf if most is None else most for _, most in structure.bounds()])
+
+
+def _lowered(
+    radius: Callable[[FloatArray], float], rho: FloatArray, sizes: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """The values that a simplex search from `rho` ends at, within the bounds; None where these do not stabilise either."""
+    simplex = np.vstack([np.zeros(len(rho)), 0.5 * np.eye(len(rho))])
+    least = minimize(
+        lambda x: radius(np.clip(rho + sizes * x, low, high)),
+        simplex[0],
+        method="Nelder-Mead",
+        options={"maxfev": _EVALUATIONS, "xatol": 1e-6, "fatol": 1e-9, "initial_simplex": simplex},
+    )
+    return (np.clip(rho + sizes * least.x, low, high), sizes) if least.fun < _INSIDE else None
+
+
+def _crossings(loop: Loop) -> npt.NDArray[np.intp]:
+    top = np.searchsorted(loop.omega, 0.7 * loop.omega[-1])
+    wanted = np.geomspace(max(loop.omega[0], 1e-4 * loop.omega[-1]), loop.omega[min(top, len(loop.omega) - 1)], _CROSSINGS)
+    return np.unique(np.minimum(np.searchsorted(loop.omega, wanted), len(loop.omega) - 1))
+
+
+def _scaled(loop: Loop, structure: ControllerStructure, k: int) -> list[tuple[FloatArray, FloatArray]]:
+    """(values, sizes) for a crossover at the grid's frequency k, both signs."""
+    gain = float(np.abs(loop.G[:, k]).mean())
+    if gain == 0.0:
+        return []
+    slow = 1.0 / float(loop.omega[k])
+    sizes = structure.sizes(gain, slow)
+    starts = [(rho, sizes) for sign in (1.0, -1.0) for rho in structure.starts(sign * gain, slow)]
+    return starts
+
 
 _STEPS, _FIRST_STEPS, _STARTS, _EXCHANGES = 80, 8, 4, 3
 _LEFT_BEHIND = 0.05

@@ -20,7 +20,7 @@ import numpy as np
 from residuum.array_types import FloatArray
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.nelder_mead import nelder_mead
-from residuum.robust_control.certificates.time_domain import Measured, StepResponse, measured
+from residuum.robust_control.certificates import Measured, StepResponse, measured
 from residuum.robust_control.loop import Loop, Weights
 from residuum.robust_control.synthesis.controller_structure import ControllerStructure
 from residuum.robust_control.synthesis.structured_synthesis import NoStabilisingStart, Synthesis, synthesise

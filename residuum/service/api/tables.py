@@ -9,7 +9,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from starlette.concurrency import run_in_threadpool
 
-from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
+from residuum.diagnosis.vibration.spectra import amplitude_spectrum
 from residuum.library.picture import Curve
 from residuum.service.api.answers import PROBLEMS
 from residuum.service.api.json_response import Json, StrictRoute, in_pieces

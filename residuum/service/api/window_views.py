@@ -13,8 +13,7 @@ from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.gate_actuator import GateActuator
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
 from residuum.diagnosis.gate.classifier_plane import classifier_plane, plane_features
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
+from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.service.api.answers import PROBLEMS

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from residuum.diagnosis.diagnosers.base import Diagnoser
-from residuum.diagnosis.vibration.spectra.amplitude_spectrum import amplitude_spectrum
+from residuum.diagnosis.vibration.spectra import amplitude_spectrum
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.record_formats.npz import write_npz_in_pieces

@@ -6,11 +6,11 @@ from typing import Annotated, Any
 import typer
 
 from residuum.diagnosis.learning.stored import stored_kind
-from residuum.diagnosis.residuals.multivariable.multivariable_detection import detect_multivariable
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import (
+from residuum.diagnosis.residuals.multivariable import (
     KIND,
     MultivariableResidual,
     design_multivariable_residual,
+    detect_multivariable,
 )
 from residuum.diagnosis.residuals.residual_design import ResidualDesign
 from residuum.diagnosis.residuals.residual_detection import detect

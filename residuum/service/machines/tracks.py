@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from residuum.diagnosis.tracks.track import FEWEST_WINDOWS_OF_A_TRACK, track
+from residuum.diagnosis.tracks import FEWEST_WINDOWS_OF_A_TRACK, track
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.identification.units import compatible

@@ -19,13 +19,12 @@ from residuum.library.answers.control_promise import promise_and_measurement
 from residuum.library.answers.plain import finite
 from residuum.library.control import law, posed
 from residuum.library.questions.control_design import DesignController
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.certificates.time_domain import StepResponse, control_response, over_plants, step_response
+from residuum.robust_control.certificates import StepResponse, control_response, h_infinity_norm, over_plants, step_response
 from residuum.robust_control.control_problem import ControlProblem, Wishes
 from residuum.robust_control.controller_export import LANGUAGES, DifferenceEquation
+from residuum.robust_control.loop import weighted_loop
 from residuum.robust_control.synthesis.pareto import Point
 from residuum.robust_control.synthesis.structured_synthesis import Synthesis
-from residuum.robust_control.weighted_loop import weighted_loop
 from residuum.robust_control.weights.nominal_performance import Infeasible, refined
 from residuum.service.views.residual_view import read_identified
 from residuum.service.work.jobs import Progress

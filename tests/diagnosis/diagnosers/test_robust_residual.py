@@ -7,16 +7,21 @@ import pytest
 from scipy import signal, stats
 
 from residuum.diagnosis.diagnosers.robust_residual import RobustResidual
-from residuum.diagnosis.residuals.fault_estimation import FaultEstimator
+from residuum.diagnosis.residuals.fault_isolation import FaultEstimator
 from residuum.diagnosis.residuals.generators.physical_prediction import with_prediction
 from residuum.diagnosis.residuals.generators.residual_generator import ResidualSignals
-from residuum.diagnosis.residuals.likelihood_ratio.likelihood_ratio import LikelihoodRatioBank, bank_threshold
+from residuum.diagnosis.residuals.likelihood_ratio import LikelihoodRatioBank, bank_threshold
 from residuum.diagnosis.residuals.noise_model import NoiseModel, fit_noise_model
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.diagnosis.thresholds.cusum import cusum
-from residuum.diagnosis.thresholds.false_alarm_rate import cusum_threshold, scan_rate, scan_threshold
-from residuum.diagnosis.thresholds.healthy_reference import BLOCK, calibrated_threshold
+from residuum.diagnosis.thresholds.false_alarm_rate import (
+    BLOCK,
+    calibrated_threshold,
+    cusum,
+    cusum_threshold,
+    scan_rate,
+    scan_threshold,
+)
 from residuum.diagnosis.thresholds.threshold import bounds, peak_threshold
 from residuum.identification.errors import BadInput, BadRecord, BadUnit
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response

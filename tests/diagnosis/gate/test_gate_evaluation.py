@@ -6,16 +6,15 @@ from sklearn.neighbors import KNeighborsClassifier
 
 from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.gate.fmeca import Risk, coverage, criticality_matrix, load_fmeca
-from residuum.diagnosis.gate.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT
-from residuum.diagnosis.gate.known_gears import KnownGears
+from residuum.diagnosis.gate.gate_baseline import LEAST_NOTCH_LIMIT, NEW_NOTCH_LIMIT, KnownGears
 from residuum.diagnosis.gate.movement_features import envelope_spectrum, fault_indicators, residual_envelope
 from residuum.diagnosis.gate.notch_match import NotchMatch
 from residuum.diagnosis.learning.decision_regions import decision_regions
 from residuum.diagnosis.learning.diagnoser_validation import Validation, mixed_folds, object_wise, proportion_interval
 from residuum.diagnosis.residuals.fault_isolation import source_classifier
-from residuum.diagnosis.thresholds.upper_tail import UpperTail
-from residuum.diagnosis.vibration.pulse_detection import autoregressive_whitener, matched_filter, pulse_templates
-from residuum.diagnosis.vibration.rotation.shaft_pattern import shaft_pattern
+from residuum.diagnosis.thresholds.tails import UpperTail
+from residuum.diagnosis.vibration.rotation import shaft_pattern
+from residuum.diagnosis.vibration.vibration_indicators import autoregressive_whitener, matched_filter, pulse_templates
 from residuum.identification.errors import BadInput
 
 

@@ -12,8 +12,8 @@ from residuum.diagnosis.gate.actuator_model import (
     first_order_response,
     from_data_sheet,
 )
-from residuum.diagnosis.gate.gate_examples import example_record
 from residuum.diagnosis.gate.movements import Direction, Movement, cut_movements, flat_part
+from residuum.diagnosis.gate.scored_movement import example_record
 from residuum.identification.errors import BadInput, NotIdentifiable
 from residuum.identification.record import Record
 

@@ -14,8 +14,7 @@ from residuum.diagnosis.model_based.assessment import detected, seen_window
 from residuum.diagnosis.model_based.baseline import Baseline
 from residuum.diagnosis.model_based.training import Undetermined
 from residuum.diagnosis.model_based.variant import Variant, edited, shifted
-from residuum.diagnosis.model_based.whitening import Whitening
-from residuum.diagnosis.model_based.window_fit import WindowFitter, information_on_size
+from residuum.diagnosis.model_based.window_fit import Whitening, WindowFitter, information_on_size
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import load_model, match, read_model
 from residuum.identification.record import Record

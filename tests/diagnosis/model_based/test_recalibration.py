@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residuum.diagnosis.diagnosers.model_based import _axis
-from residuum.diagnosis.model_based.recalibration import NothingLearned
+from residuum.diagnosis.model_based.training import NothingLearned
 from residuum.identification.record import Record
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.model_based.scatter import Scatter
+from residuum.diagnosis.model_based.window_fit import Scatter
 
 WINDOWS = 400
 

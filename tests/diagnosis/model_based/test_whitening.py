@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from residuum.diagnosis.model_based.whitening import Whitening
+from residuum.diagnosis.model_based.window_fit import Whitening
 
 
 def test_an_autoregression_is_taken_out():

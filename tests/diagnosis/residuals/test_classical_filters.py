@@ -8,8 +8,7 @@ from residuum.diagnosis.residuals.generators.approximate_fault_detection import 
 from residuum.diagnosis.residuals.generators.classical_filters import CLASSICAL_METHODS
 from residuum.diagnosis.residuals.residual_design import ResidualDesign, design_residual
 from residuum.diagnosis.residuals.residual_detection import detect
-from residuum.diagnosis.systems.coprime import left_coprime
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.systems import h_infinity_norm, left_coprime
 from residuum.identification.errors import BadInput, BadModel, NotIdentifiable
 from residuum.identification.kernel_based.impulse_response import identify_impulse_response
 from residuum.identification.linear_models.state_space import StateSpace

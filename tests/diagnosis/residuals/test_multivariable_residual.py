@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residuum.diagnosis.residuals.multivariable.multivariable_detection import detect_multivariable, threshold_of
-from residuum.diagnosis.residuals.multivariable.multivariable_residual import (
+from residuum.diagnosis.residuals.multivariable import (
     MultivariableResidual,
     design_multivariable_residual,
+    detect_multivariable,
+    fit_whitener,
+    threshold_of,
     unknown_input_decoupling,
 )
-from residuum.diagnosis.residuals.multivariable.vector_whitener import fit_whitener
 from residuum.identification.errors import BadInput, BadModel, BadRecord
 from residuum.identification.kernel_based.multivariable import identify_multivariable
 from residuum.identification.record import Record

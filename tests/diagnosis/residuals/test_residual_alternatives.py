@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.peers.adaptive_threshold import adaptive_threshold
-from residuum.diagnosis.residuals.generators.kalman_residual import kalman_residual
-from residuum.diagnosis.residuals.generators.parity_space import parity_space
-from residuum.diagnosis.residuals.generators.unknown_input_observer import unknown_input_observer
+from residuum.diagnosis.residuals.generators.classical_filters import kalman_residual, parity_space, unknown_input_observer
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.state_space import StateSpace

@@ -8,10 +8,7 @@ from residuum.diagnosis.residuals.generators.approximate_fault_detection import 
     approximate_fault_detection,
     noise_path,
 )
-from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
-from residuum.diagnosis.systems.coprime import left_coprime
-from residuum.diagnosis.systems.spectral_factor import co_outer_factor
-from residuum.diagnosis.systems.system_norms import h_infinity_norm, peak_gain
+from residuum.diagnosis.systems import balanced_truncation, co_outer_factor, h_infinity_norm, left_coprime, peak_gain
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.residuals.likelihood_ratio.window_model_error import RAMP, STEP, TEMPLATE, mean_square, model_error
+from residuum.diagnosis.residuals.likelihood_ratio import RAMP, STEP, TEMPLATE, mean_square, model_error
 
 
 @pytest.mark.parametrize("shape", [STEP, RAMP, TEMPLATE])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.systems.fir_filter import FirFilter
+from residuum.diagnosis.systems import FirFilter
 
 
 @pytest.mark.parametrize("m", [1, 2, 7, 8, 9, 17, 200])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from residuum.diagnosis.tracks.track import track
+from residuum.diagnosis.tracks import track
 from residuum.identification.errors import BadInput, NotIdentifiable
 
 _file = Path(__file__).parents[3] / "benchmarks" / "time_to_limit.py"

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy import fft, signal
 
 from residuum.diagnosis.residuals import filter_bank
-from residuum.diagnosis.vibration.spectra.envelope import band_envelope
-from residuum.diagnosis.vibration.spectra.kurtogram import kurtogram
+from residuum.diagnosis.vibration.spectra import band_envelope, kurtogram
 from residuum.diagnosis.vibration.vibration_indicators import indicators
 from residuum.identification.errors import BadInput
 

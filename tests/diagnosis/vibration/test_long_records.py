@@ -6,7 +6,7 @@ import pytest
 from residuum.diagnosis.diagnosers.bearing import Bearing
 from residuum.diagnosis.finding import Verdict
 from residuum.diagnosis.vibration.bearings.bearing_model import faulty_bearing
-from residuum.diagnosis.vibration.long_records import LONGEST, blocks_of, score_in_blocks
+from residuum.diagnosis.vibration.vibration_indicators import LONGEST, blocks_of, score_in_blocks
 from residuum.identification.record import Record
 
 ORDERS = {"bpfi": 5.4152, "bpfo": 3.5848, "bsf": 2.357, "ftf": 0.398}

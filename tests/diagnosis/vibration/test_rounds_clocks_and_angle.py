@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.vibration.rotation.clock_alignment import align_clocks, on_clock_of
-from residuum.diagnosis.vibration.rotation.order_tracking import angle_from_speed, at_even_angle
-from residuum.diagnosis.vibration.rotation.rounds import cut_rounds, pulses
+from residuum.diagnosis.vibration.rotation import align_clocks, angle_from_speed, at_even_angle, cut_rounds, on_clock_of, pulses
 from residuum.identification.errors import BadInput
 from residuum.identification.record import Record
 from residuum.simulation.gripping_pliers import GrippingPliers

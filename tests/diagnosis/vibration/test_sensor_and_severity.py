@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.thresholds.tails import HealthyBand
 from residuum.diagnosis.vibration.sensor_health import clipped_share, not_heard, remarks, suspect, unusable, without_spikes
-from residuum.diagnosis.vibration.vibration_severity import severity
+from residuum.diagnosis.vibration.vibration_indicators import severity
 from residuum.identification.errors import BadInput
 
 FS = 12000

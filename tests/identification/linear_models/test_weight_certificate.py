@@ -9,7 +9,7 @@ from residuum.identification.linear_models.error_bounds.weight_certificate impor
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.identification.linear_models.uncertainty import design_uncertainty_weight, drawn_errors
-from residuum.robust_control.multi_model import average_plant, overall_uncertainty
+from residuum.robust_control.control_problem import average_plant, overall_uncertainty
 
 TS = 0.05
 FINE = np.linspace(1e-4, np.pi / TS, 200_001)

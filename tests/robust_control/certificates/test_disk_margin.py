@@ -5,7 +5,7 @@ import pytest
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.disk_margin import disk_margin, loop_responses
+from residuum.robust_control.certificates import disk_margin, loop_responses
 from residuum.robust_control.loop import characteristic
 from residuum.robust_control.synthesis.controller_structure import PIDN
 

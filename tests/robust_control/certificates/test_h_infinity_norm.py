@@ -7,9 +7,8 @@ from scipy.optimize import minimize_scalar
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.h_infinity_norm import h_infinity_norm
-from residuum.robust_control.loop import Loop
-from residuum.robust_control.weighted_loop import weighted_loop
+from residuum.robust_control.certificates import h_infinity_norm
+from residuum.robust_control.loop import Loop, weighted_loop
 
 
 def random_system(rng, n=6, outputs=2):

@@ -9,7 +9,7 @@ import pytest
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.time_domain import step_response
+from residuum.robust_control.certificates import step_response
 from residuum.robust_control.controller_export import DifferenceEquation, c_source, structured_text
 from residuum.robust_control.synthesis.controller_structure import PIDN
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from residuum.robust_control.synthesis.minimax_step import minimax_step
+from residuum.robust_control.synthesis.structured_synthesis import minimax_step
 
 
 def general_solver(c, A, H, low, high):

@@ -6,8 +6,7 @@ from scipy.optimize import differential_evolution
 
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.transfer_function import TransferFunction
-from residuum.robust_control.certificates.robust_performance import RobustAim, design_for_robust_performance
-from residuum.robust_control.certificates.time_domain import assess, step_response
+from residuum.robust_control.certificates import RobustAim, assess, design_for_robust_performance, step_response
 from residuum.robust_control.loop import Loop, Weights, frequency_grid
 from residuum.robust_control.synthesis.controller_structure import PI, PIDN, LeadLag, Rational
 from residuum.robust_control.synthesis.pareto import Point, bisected_front, preferred

@@ -8,10 +8,7 @@ from typing import Literal
 import numpy as np
 
 from residuum.array_types import FloatArray
-from residuum.diagnosis.systems.balanced_truncation import ReducedSystem, balanced_truncation
-from residuum.diagnosis.systems.coprime import LeftCoprimeFactors
-from residuum.diagnosis.systems.spectral_factor import co_outer_factor
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.systems import LeftCoprimeFactors, ReducedSystem, balanced_truncation, co_outer_factor, h_infinity_norm
 from residuum.identification.errors import BadModel
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction

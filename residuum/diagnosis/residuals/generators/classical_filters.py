@@ -10,18 +10,162 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from scipy import linalg, signal
 
+from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.generators.approximate_fault_detection import FaultKind, PostFilter, noise_path
-from residuum.diagnosis.residuals.generators.kalman_residual import kalman_residual
-from residuum.diagnosis.residuals.generators.parity_space import parity_space
-from residuum.diagnosis.residuals.generators.unknown_input_observer import unknown_input_observer
-from residuum.diagnosis.systems.balanced_truncation import balanced_truncation
-from residuum.diagnosis.systems.coprime import LeftCoprimeFactors
-from residuum.diagnosis.systems.system_norms import h_infinity_norm
+from residuum.diagnosis.systems import LeftCoprimeFactors, balanced_truncation, h_infinity_norm
 from residuum.identification.errors import BadInput, BadModel
 from residuum.identification.linear_models.state_space import StateSpace
 from residuum.identification.linear_models.transfer_function import TransferFunction
 from residuum.nearest_names import known_names
+
+# Kalman innovation: the residual of a stationary Kalman predictor, scaled to unit variance.
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanResidual:
+    """S^(−½) (y − C x̂ − D u) with x̂⁺ = A x̂ + B u + K (y − C x̂ − D u), one output; white of variance 1 while healthy."""
+
+    predictor: StateSpace  # inputs [y; u]
+
+    def residual(self, u: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
+        """Innovation, shape (n,), from rest."""
+        return self.predictor.simulate(np.column_stack([y, u]))[0][:, 0]
+
+
+def kalman_residual(system: StateSpace, process_noise: float, measurement_noise: float) -> KalmanResidual:
+    """Stationary Kalman predictor for white noise on the input and on the output.
+
+    Parameters
+    ----------
+    system : StateSpace
+        One input, one output.
+    process_noise, measurement_noise : float
+        Variances [input unit²], [output unit²]; the process noise stands for the model error.
+
+    Raises
+    ------
+    BadModel
+        No stabilising solution of the Riccati equation (an undetectable mode).
+    """
+    A, B, C, D = system.A, system.B, system.C, system.D
+    R = np.atleast_2d(measurement_noise)
+    try:
+        X = linalg.solve_discrete_are(A.T, C.T, process_noise * B @ B.T + 1e-12 * np.eye(len(A)), R)
+    except (linalg.LinAlgError, ValueError):
+        raise BadModel("kalman_residual: a mode of the system cannot be seen at the output") from None
+    S = C @ X @ C.T + R
+    K = A @ X @ C.T @ np.linalg.inv(S)
+    scale = 1.0 / np.sqrt(S)
+    return KalmanResidual(
+        StateSpace(A - K @ C, np.hstack([K, B - K @ D]), -scale @ C, np.hstack([scale, -scale @ D]), system.sample_time)
+    )
+
+
+# Parity space residual: a combination of the last b + 1 outputs and inputs that the unknown state
+# cannot move.
+
+
+@dataclass(frozen=True, eq=False)
+class ParityResidual:
+    """r(t) = v (y_b(t) − H_u u_b(t)), oldest sample first; the weights on the last b + 1 samples of y and of u."""
+
+    on_y: FloatArray
+    on_u: FloatArray
+
+    def residual(self, u: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
+        """Residual, shape (n,); NaN in the first b samples."""
+        r = signal.lfilter(self.on_y[::-1], [1.0], y) - signal.lfilter(self.on_u[::-1], [1.0], u)
+        r[: len(self.on_y) - 1] = np.nan
+        return np.asarray(r)
+
+
+def parity_space(system: StateSpace, b: int, process_noise: float = 0.0, measurement_noise: float = 1.0) -> ParityResidual:
+    """The parity vector that is most sensitive to a sensor offset for its noise; (1.60)–(1.70) of the source.
+
+    Of all v with v H_o = 0 it maximises (v 1)²/(v R v), R the covariance of white noise on the input (variance
+    `process_noise`) and on the output (`measurement_noise`) over the window. Scaled to unit variance.
+
+    Parameters
+    ----------
+    system : StateSpace
+        One input, one output.
+    b : int
+        Window b ≥ order of the system.
+
+    Raises
+    ------
+    BadModel
+        b is smaller than the order, or there is more than one input or output.
+    """
+    if system.D.shape != (1, 1):
+        raise BadModel("parity_space: needs one input and one output")
+    if b < system.order:
+        raise BadModel(f"parity_space, b: is {b}; must be at least the order of the system, {system.order}")
+    observability = np.vstack([system.C @ np.linalg.matrix_power(system.A, k) for k in range(b + 1)])
+    response = system.impulse_response(b + 1)[:, 0, 0]
+    H_u = linalg.toeplitz(response, np.zeros(b + 1))
+    null = linalg.null_space(observability.T).T
+    covariance = null @ (process_noise * H_u @ H_u.T + measurement_noise * np.eye(b + 1)) @ null.T
+    direction = np.linalg.solve(covariance, null @ np.ones(b + 1))
+    v = direction @ null / np.sqrt(direction @ covariance @ direction)
+    return ParityResidual(v, v @ H_u)
+
+
+# Unknown input observer: a residual that an unmeasured input d along a known direction E cannot
+# move.
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownInputObserver:
+    """z⁺ = F z + T B u + K y, x̂ = z + H y, r = y − D u − C x̂."""
+
+    filter: StateSpace  # inputs [y; u]
+
+    def residual(self, u: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
+        """Residual, shape (n, p), from rest; u of shape (n,) or (n, q), y of shape (n,) or (n, p)."""
+        return self.filter.simulate(np.column_stack([y, u]))[0]
+
+
+def unknown_input_observer(system: StateSpace, E: npt.ArrayLike, measurement_noise: float = 1.0) -> UnknownInputObserver:
+    """Observer of x⁺ = A x + B u + E d, y = C x, whose residual does not depend on d (Chen and Patton, 1999, ch. 3).
+
+    H = E (C E)⁺ and T = 1 − H C remove d from the estimation error; F = T A − K₁ C is made stable by a Kalman gain. It
+    exists when rank C E = rank E and the pair (C, T A) is detectable, with more outputs than unknown
+    inputs. Without columns in E it is the plain full-order observer.
+
+    Raises
+    ------
+    BadModel
+        D ≠ 0, or the conditions of existence fail; the message says which.
+    """
+    A, B, C = system.A, system.B, system.C
+    E = np.asarray(E, dtype=float).reshape(system.order, -1)
+    if np.any(system.D):
+        raise BadModel("unknown_input_observer: needs a system without direct feedthrough, D = 0")
+    if E.shape[1] and np.linalg.matrix_rank(C @ E) < np.linalg.matrix_rank(E):
+        raise BadModel("unknown_input_observer: rank C E < rank E; the unknown input does not reach the outputs in one step")
+    if E.shape[1] >= C.shape[0]:
+        raise BadModel(
+            f"unknown_input_observer: {E.shape[1]} unknown inputs use up all {C.shape[0]} outputs; no residual is left"
+        )
+    H = E @ np.linalg.pinv(C @ E) if E.shape[1] else np.zeros((system.order, C.shape[0]))
+    T = np.eye(system.order) - H @ C
+    A1 = T @ A
+    try:
+        X = linalg.solve_discrete_are(A1.T, C.T, np.eye(system.order), measurement_noise * np.eye(C.shape[0]))
+    except (linalg.LinAlgError, ValueError):
+        raise BadModel("unknown_input_observer: (C, T A) is not detectable; a zero of the path from d to y is unstable") from None
+    K1 = A1 @ X @ C.T @ np.linalg.inv(C @ X @ C.T + measurement_noise * np.eye(C.shape[0]))
+    F = A1 - K1 @ C
+    K = K1 + F @ H
+    p = C.shape[0]
+    return UnknownInputObserver(
+        StateSpace(F, np.hstack([K, T @ B]), -C, np.hstack([np.eye(p) - C @ H, np.zeros((p, B.shape[1]))]), system.sample_time)
+    )
+
 
 _GRID = 1000
 _NEGLIGIBLE = 1e-4  # of the plant's gain

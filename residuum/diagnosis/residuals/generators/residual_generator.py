@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from residuum.array_types import FloatArray
 from residuum.diagnosis.residuals.noise_model import NoiseModel
-from residuum.diagnosis.systems.coprime import left_coprime
-from residuum.diagnosis.systems.fir_filter import FirFilter
+from residuum.diagnosis.systems import FirFilter, left_coprime
 from residuum.identification.errors import BadInput
 from residuum.identification.linear_models.identified_model import IdentifiedModel
 from residuum.identification.linear_models.state_space import StateSpace

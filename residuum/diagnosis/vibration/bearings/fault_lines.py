@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from residuum.array_types import AnyArray
 from residuum.diagnosis.vibration.bearings.bearing_frequencies import BearingFrequencies
 from residuum.diagnosis.vibration.sensor_health import strongest_line
-from residuum.diagnosis.vibration.spectra.envelope import envelope_of_spectrum, padded_spectrum
+from residuum.diagnosis.vibration.spectra import envelope_of_spectrum, padded_spectrum
 from residuum.identification.errors import BadInput
 
 LINES_OF_A_FAMILY = 4

@@ -18,7 +18,7 @@ from scipy import fft
 from scipy.ndimage import maximum_filter1d
 
 from residuum.array_types import AnyArray
-from residuum.diagnosis.vibration.spectra.envelope import Envelope, envelope_of_spectrum, padded_spectrum
+from residuum.diagnosis.vibration.spectra import Envelope, envelope_of_spectrum, padded_spectrum
 
 _PERIODS = (8, 16, 32, 64, 128)  # of the slowest line a stretch
 _FEWEST_STRETCHES = 4

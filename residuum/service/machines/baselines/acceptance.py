@@ -14,7 +14,7 @@ from residuum.diagnosis.diagnosers import DIAGNOSERS
 from residuum.diagnosis.diagnosers.base import Diagnoser
 from residuum.diagnosis.diagnosers.model_based import ModelBased
 from residuum.diagnosis.finding import Finding, Verdict
-from residuum.diagnosis.thresholds.healthy_band import HealthyBand
+from residuum.diagnosis.thresholds.tails import HealthyBand
 from residuum.identification.errors import BadInput
 from residuum.identification.physics import estimate, match
 from residuum.identification.record import Record

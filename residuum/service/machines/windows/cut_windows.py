@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from residuum.diagnosis.vibration.rotation.clock_alignment import ClockAlignment, align_clocks, on_clock_of
+from residuum.diagnosis.vibration.rotation import ClockAlignment, align_clocks, on_clock_of
 from residuum.identification.errors import BadInput, BadRecord
 from residuum.identification.record import Record
 from residuum.service.fieldbus.block import Block, StreamFormat

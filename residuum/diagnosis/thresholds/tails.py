@@ -1,4 +1,4 @@
-"""The far tail of a noise, taken from healthy samples instead of from the form of a distribution."""
+"""Laws of healthy values and of their tails, and the limits that follow from them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,103 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy import optimize, stats
+from scipy.stats import t as student
 
-from residuum.array_types import FloatArray
+from residuum.array_types import AnyArray, FloatArray
+
+# Upper limits of indicators, from what healthy data showed.
+
+
+@dataclass(frozen=True, eq=False)
+class HealthyBand:
+    """Mean and scatter of the logarithm of positive indicators over n healthy observations.
+
+    Attributes
+    ----------
+    mean, scatter : arrays of one shape, natural logarithms
+    n : int
+        Observations behind them.
+    """
+
+    mean: AnyArray
+    scatter: AnyArray
+    n: int
+
+    @classmethod
+    def of(cls, observations: npt.ArrayLike) -> HealthyBand:
+        """From positive indicators, shape (n, …), n ≥ 2; scatter is the larger of standard and quantile-based deviation."""
+        logs = np.log(np.asarray(observations, dtype=float))
+        quantiles = np.quantile(logs, [0.05, 0.5, 0.95], axis=0)
+        by_quantiles = (quantiles[2] - quantiles[0]) / 3.29
+        return cls(logs.mean(axis=0), np.maximum(logs.std(axis=0, ddof=1), by_quantiles), logs.shape[0])
+
+    def upper(self, false_alarm: float, least_change: float | AnyArray = 1.0) -> AnyArray:
+        """Limit that one further healthy observation passes with probability `false_alarm`.
+
+        exp(mean + t_{n−1}(1 − false_alarm) √(1 + 1/n) scatter): Student's prediction limit of a log-normal indicator, exact for
+        normal logarithms, high for few observations; never below `least_change` times the healthy median, because
+        a significant change of a few percent is no fault.
+        """
+        reach = student.isf(false_alarm, self.n - 1) * np.sqrt(1 + 1 / self.n) * self.scatter
+        return np.asarray(np.exp(self.mean + np.maximum(reach, np.log(least_change))))
+
+    def deviation(self, observation: npt.ArrayLike) -> AnyArray:
+        """Healthy standard deviations above the mean (of the logarithm)."""
+        with np.errstate(divide="ignore"):
+            logs = np.log(np.asarray(observation, dtype=float))
+        return np.asarray((logs - self.mean) / np.maximum(self.scatter, 1e-6))
+
+
+# Upper prediction limits from healthy values whose upper and lower halves may scatter
+# differently.
+
+
+@dataclass(frozen=True, eq=False)
+class UpperTail:
+    """Median of healthy values and their scatter above it.
+
+    A peak over a random pattern is skewed: its logarithm has a long lower tail, which would inflate a standard deviation and
+    with it the limit. Only what lies above the median says how far healthy values reach upwards (split-normal model).
+
+    Attributes
+    ----------
+    centre : array, shape (…)
+        Median.
+    scatter : array, shape (…)
+        √ mean (x − median)² over the values above the median.
+    n : int
+        Values behind them.
+    """
+
+    centre: FloatArray
+    scatter: FloatArray
+    n: int
+
+    @classmethod
+    def of(cls, values: npt.ArrayLike) -> UpperTail:
+        """From healthy values, shape (n, …), n ≥ 3.
+
+        >>> tail = UpperTail.of(np.random.default_rng(0).standard_normal(4000))
+        >>> round(float(tail.scatter), 1), 3.0 < float(tail.limit(1e-3)) < 3.3
+        (1.0, True)
+        """
+        x = np.asarray(values, dtype=float)
+        centre = np.median(x, axis=0)
+        above = np.where(x > centre, x - centre, np.nan)
+        mean_square = np.nansum(above**2, axis=0) / np.maximum(np.count_nonzero(x > centre, axis=0), 1)
+        return cls(np.asarray(centre), np.sqrt(mean_square), x.shape[0])
+
+    def limit(self, rate: float) -> FloatArray:
+        """Value that a further healthy one passes with probability `rate` if the upper tail is normal, shape (…).
+
+        centre + t(1 − rate) √(1 + 2/n) scatter, t Student's with n − 1 degrees of freedom: high for few values, normal
+        for many.
+        """
+        reach = student.isf(rate, max(1, self.n - 1)) * np.sqrt(1.0 + 2.0 / self.n)
+        return np.asarray(self.centre + reach * self.scatter)
+
+
+# The far tail of a noise, taken from healthy samples instead of from the form of a distribution.
 
 _SAMPLES = (1000, 500, 250, 100, 50)  # in a tail: fewer scatter, more reach to where the hazard bends
 _LARGEST_SHARE = 0.05

@@ -1,4 +1,4 @@
-"""The kurtogram: in which frequency band, and at which width, is a signal most impulsive?"""
+"""Spectra, bands and envelopes of a vibration."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from residuum.array_types import AnyArray
+from residuum.array_types import AnyArray, FloatArray
 from residuum.diagnosis.residuals.filter_bank import (
     TAPS_OF_THIRDS,
     halves,
@@ -22,9 +23,229 @@ from residuum.diagnosis.residuals.filter_bank import (
     moments_of_thirds,
     to_centre,
 )
-from residuum.diagnosis.vibration.spectra.long_transform import LONG, length_for_long, long_rfft
 from residuum.identification.errors import BadInput
 from residuum.kept_loops import njit
+
+# Amplitude spectrum of a signal.
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeSpectrum:
+    """Amplitudes [unit of the signal] at 0, step, 2·step … [Hz]; `resolution` is the window's half-power width [Hz]."""
+
+    step: float
+    amplitude: FloatArray
+    resolution: float
+
+
+def amplitude_spectrum(signal: npt.NDArray[Any], sample_time: float) -> AmplitudeSpectrum:
+    """Amplitude spectrum |X(f)|: a sine of amplitude A at a bin shows as A.
+
+    Mean removed, Hann window w, X = 2 |FFT(w x)| / Σw. Missing samples count as the mean. The length is padded to
+    one the FFT likes, so a long prime-length window costs no more than its neighbour.
+
+    >>> t = np.arange(1000) / 1000
+    >>> float(amplitude_spectrum(3 * np.sin(2 * np.pi * 50 * t), 1e-3).amplitude.max().round(2))
+    3.0
+    """
+    n = signal.shape[0]
+    padded = fft.next_fast_len(n, real=True)
+    x = np.zeros(padded)  # all that is held of a long signal, beside its spectrum: the rest is done in place
+    x[:n] = signal
+    missing = np.isnan(x)
+    count = n - np.count_nonzero(missing)
+    x[missing] = 0.0
+    x[:n] -= x.sum() / max(1, count)
+    x[missing] = 0.0
+    if n > 2:
+        window = np.arange(n) * (2 * np.pi / n)
+        np.cos(window, out=window)
+        window *= -0.5
+        window += 0.5
+        x[:n] *= window
+        del window
+    amplitude = np.abs(fft.rfft(x, overwrite_x=True))
+    amplitude *= 2 / (n / 2 if n > 2 else n)  # over Σw, which is n/2 for a Hann window over whole periods
+    return AmplitudeSpectrum(1 / (padded * sample_time), amplitude, 1.44 / (n * sample_time))
+
+
+# The spectrum of a long real signal, twice as fast as one long transform.
+# A transform of millions of samples waits for memory. Written as a matrix of 32 rows, n = n₁ N₂ +
+# n₂, it becomes short transforms down the columns, a turn of each element by e^{−2πi k₁ n₂/N},
+# and transforms along the rows, which fit the cache and can share the cores; k = k₁ + 32 k₂ then
+# puts the lines in order (Gentleman & Sande 1966, "Fast Fourier transforms for fun and profit";
+# Bailey 1990). Half of the rows suffice, because the signal is real.
+
+LONG = 1 << 18  # samples: below, one transform fits the cache
+_ROWS = 32
+_SPAN = 64  # columns between two exact turns
+_BLOCK = 32
+
+
+def length_for_long(n: int, multiple: int = 2 * _ROWS) -> int:
+    """The least number from n on that is `multiple` times a product of small primes; `long_rfft` needs multiples of 64."""
+    return multiple * int(fft.next_fast_len(-(-n // multiple)))
+
+
+def long_rfft(x: AnyArray, padded: int, *, gain: float = 1.0, single: bool = False) -> AnyArray:
+    """Lines 0 … padded/2 − 1 of the spectrum of `gain` · x, shape (padded / 2,).
+
+    Parameters
+    ----------
+    x : array, shape (n,), real; float32 is transformed in single precision
+    padded : int
+        Length after padding with zeros; a multiple of 64, see `length_for_long`.
+    gain : float
+        Factor on the result.
+    single : bool
+        Give complex64, rounded after the transform.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).standard_normal(64 * 75)
+    >>> bool(np.abs(long_rfft(x, x.size) - np.fft.rfft(x)[:-1]).max() < 1e-11)
+    True
+    """
+    if x.shape[0] < padded:
+        x = np.concatenate([x, np.zeros(padded - x.shape[0], x.dtype)])
+    workers = os.cpu_count() if padded >= LONG else 1
+    parts = fft.rfft(x.reshape(_ROWS, -1), axis=0, workers=workers)
+    _turn(parts, padded)
+    parts = fft.fft(parts, axis=1, overwrite_x=True, workers=workers)
+    lines = np.empty(padded // 2, np.complex64 if single else parts.dtype)
+    _in_order(parts, gain, lines)
+    return lines
+
+
+@njit(fastmath={"contract", "nsz"})
+def _turn(parts: AnyArray, n: int) -> None:
+    """Multiply element (k₁, n₂) by e^{−2πi k₁ n₂/n}."""
+    real, imag = np.empty(_SPAN), np.empty(_SPAN)
+    for row in range(1, parts.shape[0]):
+        angle = -2 * np.pi * row / n
+        for j in range(_SPAN):
+            real[j], imag[j] = np.cos(angle * j), np.sin(angle * j)
+        for start in range(0, parts.shape[1], _SPAN):
+            re, im = np.cos(angle * start), np.sin(angle * start)
+            for j in range(min(_SPAN, parts.shape[1] - start)):
+                a, b = re * real[j] - im * imag[j], re * imag[j] + im * real[j]
+                value = parts[row, start + j]
+                parts[row, start + j] = complex(value.real * a - value.imag * b, value.real * b + value.imag * a)
+
+
+@njit()
+def _in_order(parts: AnyArray, gain: float, lines: AnyArray) -> None:
+    """Line k₁ + 32 k₂ from element (k₁, k₂), where k₁ > 16 from its mirror; columns in blocks, for the cache."""
+    columns = parts.shape[1]
+    for start in range(0, columns // 2, _BLOCK):
+        stop = min(columns // 2, start + _BLOCK)
+        for row in range(_ROWS // 2 + 1):
+            for k in range(start, stop):
+                lines[k * _ROWS + row] = gain * parts[row, k]
+        for row in range(_ROWS // 2 + 1, _ROWS):
+            for k in range(start, stop):
+                lines[k * _ROWS + row] = gain * np.conj(parts[_ROWS - row, columns - 1 - k])
+
+
+# Envelope of one frequency band of a signal, and its spectrum.
+
+_OVERSAMPLING = 2  # a squared envelope reaches to ±b for a band of width b
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """Envelope r_e(t) = |r(t) + j H{r}(t)| of a band-passed signal r.
+
+    Attributes
+    ----------
+    values : array, shape (m,)
+        In the signal's unit; an amplitude, so its RMS is √2 times that of r.
+    sampling_rate : float
+        Of the envelope [Hz]: the signal's own, or lower when decimated.
+    low, high : float
+        Edges of the band [Hz].
+    """
+
+    values: AnyArray
+    sampling_rate: float
+    low: float
+    high: float
+
+    def spectrum(self, kind: Literal["squared", "amplitude"] = "squared") -> tuple[AnyArray, AnyArray]:
+        """Frequencies [Hz] and one-sided amplitudes of the (squared) envelope, its mean included at 0 Hz.
+
+        The amplitude of the squared envelope at α, divided by that at 0, is the modulation at α: 1 for full modulation.
+        A length with a large prime factor is padded by less than 1 %.
+        """
+        y = self.values * self.values if kind == "squared" else self.values
+        n = y.shape[0]
+        padded = fft.next_fast_len(n, real=True)
+        mean = y.mean(dtype=np.float64)
+        amplitude = np.abs(fft.rfft(y - y.dtype.type(mean), padded)) * y.dtype.type(2 / n)
+        amplitude[0] = mean
+        return np.arange(amplitude.shape[0]) * (self.sampling_rate / padded), amplitude
+
+
+def band_envelope(x: npt.ArrayLike, sampling_rate: float, low: float, high: float, *, decimate: bool = True) -> Envelope:
+    """Envelope of the band low … high of a signal, by one forward and one short inverse FFT.
+
+    The band is cut with straight edges (zero phase). `decimate` keeps twice the samples that the band needs,
+    which represents the squared envelope without aliasing; otherwise the signal's own rate is kept.
+
+    Parameters
+    ----------
+    x : array, shape (n,), without missing samples; float32 stays float32
+    sampling_rate, low, high : float [Hz], 0 ≤ low < high ≤ sampling_rate / 2
+
+    Raises
+    ------
+    BadInput
+        The band is empty, outside 0 … fs/2 or narrower than four lines of the spectrum.
+
+    Examples
+    --------
+    A 1 kHz tone of amplitude 3, modulated fully at 10 Hz:
+
+    >>> t = np.arange(8000) / 8000
+    >>> tone = 3 * (1 + np.cos(2 * np.pi * 10 * t)) * np.cos(2 * np.pi * 1000 * t)
+    >>> envelope = band_envelope(tone, 8000, 900, 1100)
+    >>> frequency, amplitude = envelope.spectrum("amplitude")
+    >>> round(float(amplitude[0]), 6), float(frequency[1:][np.argmax(amplitude[1:])])
+    (3.0, 10.0)
+    """
+    x = np.asarray(x)
+    spectrum, padded = padded_spectrum(x)
+    return envelope_of_spectrum(spectrum, padded, x.shape[0], sampling_rate, low, high, decimate=decimate)
+
+
+def padded_spectrum(x: AnyArray) -> tuple[AnyArray, int]:
+    """rfft of a signal at a length without large prime factors (of a long one all but the last line), and that length."""
+    if x.shape[0] >= LONG:
+        padded = length_for_long(x.shape[0])
+        return long_rfft(x if x.dtype == np.float32 else np.asarray(x, dtype=np.float64), padded), padded
+    padded = fft.next_fast_len(x.shape[0], real=True)
+    return np.asarray(fft.rfft(x, padded)), padded
+
+
+def envelope_of_spectrum(
+    spectrum: AnyArray, padded: int, n: int, sampling_rate: float, low: float, high: float, *, decimate: bool = True
+) -> Envelope:
+    """`band_envelope` of a signal of n samples from its `padded_spectrum` (for many bands of one signal)."""
+    if not 0 <= low < high <= sampling_rate / 2 * (1 + 1e-9):
+        raise BadInput(f"band {low:g} … {high:g} Hz: must lie inside 0 … {sampling_rate / 2:g} Hz")
+    first = max(1, int(np.ceil(low * padded / sampling_rate)))
+    last = min(int(np.ceil(high * padded / sampling_rate)), spectrum.shape[0])
+    if last - first < 4:
+        raise BadInput(f"band {low:g} … {high:g} Hz: is narrower than four lines of {sampling_rate / padded:g} Hz")
+    m = min(fft.next_fast_len(_OVERSAMPLING * (last - first)), padded) if decimate else padded
+    band = np.zeros(m, spectrum.dtype)
+    band[: last - first] = spectrum[first:last]
+    analytic = fft.ifft(band, overwrite_x=True)[: max(1, n * m // padded)]
+    scale = analytic.real.dtype.type(2 * m / padded)
+    return Envelope(np.abs(analytic) * scale, sampling_rate * m / padded, float(low), float(high))
+
+
+# The kurtogram: in which frequency band, and at which width, is a signal most impulsive?
 
 FEWEST_OF_A_BAND = 32  # samples of a band's envelope: its kurtosis then scatters by 2/√32 = 0.35
 DEEPEST_LEVEL = 12
@@ -296,3 +517,37 @@ def _moments_of_signal(x: AnyArray, segments: int) -> AnyArray:
             fourth += power * power
         moments[segment, 0], moments[segment, 1] = second, fourth
     return moments
+
+
+# RMS of a vibration in octave bands of fixed hertz, comparable between records of different rate
+# and length.
+
+_ANCHOR = 62.5  # Hz; edges are this times powers of two
+_FEWEST_LINES = 8
+
+
+def octave_edges(sampling_rate: float, duration: float) -> AnyArray:
+    """Edges [Hz] of the bands that a record of this rate and duration [s] can resolve, the last one fs/2.
+
+    The topmost band is cut at fs/2; when less than a quarter octave of it is left it joins the one below.
+
+    >>> octave_edges(12000, 1.0).tolist()
+    [15.625, 31.25, 62.5, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 6000.0]
+    """
+    lowest = int(np.ceil(np.log2(_FEWEST_LINES / duration / _ANCHOR)))
+    top = sampling_rate / 2
+    highest = int(np.floor(np.log2(top / 2**0.25 / _ANCHOR)))
+    if highest < lowest:
+        raise BadInput(f"octave bands: {duration:g} s at {sampling_rate:g} Hz is too short for one band")
+    return np.append(_ANCHOR * 2.0 ** np.arange(lowest, highest + 1), top)
+
+
+def octave_rms(x: npt.ArrayLike, sampling_rate: float, edges: AnyArray) -> AnyArray:
+    """RMS of a signal in the bands between the edges, shape (bands,), by Parseval's sum over a Hann-windowed spectrum."""
+    x = np.asarray(x)
+    window = np.hanning(x.shape[0]).astype(x.dtype)
+    padded = fft.next_fast_len(x.shape[0], real=True)
+    power = np.abs(fft.rfft((x - x.mean()) * window, padded)) ** 2
+    cuts = np.minimum(np.ceil(edges * padded / sampling_rate).astype(int), power.shape[0])
+    sums = np.array([power[low:high].sum(dtype=np.float64) for low, high in pairwise(cuts)])
+    return np.asarray(np.sqrt(2 * sums / (padded * float(np.sum(window.astype(float) ** 2)))))

@@ -1,1 +1,0 @@
-"""Generalised likelihood ratio over windows of a residual."""

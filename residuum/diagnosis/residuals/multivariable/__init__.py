@@ -1,1 +1,0 @@
-"""Residuals of plants with several inputs and outputs."""

@@ -1,1 +1,0 @@
-"""Linear systems: state space, factorisations, norms."""

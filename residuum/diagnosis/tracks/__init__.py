@@ -1,1 +1,0 @@
-"""What a machine's values do over many windows."""

@@ -1,1 +1,0 @@
-"""What turns with the shaft: speed, angle, rounds, and clocks brought together."""

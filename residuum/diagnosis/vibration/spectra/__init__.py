@@ -1,1 +1,0 @@
-"""Spectra, bands and envelopes of a vibration."""

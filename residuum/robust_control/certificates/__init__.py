@@ -1,1 +1,0 @@
-"""Certificates: norms and margins computed anew from the closed loop."""
